@@ -29,7 +29,9 @@ from mbcacq.estimation.forward_model import CellState  # noqa: E402
 from mbcacq.estimation.options import ArmPrior  # noqa: E402
 from mbcacq.fleet.arm_prior import population, read_priors  # noqa: E402
 from mbcacq.fleet.control_chart import arm_types, outliers  # noqa: E402
-from mbcacq.fleet.store import read_table  # noqa: E402
+from mbcacq.fleet.evaluation import FleetTask, evaluate_recording  # noqa: E402
+from mbcacq.fleet.recordings import find_recordings  # noqa: E402
+from mbcacq.fleet.store import FleetStore, read_table, stored_result  # noqa: E402
 from mbcacq.geometry import se3  # noqa: E402
 from mbcacq.model.observations import Observations  # noqa: E402
 from mbcacq.recording import write_observation_set  # noqa: E402
@@ -40,6 +42,7 @@ SPREAD = 0.3
 DRIFTING, CRASHED, ODD, CORRUPTED = 3, 17, 18, (8, 4)
 THETA_2, THETA_3, A_2 = (1, 0), (2, 0), (1, 2)
 POSTURES = 200
+ROUNDS = 5
 STATIONS = (2, 3, 4, 5, 6, 8, 11, 16)
 
 
@@ -81,11 +84,11 @@ def watched(folder: Path, out: Path, workers: int, stop_at: int | None = None) -
 
     stop_at: number of results at which it is killed with -9.
     """
-    start, before = time.monotonic(), len(list((out / "recordings").glob("*.json")))
+    start, before = time.monotonic(), results(out)
     process = subprocess.Popen([MBCACQ, "fleet", folder, "--out", out, "--workers", str(workers)], stdout=subprocess.DEVNULL)
     first, count, last = None, before, start
     while process.poll() is None:
-        now = len(list((out / "recordings").glob("*.json")))
+        now = results(out)
         if now > count:
             count, last = now, time.monotonic()
             first = first or (last, count)
@@ -95,7 +98,39 @@ def watched(folder: Path, out: Path, workers: int, stop_at: int | None = None) -
         time.sleep(0.05)
     if first is None:
         return 0.0, 0.0, count
-    return first[0] - start, (count - first[1]) / max(last - first[0], 1e-9), len(list((out / "recordings").glob("*.json")))
+    return first[0] - start, (count - first[1]) / max(last - first[0], 1e-9), results(out)
+
+
+def results(out: Path) -> int:
+    """How many are there; by their names alone, since who counts shares the cores."""
+    folder = out / "recordings"
+    return sum(name.endswith(".json") for name in os.listdir(folder)) if folder.exists() else 0
+
+
+def independent(folder: Path, out: Path, processes: int) -> float:
+    """Results a second, from the first on, of plain processes that share the recordings and know nothing of each other: what the
+    computer allows, without a cluster.
+    """
+    command = [sys.executable, __file__, "--plain", folder, "--keep", out, "--share"]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # as a worker has it
+    running = [subprocess.Popen([*command, f"{k}/{processes}"], stdout=subprocess.PIPE, env=environment) for k in range(processes)]
+    times = np.sort(np.concatenate([np.array(process.communicate()[0].split(), dtype=float) for process in running]))
+    return (len(times) - 1) / (times[-1] - times[0])
+
+
+def ranged(values: np.ndarray) -> str:
+    """The median of the rounds, and the lowest and the highest."""
+    return f"{np.median(values):.2f} ({min(values):.2f} to {max(values):.2f})"
+
+
+def plain(folder: Path, out: Path, share: str) -> None:
+    """Evaluate and store a share of the recordings, as a worker does; prints when each result was there."""
+    first, step = map(int, share.split("/"))
+    store, task, times = FleetStore(out, FleetTask()), FleetTask(), []
+    for one in find_recordings([folder])[first::step]:
+        store.keep(one, stored_result(evaluate_recording(one, task), store.stamp(one)))
+        times.append(time.monotonic())
+    print(*times)
 
 
 def workspace_error(found: CellState, truth: CellState) -> float:
@@ -153,7 +188,12 @@ def main() -> None:
     parser.add_argument("--study-arms", type=int, default=12)
     parser.add_argument("--keep", type=Path, help="Folder in which recordings and results stay.")
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--plain", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--share", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.plain:
+        plain(options.plain, options.keep, options.share)
+        return
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as temporary:
         work = options.keep or Path(temporary)
@@ -166,8 +206,11 @@ def main() -> None:
         rest = watched(recordings, work / "two", 2)
         repeated = sum(path.stat().st_mtime_ns != then for path, then in files.items())
         print("resumed", rest, repeated, flush=True)
-        one = watched(recordings, work / "one", 1)
-        print("one", one, flush=True)
+        rounds = []  # the speed of the computer itself varies over minutes: what is compared is measured in turns
+        for k in range(ROUNDS):
+            one, two = (watched(recordings, work / f"{k}-{n}", n) for n in (1, 2))
+            rounds.append((one[1], two[1], *(independent(recordings, work / f"{k}-alone-{n}", n) for n in (1, 2)), one[0], two[0]))
+            print("round", rounds[-1], flush=True)
         rows = read_table(work / "two")
         broken = [row for row in rows if row["status"] != "evaluated"]
         found = outliers(arm_types(rows))
@@ -180,6 +223,8 @@ def main() -> None:
         design = cells.scanner_cell(np.random.default_rng(1), stations=6, per_station=5, bars=1, errors=np.zeros((6, 5)))
         priors = {SPREAD: read_priors(work / "two")[0], 1.0: prior_of(1.0, mean, design, 30)}
         table = study(priors, mean, options.study_arms)
+    *rates, one_first, two_first = np.array(rounds).T
+    first = (one_first, two_first)
     reasons = "; ".join((row["reason"] or "").replace(f"{recordings}/", "") for row in broken)
     named, unlike = (", ".join(f"{arm} {name}" for arm, name in each) or "none" for each in (by_arm, odd))
     drifting = (
@@ -190,15 +235,24 @@ def main() -> None:
     page = f"""# Fleet
 
 `python benchmarks/fleet.py{size} --write`: {total} made recordings ({options.arms} arms, {options.days} days, a small plan of
-{rows[0]["poses"]} poses each) through `mbcacq fleet`, on a two-core machine that others used too (load {load:.0f} at the start).
+{rows[0]["poses"]} poses each) through `mbcacq fleet`, on a two-core machine (load {load:.1f} at the start).
 
 | | results a second | first result after |
 |---|--:|--:|
-| one worker | {one[1]:.2f} | {one[0]:.1f} s |
+| one worker | {ranged(rates[0])} | {np.median(first[0]):.1f} s |
+| two workers | {ranged(rates[1])} | {np.median(first[1]):.1f} s |
+| one plain process, no cluster | {ranged(rates[2])} | |
+| two plain processes, half of the recordings each | {ranged(rates[3])} | |
 | two workers, until killed with -9 at {half[2]} results | {half[1]:.2f} | {half[0]:.1f} s |
 | two workers, resumed | {rest[1]:.2f} | {rest[0]:.1f} s |
 
-Two workers over one: {half[1] / one[1]:.2f} and {rest[1] / one[1]:.2f}. A recording takes {processor:.2f} s of processor time.
+Two workers over one: {ranged(rates[1] / rates[0])} (1.8 asked). What the computer allows, two plain processes over one:
+{ranged(rates[3] / rates[2])}. Of the rate of two plain processes, two workers reach {ranged(rates[1] / rates[3])}.
+Medians of {ROUNDS} rounds (lowest to highest), in each of which all four are measured one after the other. Killed and resumed
+over the run of one worker that followed: {half[1] / rates[0][0]:.2f} and {rest[1] / rates[0][0]:.2f}. A recording takes
+{1e3 * processor:.0f} ms of processor time. Rates are from the first result to the last: neither the start of the cluster is in them nor
+the table and the page in the end.
+
 Of the {half[2]} results that were there after the kill, {repeated} were made again.
 
 Without a result: {len(broken)} recording, the one that was cut in the middle of a row: {reasons}.

@@ -76,11 +76,10 @@ def rows_of(
     """The rows of all recordings in their order; each result is kept as soon as it is there."""
     known = {one.path: row for one in found if (row := store.row(one)) is not None}
     left = [one for one in found if one.path not in known]
-    stamps = [store.stamp(one) for one in left]
     done = len(known)
     if left:
-        for one, outcome in evaluated(left, stamps, task, min(workers, len(left)), scheduler):
-            known[one.path] = store.keep(one, outcome)
+        for one, row in evaluated(left, store, task, min(workers, len(left)), scheduler):
+            known[one.path] = row
             done += 1
-            progress(done, len(found), known[one.path])
+            progress(done, len(found), row)
     return [known[one.path] for one in found]

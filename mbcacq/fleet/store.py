@@ -25,7 +25,7 @@ NUMBERS = (
 
 @dataclass(frozen=True)
 class StoredResult:
-    """What came of a recording. row: of the table; text: of its file, UTF-8."""
+    """What came of a recording. row: of the table; text: of its file, UTF-8, empty where the file is written."""
 
     row: dict[str, Any]
     text: bytes

@@ -3,8 +3,11 @@
 import json
 import os
 import pickle
+import shutil
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +19,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "calibration"))
 import cells
 
 import mbcacq
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.estimation.options import ArmPrior, CalibrationOptions
+from mbcacq.fleet import cluster
 from mbcacq.fleet.arm_prior import learnt, population, read_priors
 from mbcacq.fleet.control_chart import arm_types, excess_variance, outliers, weighted_median
 from mbcacq.fleet.drift import drifts
@@ -72,6 +76,70 @@ def test_a_broken_recording_is_a_row_and_nothing_is_done_twice(folder, tmp_path)
     again = mbcacq.evaluate_fleet([folder], tmp_path, progress=lambda *_: pytest.fail("a recording was evaluated again"))
     assert [row.get("rms_mm") for row in again.rows] == [row["rms_mm"] for row in rows]
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "recordings").iterdir()} == written
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL and no groups of processes")
+@pytest.mark.parametrize("how", ["kill -9", "Ctrl-C"])
+def test_what_was_stored_before_an_end_is_not_repeated(how, folder, tmp_path):
+    for k in range(40):
+        shutil.copytree(folder / "2026-01-15", tmp_path / "runs" / f"day-{k:02d}")
+    out = tmp_path / "out"
+    command = [Path(sys.executable).parent / "mbcacq", "fleet", tmp_path / "runs", "--out", out, "--workers", "2"]
+    log = tmp_path / "stderr"
+    with log.open("w") as said, subprocess.Popen(command, stdout=said, stderr=said, start_new_session=True) as process:
+        end = time.monotonic() + 120
+        while len(list(out.glob("recordings/*.json"))) < 3 and process.poll() is None and time.monotonic() < end:
+            time.sleep(0.01)
+        if how == "Ctrl-C":
+            os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to all processes
+        else:
+            process.kill()
+    if how == "Ctrl-C":
+        assert process.returncode == 130
+        assert log.read_text().strip().splitlines()[-1] == "mbcacq: interrupted"
+        assert "Traceback" not in log.read_text()
+    stored = {path: path.stat().st_mtime_ns for path in (out / "recordings").glob("*.json")}
+    assert len(stored) >= 3
+    again = mbcacq_fleet(tmp_path / "runs", "--out", out, "--workers", "2")
+    assert again.returncode == 0, again.stderr
+    assert {path: path.stat().st_mtime_ns for path in stored} == stored
+    assert [row["status"] for row in read_table(out)] == ["evaluated"] * 40
+
+
+def test_a_worker_keeps_what_is_done_and_gives_back_what_its_time_does_not_allow(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "BATCH_S", 0.0)
+    store, batch = FleetStore(tmp_path, FleetTask()), []
+    for one in find_recordings([folder]):
+        batch.append((one, store.stamp(one)))
+    (done,) = cluster.evaluated_batch(batch, FleetTask(), store)
+    assert done.row == store.row(batch[0][0])
+    monkeypatch.setattr(cluster, "evaluate_recording", lambda *_: pytest.fail("a recording was evaluated again"))
+    assert cluster.evaluated_batch(batch, FleetTask(), store) == [done]
+
+
+def test_the_recording_at_which_a_worker_ends_fails_and_its_neighbours_do_not(folder, tmp_path):
+    """The first of three is stored, at the second the worker ends, the third has not been begun."""
+    store = FleetStore(tmp_path, FleetTask())
+    batch = [(one, store.stamp(one)) for one in find_recordings([folder])]
+    cluster.evaluated_batch(batch[:1], FleetTask(), store)
+    ended = cluster._ended(batch, store, type("KilledWorker", (Exception,), {})())
+    assert [one.row["status"] for one in ended] == ["evaluated", "failed"]
+    assert ended[1].row["recording"] == batch[1][0].path
+    assert "was ended" in ended[1].row["reason"]
+    with pytest.raises(RecordingError, match="full"):
+        cluster._ended(batch, store, RecordingError("the disk is full"))
+
+
+def test_a_cluster_that_runs_already_does_the_same(folder, tmp_path):
+    from dask.distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address="127.0.0.1:0"
+    ) as running:
+        found = mbcacq.evaluate_fleet([folder], tmp_path, scheduler=running.scheduler_address)
+    assert [row["status"] for row in found.rows] == ["evaluated", "refused", "evaluated"]
+    store = FleetStore(tmp_path, FleetTask())
+    assert all(store.row(one) is not None for one in find_recordings([folder]))
 
 
 def test_a_recording_counts_as_done_until_it_or_the_task_changes(folder, tmp_path):
