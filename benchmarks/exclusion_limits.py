@@ -68,7 +68,7 @@ class PlannedRecording:
         residual = residual + np.einsum("mrn,mn->mr", linear.joint_columns, joints[linear.obs.pose])
         residual[:, :3] += self.noise.point * rng.standard_normal((len(residual), 3))
         here = linear.with_residual(residual)
-        return CandidateScoring.of(here, noise_with(here, NO_EFFECTS, None, first_noise(linear.obs.cell), self.prior))
+        return CandidateScoring.of(here, noise_with(here, NO_EFFECTS, first_noise(linear.obs.cell), self.prior))
 
 
 def with_effect(drawn: CandidateScoring, candidate: Candidate, limit: CoefficientLimit) -> CandidateScoring:

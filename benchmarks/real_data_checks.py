@@ -16,7 +16,7 @@ import numpy as np
 from real_data import Data, rms
 from real_data_campaigns import whole
 
-from mbcacq.diagnosis.model_fit import fit_model, prepare
+from mbcacq.diagnosis.model_fit import fit_model, fit_part, prepare
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.recording import load_observations
@@ -32,9 +32,9 @@ def diagnosed(folder: Path) -> None:
     stations = np.unique(obs.station)
     for test in [obs.station == k for k in stations] if len(stations) > 1 else [third]:
         train, judged = linear.keep & ~test[obs.pose], test[obs.pose]
-        part = fit_model(setup.with_linearization(linear), train, structure_expected=full.smooth is not None)
-        before = predictive_score.held_out_score(linear, train, judged, NO_EFFECTS, None, full.noise)
-        after = predictive_score.held_out_score(linear, train, judged, part.model, part.smooth, full.noise)
+        model, random = fit_part(setup.with_linearization(linear), train, bool(full.random))
+        before = predictive_score.held_out_score(linear, train, judged, NO_EFFECTS, (), full.noise)
+        after = predictive_score.held_out_score(linear, train, judged, model, random, full.noise)
         print(f"diagnosis of {folder.name}, {int(judged.sum())} centres left out: {before.rms:.4f} -> {after.rms:.4f} mm", flush=True)
 
 

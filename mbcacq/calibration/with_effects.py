@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.result import REFIT, Calibration
@@ -66,7 +67,8 @@ def calibrate_with_effects(
     obs = select_phases(observations, options)
     if obs.n_poses > OPTIONS.most_learnt and not hold and any(t.name == UNKNOWN for t in model.terms):
         obs = obs.select(some_poses(obs, OPTIONS.most_learnt))
-    return fitted_with_effects(obs, options, model, hold, calibrate)
+    with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
+        return fitted_with_effects(obs, options, model, hold, calibrate)
 
 
 def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> Calibration:

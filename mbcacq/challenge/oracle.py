@@ -53,11 +53,11 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
     known = bool(truth) and all(each)
     model, rest = EffectSet((*companions, *chain.from_iterable(each))), EffectSet(tuple(companions))
     linear = setup.linear
-    sigma = noise_with(linear, model, None, setup.noise, setup.prior_noise)
+    sigma = noise_with(linear, model, setup.noise, setup.prior_noise)
     better = kept_centres(CandidateScoring.of(linear, sigma), model)
     if np.mean(~better) < 0.05:
         linear = linear.restricted(better)
-        sigma = noise_with(linear, model, None, sigma, setup.prior_noise)
+        sigma = noise_with(linear, model, sigma, setup.prior_noise)
     at_station = any(w.startswith("station") for effect in truth for w in effect["where"])
     others = [EffectSet((*companions, *chain.from_iterable(each[:j] + each[j + 1 :]))) for j in range(len(each))] if len(each) > 1 else []
     before, after, *less = (held_out(linear, m, sigma, at_station) for m in (rest, model, *others))
@@ -114,7 +114,7 @@ def true_hypers(setup: DiagnosisProblem, candidate: Candidate, effect: dict[str,
 def without_effect(with_it: Observations, without_it: Observations) -> Achievable:
     """For an effect outside the catalogue: held-out chi2 of the geometry alone, and in the same cell had nothing been injected."""
     clean = prepare(without_it)
-    sigma = noise_with(clean.linear, NO_EFFECTS, None, clean.noise, clean.prior_noise)
+    sigma = noise_with(clean.linear, NO_EFFECTS, clean.noise, clean.prior_noise)
     return Achievable(held_out(prepare(with_it).linear, NO_EFFECTS, sigma), held_out(clean.linear, NO_EFFECTS, sigma), False)
 
 
@@ -124,5 +124,5 @@ def held_out(linear: LinearProblem, model: EffectSet, sigma: Noise, by_pose: boo
     total = predictive_score.NO_CENTRES
     for k in range(int(fold.max()) + 1):
         train, test = linear.keep & (fold != k)[linear.obs.pose], linear.keep & (fold == k)[linear.obs.pose]
-        total += predictive_score.held_out_score(linear, train, test, model, None, sigma)
+        total += predictive_score.held_out_score(linear, train, test, model, (), sigma)
     return total.chi2_dof

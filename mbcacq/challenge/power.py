@@ -103,7 +103,7 @@ def with_estimated_hypers(setup: DiagnosisProblem, model: EffectSet) -> tuple[Ef
 
 def geometry_noise(setup: DiagnosisProblem) -> Noise:
     """The noise of a model of the geometry alone."""
-    return noise_with(setup.linear, NO_EFFECTS, None, setup.noise, setup.prior_noise)
+    return noise_with(setup.linear, NO_EFFECTS, setup.noise, setup.prior_noise)
 
 
 def likelihood_ratio(setup: DiagnosisProblem, model: EffectSet) -> float:
@@ -112,7 +112,7 @@ def likelihood_ratio(setup: DiagnosisProblem, model: EffectSet) -> float:
     """
     linear = setup.linear
     geometry_only = CandidateScoring.of(linear, geometry_noise(setup))
-    there = CandidateScoring.of(linear, noise_with(linear, model, None, geometry_only.noise, setup.prior_noise))
+    there = CandidateScoring.of(linear, noise_with(linear, model, geometry_only.noise, setup.prior_noise))
     return log_restricted_likelihood(there, conditioned_on_effects(there, model), setup.prior_noise) - log_restricted_likelihood(
         geometry_only, geometry_only, setup.prior_noise
     )

@@ -30,7 +30,7 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     reported = reported_hypothesis(fit)
     if alternatives_to(fit, reported):
         return "cannot_tell"
-    if full.smooth is None:
+    if not full.random:
         return "explained"
     contributions = Contributions(full)
     count = contributions.effects

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.nonparametric.evidence_map import MapCell
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+from mbcacq.diagnosis.nonparametric.joint_model import JointModel
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
 from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
@@ -17,17 +19,32 @@ from mbcacq.estimation.options import Noise
 class ModelFit:
     """What one pass has found.
 
-    model: parametric effects. smooth: random effects, or None. cells: where the evidence map put them; empty where they stand at all
-    locations. noise: estimated with both in place. geometry_only, conditioned: the projected problem under that noise, with geometry alone
-    and conditioned on the parametric effects. evidence: the hypotheses that were compared, of a long recording on a part of it.
-    residual_tests: of what parametric effects leave, of a long recording.
+    model: parametric effects. random: random effects, their priors known. cells: where the evidence map put them; empty where they stand
+    at all locations. noise: estimated with both in place. geometry_only, conditioned: the projected problem under that noise, with
+    geometry alone and conditioned on the parametric effects. evidence: the hypotheses that were compared, of a long recording on a part
+    of it. residual_tests: of what parametric effects leave, of a long recording. estimated: the random effects with the coefficients that
+    the evidence gives them, of a short one.
     """
 
     model: EffectSet
-    smooth: RandomEffectsModel | None
+    random: tuple[RandomEffect, ...]
     cells: tuple[MapCell, ...]
     noise: Noise
     geometry_only: CandidateScoring
     conditioned: CandidateScoring
     evidence: EvidenceFit
     residual_tests: ResidualTests | None = None
+    estimated: RandomEffectsModel | None = None
+
+    @cached_property
+    def joint(self) -> JointModel:
+        """Everything as one linear problem."""
+        return JointModel(self.geometry_only.linear, self.model, self.random, self.geometry_only.whiten)
+
+    @cached_property
+    def smooth(self) -> RandomEffectsModel | None:
+        """The random effects with their coefficients; None where there are none."""
+        return self.estimated or (self.joint.random_effects if self.random else None)
+
+    def without_random_effects(self) -> ModelFit:
+        return replace(self, random=(), estimated=None)

@@ -15,7 +15,7 @@ class DiagnosisOptions:
     # Size of the recording
     fewest_poses: int = 12  # fewer determine geometry and stations but no effect
     many_poses: int = 350  # a longer recording is searched with a narrower beam, and is modelled at all locations (time: diagnosis.md)
-    most_poses: int = 4000  # a longer recording is thinned, so that memory stays below 2 GiB (ur10-tracker-a, benchmarks/diagnosis.md)
+    most_poses: int = 20000  # a longer recording is thinned, so that memory stays below 3 GiB (benchmarks/diagnosis.md)
     searched_poses: int = 600  # poses of a long recording in which parametric effects are searched: bounds time and memory (diagnosis.md)
 
     # Outliers

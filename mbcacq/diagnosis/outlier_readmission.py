@@ -36,4 +36,4 @@ def readmit_outliers(problem: DiagnosisProblem) -> DiagnosisProblem:
     if best is None:
         return problem
     better = everything.restricted(best)
-    return replace(problem, linear=better, noise=noise_with(better, NO_EFFECTS, None, noise, problem.prior_noise))
+    return replace(problem, linear=better, noise=noise_with(better, NO_EFFECTS, noise, problem.prior_noise))

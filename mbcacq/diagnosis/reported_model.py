@@ -35,10 +35,12 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit) -> ModelFit:
     conditioned = conditioned_on_effects(projected, model)
     model = EffectSet(model.effects, projected.chi2 - conditioned.chi2, model.coefficients, model.covariance)
     cells = tuple(cell_at(best, m) for m in best.unmodelled)
-    return ModelFit(model, random_effects(fit, best), cells, best.point.noise, projected, conditioned, fit)
+    estimated = random_effects(best)
+    groups = estimated.groups if estimated else ()
+    return ModelFit(model, groups, cells, best.point.noise, projected, conditioned, fit, estimated=estimated)
 
 
-def random_effects(fit: EvidenceFit, best: Hypothesis) -> RandomEffectsModel | None:
+def random_effects(best: Hypothesis) -> RandomEffectsModel | None:
     """The unmodelled effects of a hypothesis."""
     if not best.unmodelled:
         return None
@@ -46,15 +48,15 @@ def random_effects(fit: EvidenceFit, best: Hypothesis) -> RandomEffectsModel | N
     chosen = [j for j, m in enumerate(best.members) if m in best.unmodelled]
     members = [best.members[j] for j in chosen]
     groups = tuple(
-        RandomEffect(m.candidate.where[0], m.candidate.depends_on, fit.linear.columns(m.candidate.build(None)), m.candidate.typical)
+        RandomEffect(m.candidate.where[0], m.candidate.depends_on, tuple(m.candidate.build(None)), m.size * m.candidate.typical)
         for m in members
     )
     values = np.concatenate([found.mean[found.slices[j]] for j in chosen])
-    sigma = np.concatenate([m.size * m.candidate.typical for m in members])
+    sigma = np.concatenate([g.sigma for g in groups])
     index = np.concatenate([np.arange(found.slices[j].start, found.slices[j].stop) for j in chosen])
     covariance = found.covariance[np.ix_(index, index)]
     used = float(np.sum(1.0 - np.diag(covariance) / sigma**2))
-    return RandomEffectsModel(groups, values, sigma, np.array([m.size for m in members]), used, covariance)
+    return RandomEffectsModel(groups, values, used, covariance)
 
 
 def cell_at(best: Hypothesis, member: Member) -> MapCell:

@@ -46,8 +46,8 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
     if proof.not_predictive:
         kept = full.model.without(proof.not_predictive)
         full = replace(full, model=solved(full.geometry_only, kept.effects))
-    before, residual_before = training_score(full.geometry_only, NO_EFFECTS, None)
-    after, residual_after = training_score(full.geometry_only, full.model, full.smooth)
+    alone = replace(full, model=NO_EFFECTS).without_random_effects()
+    (before, residual_before), (after, residual_after) = training_score(alone.joint), training_score(full.joint)
     judged = _judged_by_evidence(full, full.evidence, proof, before) if full.residual_tests is None else _judged(full, proof, before)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
@@ -134,7 +134,7 @@ class _Judged:
 
 def _judged(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> _Judged:
     # Groups that act at every location could do what parametric effects do: they are left out of the contributions then.
-    contributions = Contributions(full if full.cells else replace(full, smooth=None))
+    contributions = Contributions(full if full.cells else full.without_random_effects())
     verdict, mismatch = verdict_of_long_recording(full), mismatch_table(full, contributions, before)
     geometry_alone, with_effects = proof.decisive
     predictive = bool(predicts_better(with_effects, geometry_alone))
@@ -184,7 +184,7 @@ def verdict_of_long_recording(full: ModelFit) -> str:
     """The verdict on the data of the fit: parametric effects that are selected although unmodelled ones are there explain partly, if they
     explain more than the unmodelled ones do.
     """
-    structure = full.smooth is not None or (full.residual_tests is not None and full.residual_tests.structure and not full.cells)
+    structure = bool(full.random) or (full.residual_tests is not None and full.residual_tests.structure and not full.cells)
     if not full.model.effects:
         return "unexplained" if structure else "none"
     if not structure:
@@ -194,7 +194,7 @@ def verdict_of_long_recording(full: ModelFit) -> str:
 
 def _mostly_parametric(full: ModelFit) -> bool:
     contributions = Contributions(full)
-    if full.smooth is None:
+    if not full.random:
         assert full.residual_tests is not None, "without unmodelled effects only the residual tests can find structure"
         rest = full.residual_tests.evidence.best()
         return full.model.gain > max(rest.gain - rest.used, 0.0)

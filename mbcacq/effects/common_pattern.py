@@ -22,6 +22,7 @@ NEAR = np.radians(4.0)  # offsets that far apart are one
 LEAST_LOG_BAYES_FACTOR = 3.0  # strong evidence (Kass, Raftery 1995); offsets and directions that were tried are averaged over
 LEAST_CERTAIN = 0.5  # probability p of the offset: at angles never visited, a pattern at it leaves 2 (1 - p) of the mean square
 LEAST_JOINTS = 3
+AT_ONCE = 20  # offsets: their matrices stay in the caches
 MOST_STARTS = 2  # joints from which a pattern is sought
 
 
@@ -154,6 +155,10 @@ class PatternComparison:
 
     def log_bayes_factors(self, offsets: np.ndarray, direction: int) -> np.ndarray:
         """(G,) logarithm of the Bayes factor of following the pattern at each offset (G,) rad, against an error of its own."""
+        some = np.array_split(offsets, -(-len(offsets) // AT_ONCE))
+        return np.concatenate([self._log_bayes_factors(each, direction) for each in some])
+
+    def _log_bayes_factors(self, offsets: np.ndarray, direction: int) -> np.ndarray:
         c, s = _phases(offsets, len(self.sigma) // 2)
         cross = _turned(np.swapaxes(_turned(self.C[None], c, s, direction), 1, 2), c, s, direction)
         mixed = _turned(self.B.T[None], c, s, direction)
@@ -164,9 +169,15 @@ class PatternComparison:
 
 def log_evidence(information: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """(G,) logarithm of the integral over k coefficients; information (G, k, k) with their prior of standard deviation sigma (k,)."""
-    root = np.linalg.cholesky(sigma[:, None] * information * sigma)
-    x = np.linalg.solve(root, (sigma * right)[..., None])[..., 0]
-    return 0.5 * np.sum(x**2, axis=1) - np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+    G, k = right.shape
+    bordered, scaled = np.zeros((G, k + 1, k + 1)), sigma * right
+    np.multiply(sigma[:, None] * sigma, information, out=bordered[:, :k, :k])
+    # The last row of the root of a matrix that is bordered by a right-hand side is the solution of the triangular system. The corner is
+    # large enough: with the prior in it, the matrix is at least the identity.
+    bordered[:, k, :k] = scaled
+    bordered[:, k, k] = np.sum(scaled**2, axis=1) + 1.0
+    root = np.linalg.cholesky(bordered)
+    return 0.5 * np.sum(root[:, k, :k] ** 2, axis=1) - np.log(np.diagonal(root, axis1=1, axis2=2)[:, :k]).sum(axis=1)
 
 
 def turning(order: np.ndarray, offset: float, direction: int) -> np.ndarray:

@@ -158,13 +158,31 @@ class LinearProblem:
             raise ValueError(f"no such location: {location}")
         return out
 
-    def columns(self, parts: Sequence[Part]) -> np.ndarray:
-        """(M, R, k): columns of an effect."""
+    def columns(self, parts: Sequence[Part], rows: slice = slice(None)) -> np.ndarray:
+        """(M, R, k): columns of an effect; of these of the R rows of each centre."""
         total = np.zeros(())
         for part in parts:
-            basis = part.basis[self.obs.pose] if part.place in PER_POSE else part.basis
-            total = total + self.unit(part.place, part.index, part.component)[:, :, None] * basis[:, None, :]
+            unit = self.unit(part.place, part.index, part.component)[:, rows, None]
+            total = total + unit * self.by_centre(part, part.basis)[:, None, :]
         return total
+
+    def displacement(self, parts: Sequence[Part], coefficients: np.ndarray) -> np.ndarray:
+        """(M, R): the columns of an effect times its coefficients (k,); no column is written out."""
+        amounts = (self.by_centre(part, part.basis @ coefficients) for part in parts)
+        moved = (self.unit(p.place, p.index, p.component) * a[:, None] for p, a in zip(parts, amounts, strict=True))
+        return sum(moved, np.zeros_like(self.residual))
+
+    def products(self, parts: Sequence[Part], rows: np.ndarray) -> np.ndarray:
+        """(k,): the columns of an effect times rows (M, R); no column is written out."""
+        total = np.zeros(parts[0].basis.shape[1])
+        for part in parts:
+            each = np.einsum("mr,mr->m", self.unit(part.place, part.index, part.component), rows)
+            total += part.basis.T @ (np.bincount(self.obs.pose, each, self.obs.n_poses) if part.place in PER_POSE else each)
+        return total
+
+    def by_centre(self, part: Part, values: np.ndarray) -> np.ndarray:
+        """(M, ...): values for each row of a part's basis, centre by centre."""
+        return values[self.obs.pose] if part.place in PER_POSE else values
 
     # What geometry absorbs ----------------------------------------------------------------------------------------
 

@@ -165,9 +165,14 @@ class Whitening:
         L = np.linalg.cholesky(gram)
         self.log_det = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum()
         self.M = np.linalg.inv(gram + L)
+        # Of few rows W itself is smaller than what it is made of.
+        few = self.J.shape[1] <= self.J.shape[2]
+        self.W = (np.eye(self.J.shape[1]) - self.J @ self.M @ np.swapaxes(self.J, 1, 2)) * np.swapaxes(self.scale, 1, 2) if few else None
 
     def __call__(self, blocks: np.ndarray) -> np.ndarray:
         """W X for blocks (P, B R, k)."""
+        if self.W is not None:
+            return self.W @ blocks
         X = blocks * self.scale
         X -= self.J @ (self.M @ (np.swapaxes(self.J, 1, 2) @ X))
         return X
@@ -187,7 +192,7 @@ class CentreWhitening:
 
     def __init__(self, rows: PoseRows, joint: np.ndarray, noise: Noise, keep: np.ndarray):
         """joint: (P, B R, n) derivative by the joints; keep: (M,) bool."""
-        self.rows = rows
+        self.rows, self.noise = rows, noise
         self.blocks = Whitening(rows, joint, noise, keep.astype(float), np.ones(rows.n_poses))
         self.log_det = float(self.blocks.log_det + 2 * np.sum(keep[:, None] * np.log(rows.row_sigma(noise))))
 

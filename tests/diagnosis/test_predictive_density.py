@@ -6,10 +6,12 @@ import simulated
 from scipy.stats import multivariate_normal
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.nonparametric.joint_model import columns_of
+from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.validation import predictive_score
-from mbcacq.diagnosis.validation.posterior import Posterior
+from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
+from mbcacq.estimation.posterior import Posterior
+from mbcacq.estimation.whitened_columns import ColumnProducts
 
 
 def test_predictive_density_is_that_of_the_multivariate_normal():
@@ -21,8 +23,8 @@ def test_predictive_density_is_that_of_the_multivariate_normal():
     def of(which):
         return lambda a: a[which].reshape(which.sum(), *a.shape[2:])
 
-    known = Posterior.of(of(train), X, sigma, r)
-    density = sum(known.predicted(of(test), X, r))
+    known = Posterior(sigma, ColumnProducts.of(of(train), X, r))
+    density = sum(known.predicted(ColumnProducts.of(of(test), X, r)))
 
     A, B = X[train, 0], X[test, 0]
     covariance = np.linalg.inv(A.T @ A + np.diag(1 / sigma**2))
@@ -41,7 +43,7 @@ def test_predictive_densities_obey_the_chain_rule(plan):
     def chained(model, order):
         seen, total = np.isin(station, order[:2]), 0.0
         for k in order[2:]:
-            total += predictive_score.held_out_score(linear, seen, station == k, model, None, setup.noise).negative_log_predictive_density
+            total += predictive_score.held_out_score(linear, seen, station == k, model, (), setup.noise).negative_log_predictive_density
             seen = seen | (station == k)
         return total
 
@@ -57,16 +59,15 @@ def test_poorly_determined_coefficients_stay_near_zero(plan):
     setup = model_fit.prepare(observed)
     candidate = next(c for c in setup.candidates if c.name == "mount_shift")
     model = EffectSet(((candidate, 60.0),))
-    columns, sigma = columns_of(setup.linear, model, None)
-    parts = predictive_score.effect_columns(model, columns.shape[2])
+    joint = JointModel(setup.linear, model, (), setup.linear.whitener(setup.noise))
+    parts, free = joint.effects, joint.posterior
 
-    free = Posterior.of(setup.linear.whitener(setup.noise), columns, sigma, setup.linear.residual)
-    sized = free.with_estimated_prior(model, parts)
+    sized = with_estimated_prior(free, [candidate.typical], parts)
 
     shift, turn = parts[0].start, slice(parts[0].start + 3, parts[0].stop)
     assert sized.solution[shift] == pytest.approx(0.02, abs=0.004)
     assert np.linalg.norm(sized.solution[turn]) < np.linalg.norm(free.solution[turn])
-    assert np.all(sized.sigma[parts[0]] < sigma[parts[0]])
+    assert np.all(sized.sigma[parts[0]] < joint.sigma[parts[0]])
 
 
 def test_a_model_that_leaves_more_than_noise_is_compared_by_chi2():

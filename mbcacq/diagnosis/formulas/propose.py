@@ -18,7 +18,7 @@ from mbcacq.diagnosis.formulas.search import Formula, FormulaSearch, FormulaSpac
 from mbcacq.diagnosis.nonparametric import locations
 from mbcacq.diagnosis.nonparametric.design_blocks import POINT
 from mbcacq.diagnosis.nonparametric.locations import Location
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem, thinned, transferred
 from mbcacq.diagnosis.result import EffectFound, Proposal
@@ -37,7 +37,7 @@ class Setting:
     """What formulas are sought in, every unmodelled effect taken out.
 
     point: the noise with everything found in place. others: the parametric effects. linear, noise: by which data left out are scored.
-    model, smooth: the parametric effects, and the unmodelled ones (None where these stand at all locations).
+    model, random: the parametric effects, and the unmodelled ones (none where these stand at all locations).
     """
 
     context: Context
@@ -46,7 +46,7 @@ class Setting:
     linear: LinearProblem
     noise: Noise
     model: EffectSet
-    smooth: RandomEffectsModel | None
+    random: tuple[RandomEffect, ...]
 
 
 def propose(
@@ -101,10 +101,10 @@ def setting(problem: DiagnosisProblem, full: ModelFit) -> Setting:
         model = transferred(problem, small, full.model)
         others = tuple(Member(c, h) for c, h in model.effects)
         point = NoisePoint(small.linear, problem.prior_noise, pack(full.noise))
-        return Setting(small.context, point, others, small.linear, full.noise, model, None)
+        return Setting(small.context, point, others, small.linear, full.noise, model, ())
     best = reported_hypothesis(full.evidence)
     linear = full.geometry_only.linear
-    return Setting(problem.context, best.point, best.catalogued, linear, full.noise, full.model, full.smooth)
+    return Setting(problem.context, best.point, best.catalogued, linear, full.noise, full.model, full.random)
 
 
 def located(context: Context, effects: Sequence[EffectFound]) -> list[tuple[Location, str]]:
@@ -131,15 +131,15 @@ class Validation:
         linear, pose = here.linear, here.linear.obs.pose
         fold = split(linear, OPTIONS.folds)[0]
         self.parts = [(linear.keep & (fold != k)[pose], linear.keep & (fold == k)[pose]) for k in range(int(fold.max()) + 1)]
-        self.before = self.total(here.model, None)
-        self.smooth = self.total(here.model, here.smooth) if here.smooth is not None else self.before
+        self.before = self.total(here.model, ())
+        self.smooth = self.total(here.model, here.random) if here.random else self.before
         self.found = [
             FormulaSearch(here.point.restricted(train), here.others, spaces).run(final=False)[: OPTIONS.proposed] for train, _ in self.parts
         ]
 
-    def total(self, model: EffectSet, smooth: RandomEffectsModel | None) -> PredictiveScore:
+    def total(self, model: EffectSet, random: Sequence[RandomEffect]) -> PredictiveScore:
         here = self.here
-        scores = (held_out_score(here.linear, train, test, model, smooth, here.noise) for train, test in self.parts)
+        scores = (held_out_score(here.linear, train, test, model, random, here.noise) for train, test in self.parts)
         return sum(scores, NO_CENTRES)
 
     def score(self, formula: Formula) -> PredictiveScore:
@@ -147,7 +147,7 @@ class Validation:
         here = self.here
         sigma = sigma_of(formula)
         one = candidate(here.context, formula.placed, sigma / DIAGNOSIS.typical_multiple)
-        return self.total(EffectSet((*here.model.effects, (one, None))), None)
+        return self.total(EffectSet((*here.model.effects, (one, None))), ())
 
     def found_in(self, formula: Formula) -> int:
         """In how many repetitions a formula of the same terms is among the best."""

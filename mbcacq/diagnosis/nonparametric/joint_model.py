@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterable, Sequence
+from functools import cached_property
 
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel, slices_of
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_sigma, prior_weight
@@ -14,31 +19,113 @@ from mbcacq.estimation.outliers import outlier_distances, reject_outliers
 from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.pose_columns import PoseColumns
 from mbcacq.estimation.pose_information import PoseInformation
+from mbcacq.estimation.posterior import Posterior, root_of
+from mbcacq.estimation.random_effect_sizes import joined, sizes_by_marginal_likelihood
 from mbcacq.estimation.solver import Weights
-from mbcacq.estimation.terms import term
+from mbcacq.estimation.terms import Part, term
 from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
+from mbcacq.estimation.whitened_columns import ColumnProducts, WhitenedColumns
+from mbcacq.estimation.whitening import CentreWhitening
 
 
-def effect_columns(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel | None) -> tuple[np.ndarray, np.ndarray]:
-    """Parametric effects and random effects: columns (M, R, k) and prior sigma (k,)."""
+class JointModel:
+    """Geometry, parametric effects and random effects of a linearised recording under a noise, as one linear problem.
+
+    sigma: (z,) prior of all coefficients: those of the geometry, effect by effect (slices ``effects``), group by group (``groups``).
+    """
+
+    def __init__(self, linear: LinearProblem, model: EffectSet, random: Sequence[RandomEffect], whiten: CentreWhitening):
+        self.linear, self.model, self.random, self.whiten = linear, model, tuple(random), whiten
+        self.known, sigma = columns_of(linear, model)
+        first = len(sigma) - sum(c.k for c, _ in model.effects)
+        self.effects = [slice(first + p.start, first + p.stop) for p in model.slices()]
+        self.groups = [slice(len(sigma) + p.start, len(sigma) + p.stop) for p in slices_of(self.random)]
+        self.sigma = np.concatenate([sigma, *(g.sigma for g in self.random)])
+        self.geometry = np.arange(first)
+
+    @cached_property
+    def columns(self) -> WhitenedColumns:
+        return WhitenedColumns(self.linear, self.whiten, self.known, [g.parts for g in self.random])
+
+    @cached_property
+    def products(self) -> ColumnProducts:
+        """Of all centres that the whitener keeps."""
+        return self.columns.products()
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        return Posterior(self.sigma, self.products)
+
+    def index(self, effects: Iterable[int], groups: Iterable[int]) -> np.ndarray:
+        """The columns of the geometry and of some effects and groups, by their numbers."""
+        return np.concatenate([self.geometry, joined([self.effects[j] for j in effects] + [self.groups[g] for g in groups])])
+
+    def displacement(self, solution: np.ndarray) -> np.ndarray:
+        """(M, R) by all coefficients (z,)."""
+        moved = self.known @ solution[: self.known.shape[2]]
+        for group, own in zip(self.random, self.groups, strict=True):
+            if np.any(solution[own]):
+                moved += self.linear.displacement(group.parts, solution[own])
+        return moved
+
+    def left_of(self, moved: np.ndarray) -> np.ndarray:
+        """(M, R): what geometry and parametric effects, fitted to a displacement (M, R), leave of it; without groups."""
+        X, sigma = self.columns.written[:, :-1], self.sigma
+        return moved - self.known @ (sigma * self.posterior.solved(sigma * (X.T @ self.whiten(moved))))
+
+    def slopes(self, groups: Iterable[Sequence[Part]], rows: np.ndarray) -> list[np.ndarray]:
+        """(k,) of each group: products of what geometry and parametric effects leave of its columns with rows (M, R); without groups."""
+        X, sigma = self.columns.written[:, :-1], self.sigma
+        fitted = self.posterior.solved(sigma * np.einsum("mrz,mr->z", self.known, rows))
+        left = rows - self.whiten.transpose(X @ (sigma * fitted))
+        return [self.linear.products(parts, left) for parts in groups]
+
+    def beyond(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normal equations S (k, k), b (k,) of the other columns, in their order and in units of sigma, when those at ``index`` are fitted
+        to each of them; without their prior.
+        """
+        sigma, products = self.sigma, self.products
+        rest = np.setdiff1d(np.arange(len(sigma)), index)
+        normal, right = sigma[:, None] * products.information * sigma, sigma * products.right
+        root = root_of(sigma[index], products.information[np.ix_(index, index)])
+        taken = solve_triangular(root, np.c_[normal[np.ix_(index, rest)], right[index]], lower=True, check_finite=False)
+        S = normal[np.ix_(rest, rest)] - taken[:, :-1].T @ taken[:, :-1]
+        return S, right[rest] - taken[:, :-1].T @ taken[:, -1]
+
+    @property
+    def random_effects(self) -> RandomEffectsModel:
+        """The random effects with their coefficients."""
+        index = joined(self.groups)
+        covariance = self.posterior.covariance_of(index)
+        used = float(np.sum(1.0 - np.diag(covariance) / self.sigma[index] ** 2))
+        return RandomEffectsModel(self.random, self.posterior.solution[index], used, covariance)
+
+    def group_sizes(self, start: np.ndarray) -> np.ndarray:
+        """(G,) size of each group, in units of its sigma, by which the centres are most probable; zero where the data do not ask for it.
+        start: (G,) to begin with.
+        """
+        known = self.index(range(len(self.effects)), ())
+        smallest = OPTIONS.smallest_size * float(np.mean(self.whiten.noise.point))
+        limits = smallest, OPTIONS.largest_size_mm
+        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, OPTIONS.size_rounds)
+
+
+def effect_columns(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:
+    """Parametric effects: columns (M, R, k) and prior sigma (k,)."""
     blocks = [linear.columns(candidate.build(hyper)) for candidate, hyper in model.effects]
-    widths = [prior_sigma(candidate) for candidate, _ in model.effects]
-    if smooth is not None:
-        blocks.append(smooth.columns)
-        widths.append(smooth.sigma)
     nothing = np.zeros((*linear.residual.shape, 0))
-    return np.concatenate([nothing, *blocks], axis=2), np.concatenate([np.zeros(0), *widths])
+    return np.concatenate([nothing, *blocks], axis=2), np.concatenate([np.zeros(0), *(prior_sigma(c) for c, _ in model.effects)])
 
 
-def columns_of(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel | None) -> tuple[np.ndarray, np.ndarray]:
-    """Free geometry, parametric effects and random effects together: (M, R, z) and prior sigma (z,)."""
-    parts = linear.nuisance(), effect_columns(linear, model, smooth)
+def columns_of(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:
+    """Free geometry and parametric effects together: (M, R, z) and prior sigma (z,)."""
+    parts = linear.nuisance(), effect_columns(linear, model)
     return np.concatenate([columns for columns, _ in parts], axis=2), np.concatenate([sigma for _, sigma in parts])
 
 
-def noise_with(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel | None, start: Noise, prior: NoisePrior) -> Noise:
+def noise_with(linear: LinearProblem, model: EffectSet, start: Noise, prior: NoisePrior) -> Noise:
     """Restricted maximum likelihood estimate of the noise with a model in place."""
-    extended = linear.extended(*effect_columns(linear, model, smooth))
+    extended = linear.extended(*effect_columns(linear, model))
     return restricted_maximum_likelihood(lambda noise: extended.at(noise).after_fit(), start, prior)
 
 
@@ -50,7 +137,7 @@ def conditioned_on_effects(projected: CandidateScoring, model: EffectSet) -> Can
 def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
     """(M,) bool of the centres that are no outliers with the model in place, by the rule of the adjustment."""
     linear = projected.linear
-    columns, sigma = columns_of(linear, model, None)
+    columns, sigma = columns_of(linear, model)
     Z = projected.whiten(columns) * sigma
     normal = Z.T @ Z
     residual = linear.residual - columns @ (sigma * np.linalg.solve(normal + np.eye(len(sigma)), Z.T @ projected.r0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.search.projected_solve import prior_sigma
 
 
 class Contributions:
@@ -16,22 +15,12 @@ class Contributions:
     """
 
     def __init__(self, full: ModelFit):
-        screen, model, rest = full.geometry_only, full.model, full.smooth
-        blocks, sigma = [], []
-        for candidate, hyper in model.effects:
-            blocks.append(screen.block(candidate, hyper))
-            sigma.append(prior_sigma(candidate))
-        self.effects = len(blocks)
-        if rest is not None:
-            X = screen.whiten(rest.columns)
-            blocks += [X[:, p] for p in rest.slices()]
-            sigma += [rest.sigma[p] for p in rest.slices()]
-        ends = np.cumsum([0] + [b.shape[1] for b in blocks])
-        self.parts = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-        if blocks:
-            X = np.concatenate(blocks, axis=1) * np.concatenate(sigma)
-            taken = screen.Q.T @ X
-            self.S, self.b = X.T @ X - taken.T @ taken + np.eye(X.shape[1]), X.T @ screen.r
+        joint = full.joint
+        self.effects, first = len(joint.effects), len(joint.geometry)
+        self.parts = [np.arange(p.start, p.stop) - first for p in (*joint.effects, *joint.groups)]
+        if self.parts:
+            S, self.b = joint.beyond(joint.geometry)
+            self.S = S + np.eye(len(S))
             self.total = float(self.b @ np.linalg.solve(self.S, self.b))
 
     def of(self, which: list[int]) -> float:
@@ -45,10 +34,4 @@ class Contributions:
 
     def groups_at(self, full: ModelFit, at: str, depends_on: str | None = None) -> list[int]:
         """Numbers of the groups at a location, of one covariate or of all."""
-        if full.smooth is None:
-            return []
-        return [
-            self.effects + g
-            for g, group in enumerate(full.smooth.groups)
-            if group.location == at and depends_on in (None, group.depends_on)
-        ]
+        return [self.effects + g for g, group in enumerate(full.random) if group.location == at and depends_on in (None, group.depends_on)]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.evidence_map import log10_tail
-from mbcacq.diagnosis.nonparametric.joint_model import columns_of
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.result import EffectFound, MismatchEntry
 from mbcacq.diagnosis.search.projected_solve import prior_weight
@@ -17,6 +15,7 @@ from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects.effect import ParameterEstimate, Parameters
 from mbcacq.effects.pose import joint_compliance, lost_motion, payload
+from mbcacq.estimation.random_effect_sizes import joined
 
 ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
 MOST_LOCATIONS = 6  # entries of the mismatch where no model of it was fitted
@@ -108,7 +107,7 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
     """One entry for each location of the unmodelled effects, largest contribution first. In a long recording they act at all locations:
     there is one entry then, at the location of the largest evidence.
     """
-    if full.smooth is None:
+    if not full.random:
         return []
     size = displacements(full)
     ranked = sorted(size, key=lambda key: -size[key].value)
@@ -153,18 +152,20 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
     """
     smooth, linear = full.smooth, full.geometry_only.linear
     assert smooth is not None, "only called where unmodelled effects were fitted"
-    left_of = uncompensated(full)
-    misfit = rms_of(left_of(linear.residual[:, :, None])[linear.keep, :3, 0])
+    named = full.without_random_effects().joint
+    misfit = rms_of(named.left_of(linear.residual)[linear.keep, :3])
     index: dict[tuple[str, str], list[int]] = {}
     for g, group in enumerate(smooth.groups):
         index.setdefault((group.location, group.depends_on), []).append(g)
     out, slices = {}, smooth.slices()
     for key, chosen in index.items():
-        mine = np.concatenate([np.arange(slices[g].start, slices[g].stop) for g in chosen])
-        columns = left_of(np.concatenate([smooth.groups[g].columns for g in chosen], axis=2))[linear.keep, :3]
-        moved = columns @ smooth.coefficients[mine]
-        size = rms_of(moved)
-        slope = np.einsum("mrk,mr->k", columns, moved) / (len(moved) * max(size, 1e-12))
+        mine = joined([slices[g] for g in chosen])
+        parts = [smooth.groups[g].parts for g in chosen]
+        each = (linear.displacement(p, smooth.coefficients[slices[g]]) for g, p in zip(chosen, parts, strict=True))
+        moved = named.left_of(sum(each, np.zeros_like(linear.residual)))
+        moved[~linear.keep], moved[:, 3:] = 0.0, 0.0
+        size = rms_of(moved[linear.keep, :3])
+        slope = np.concatenate(named.slopes(parts, moved)) / (np.sum(linear.keep) * max(size, 1e-12))
         out[key] = Displacement(min(size, misfit), float(np.sqrt(slope @ smooth.covariance[np.ix_(mine, mine)] @ slope)))
     return out
 
@@ -172,14 +173,6 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
 def rms_of(moved: np.ndarray) -> float:
     """3D rms of displacements (M, 3)."""
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
-
-
-def uncompensated(full: ModelFit) -> Callable[[np.ndarray], np.ndarray]:
-    """What is left of columns (M, R, k) when the free geometry, the stations and the named effects are fitted to each of them."""
-    known, sigma = columns_of(full.geometry_only.linear, full.model, None)
-    Z = full.geometry_only.whiten(known) * sigma
-    solve = sigma[:, None] * np.linalg.solve(Z.T @ Z + np.eye(len(sigma)), Z.T)
-    return lambda columns: columns - known @ (solve @ full.geometry_only.whiten(columns))
 
 
 def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[str, str]]) -> dict[str, ParameterEstimate]:

@@ -131,24 +131,24 @@ def _axis_label(part: Part, at: str) -> tuple[str, str, float]:
 def _of_groups(fitted: _Fitted, rest: RandomEffectsModel) -> list[tuple[float, ResponseCurve]]:
     """What each group of the unmodelled effects moves, along the axis of the instrument along which it moves most."""
     linear = fitted.linear
-    out, keep, pose = [], linear.keep, linear.obs.pose
+    keep, pose = linear.keep, linear.obs.pose
+    moved = []
+    for g, (group, p) in enumerate(zip(rest.groups, rest.slices(), strict=True)):
+        if group.depends_on in fitted.values:
+            by_group = linear.displacement(group.parts, rest.coefficients[p])[:, :3]
+            axis = int(np.argmax(np.var(by_group[keep], axis=0)))
+            moved.append((float(np.sqrt(np.mean(by_group[keep] ** 2))), g, axis, by_group[:, axis]))
     count = np.bincount(pose, keep, linear.obs.n_poses)
-    for group, p in zip(rest.groups, rest.slices(), strict=True):
-        x = fitted.values.get(group.depends_on)
-        if x is None:
-            continue
-        moved = group.columns @ rest.coefficients[p]
-        axis = int(np.argmax(np.var(moved[keep, :3], axis=0)))
-        size = float(np.sqrt(np.mean(moved[keep, :3] ** 2)))
-        columns = _mean(group.columns[:, axis] * keep[:, None], pose, count)
-        amount = _mean((moved[:, axis] * keep)[:, None], pose, count)[:, 0]
-        measured = amount + _mean((fitted.residual[:, axis] * keep)[:, None], pose, count)[:, 0]
-        std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, rest.covariance[p, p], columns), 0.0))
-        at = _mean((x * keep)[:, None], pose, count)[:, 0]
-        good = count > 0
-        y, band, points = 1e3 * amount[good], 1e3 * std[good], 1e3 * measured[good]
+    good, out = count > 0, []
+    for size, g, axis, along in sorted(moved, key=lambda m: -m[0])[:MOST]:
+        group, p = rest.groups[g], rest.slices()[g]
+        each = np.stack([along, fitted.residual[:, axis], fitted.values[group.depends_on]], axis=1)
+        amount, left, x = _mean(each * keep[:, None], pose, count)[good].T
+        columns = _mean(linear.columns(group.parts, slice(axis, axis + 1))[:, 0] * keep[:, None], pose, count)[good]
+        std = np.sqrt(np.maximum(np.einsum("pi,pi->p", columns @ rest.covariance[p, p], columns), 0.0))
         what = f"balls seen along {AXES[axis]}"
-        out.append((size, ResponseCurve("unknown", group.location, what, "µm", group.depends_on, at[good], y, band, points)))
+        curve = ResponseCurve("unknown", group.location, what, "µm", group.depends_on, x, 1e3 * amount, 1e3 * std, 1e3 * (amount + left))
+        out.append((size, curve))
     return out
 
 

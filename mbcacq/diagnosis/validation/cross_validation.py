@@ -67,12 +67,12 @@ def cross_validate(
     linear = full.geometry_only.linear
     fold, how = split(linear, folds)
     left_out = [fold == k for k in range(int(fold.max()) + 1)]
-    everywhere = full.smooth is not None and not full.cells
+    everywhere = bool(full.random) and not full.cells
     keys = effect_keys(full)
     if not keys and not everywhere:  # nothing is claimed, there is nothing to validate
         plain = geometry_scores(full, left_out)
         return CrossValidation(plain, plain, how, {}, (), (plain, plain))
-    expected, elsewhere = full.smooth is not None, centres_elsewhere(full)
+    expected, elsewhere = bool(full.random), centres_elsewhere(full)
     problem = problem.with_linearization(linear)
     dropped: tuple[str, ...] = ()
 
@@ -87,7 +87,7 @@ def cross_validate(
     before, after, without = totals(results, keys)
     if full.residual_tests is not None and (dropped := not_predictive(full, without, parametric or after)):
         each = zip(left_out, results, strict=True)
-        after = summed(Fold(linear, full.noise, test).score(a.model.without(dropped), a.smooth) for test, a in each)
+        after = summed(Fold(linear, full.noise, test).held_out(a.model.without(dropped), a.random).score() for test, a in each)
     there = summed(a.before_there for a in results), summed(a.after_there for a in results)
     decisive = there if there[0].count > OPTIONS.deciding_share * before.count else (before, after)
     return CrossValidation(before, after, how, without, dropped, decisive, parametric)
@@ -101,10 +101,10 @@ def totals(results: list[FoldResult], keys: tuple[str, ...]) -> tuple[Predictive
 
 def effect_keys(full: ModelFit) -> tuple[str, ...]:
     """Keys of what is left out of the model in turn."""
-    if full.cells and full.smooth is not None:
-        locations = dict.fromkeys(g.location for g in full.smooth.groups)
+    if full.cells and full.random:
+        locations = dict.fromkeys(g.location for g in full.random)
         return (*full.model.names, *full.model.located_names, *(f"unknown:{location}" for location in locations))
-    if full.smooth is not None:
+    if full.random:
         return full.model.names
     return (*full.model.names, *full.model.located_names)
 
@@ -113,7 +113,7 @@ def geometry_scores(full: ModelFit, left_out: list[np.ndarray]) -> PredictiveSco
     """Held-out score of geometry alone."""
     linear = full.geometry_only.linear
     pose, keep = linear.obs.pose, linear.keep
-    return summed(held_out_score(linear, keep & ~test[pose], keep & test[pose], NO_EFFECTS, None, full.noise) for test in left_out)
+    return summed(held_out_score(linear, keep & ~test[pose], keep & test[pose], NO_EFFECTS, (), full.noise) for test in left_out)
 
 
 def not_predictive(full: ModelFit, without: dict[str, PredictiveScore], whole: PredictiveScore) -> tuple[str, ...]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import fit_model
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+from mbcacq.diagnosis.model_fit import fit_part
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
-from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
+from mbcacq.diagnosis.search.effect_set import EffectSet, located_name
+from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, HeldOut, PredictiveScore
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 
@@ -18,7 +19,7 @@ from mbcacq.estimation.options import Noise
 @dataclass(frozen=True)
 class FoldResult:
     """before, after: score on the fold with geometry alone and with the model found without it; the same where the model may be judged
-    (``there``). without: the same without one effect, by its key. parametric: without random effects. model, smooth: what was found.
+    (``there``). without: the same without one effect, by its key. parametric: without random effects. model, random: what was found.
     """
 
     before: PredictiveScore
@@ -28,7 +29,7 @@ class FoldResult:
     without: dict[str, PredictiveScore]
     parametric: PredictiveScore
     model: EffectSet
-    smooth: RandomEffectsModel | None
+    random: tuple[RandomEffect, ...]
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,9 @@ class Fold:
         """(M,) bool of the centres of the poses left out."""
         return self.linear.keep & self.test[self.linear.obs.pose]
 
-    def score(self, model: EffectSet, smooth: RandomEffectsModel | None, test: np.ndarray | None = None) -> PredictiveScore:
-        return held_out_score(self.linear, self.train, self.left_out if test is None else test, model, smooth, self.noise)
+    def held_out(self, model: EffectSet, random: Sequence[RandomEffect], test: np.ndarray | None = None) -> HeldOut:
+        """test: (M,) bool, those of the centres left out that are predicted."""
+        return HeldOut(self.linear, self.train, self.left_out if test is None else test, model, random, self.noise)
 
 
 def evaluated_fold(
@@ -68,21 +70,21 @@ def evaluated_fold(
     turn; elsewhere: (M,) bool of the centres by which the model may be judged; everywhere: random effects stand at all locations.
     """
     fold = Fold(problem.linear, noise, test)
-    found = fit_model(problem, fold.train, structure_expected=structure_expected)
-    model, smooth = found.model, found.smooth
-    before, after = fold.score(NO_EFFECTS, None), fold.score(model, smooth)
+    model, random = fit_part(problem, fold.train, structure_expected)
+    held = fold.held_out(model, random)
+    before, after = held.score((), ()), held.score()
     there = fold.left_out & elsewhere
     before_there, after_there = NO_CENTRES, NO_CENTRES
     if there.any() and not elsewhere.all():
-        before_there, after_there = fold.score(NO_EFFECTS, None, there), fold.score(model, smooth, there)
-    whole = fold.score(model, None) if everywhere else after
+        at = fold.held_out(model, random, there)
+        before_there, after_there = at.score((), ()), at.score()
+    whole = held.score(groups=()) if everywhere else after
     without = {}
     for key in keys:
-        other, others = without_effect(model, None if everywhere else smooth, key)
-        same = other is model and (everywhere or others is smooth)
-        without[key] = whole if same else fold.score(other, others)
-    parametric = whole if everywhere else NO_CENTRES
-    return FoldResult(before, after, before_there, after_there, without, parametric, model, smooth)
+        effects, groups = all_but(model, () if everywhere else random, key)
+        same = len(effects) == len(model.effects) and (everywhere or len(groups) == len(random))
+        without[key] = whole if same else held.score(effects, groups)
+    return FoldResult(before, after, before_there, after_there, without, whole if everywhere else NO_CENTRES, model, random)
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
@@ -102,10 +104,8 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
     return blocks % folds, "block"
 
 
-def without_effect(model: EffectSet, smooth: RandomEffectsModel | None, key: str) -> tuple[EffectSet, RandomEffectsModel | None]:
-    """A fold's model without one effect."""
-    if key.startswith("unknown:"):
-        location = key.removeprefix("unknown:")
-        there = smooth is not None and any(g.location == location for g in smooth.groups)
-        return model, smooth.without(location) if smooth is not None and there else smooth
-    return model.without((key,)), smooth
+def all_but(model: EffectSet, random: Sequence[RandomEffect], key: str) -> tuple[list[int], list[int]]:
+    """Numbers of the effects and groups of a fold's model without one effect."""
+    location = key.removeprefix("unknown:") if key.startswith("unknown:") else None
+    effects = [j for j, (c, _) in enumerate(model.effects) if key not in (c.name, located_name(c))]
+    return effects, [g for g, group in enumerate(random) if group.location != location]

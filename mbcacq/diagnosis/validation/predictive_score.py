@@ -6,19 +6,21 @@ never known exactly, and its error is common to many centres, so a weak effect s
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric.joint_model import columns_of
-from mbcacq.diagnosis.nonparametric.random_effects import RandomEffectsModel
+from mbcacq.diagnosis.nonparametric.joint_model import JointModel
+from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.validation.posterior import Posterior
+from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
 from mbcacq.effects.pose import steps
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.posterior import Posterior
+from mbcacq.estimation.whitened_columns import ColumnProducts
 
 
 @dataclass(frozen=True)
@@ -57,36 +59,60 @@ def predicts_better(one: PredictiveScore, other: PredictiveScore) -> bool:
     return one.chi2 < other.chi2
 
 
-def held_out_score(
-    linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, smooth: RandomEffectsModel | None, noise: Noise
-) -> PredictiveScore:
-    """Fit geometry and the model's coefficients on train (M,) bool, evaluate on test (M,) bool, where only the stations that are not in
-    train are free, and the moment of a change that fell among the poses left out.
+class HeldOut:
+    """Geometry and the coefficients of a model fitted on train (M,) bool, evaluated on test (M,) bool, where only the stations that are
+    not in train are free, and the moment of a change that fell among the poses left out. A pose is in one of both as a whole.
     """
-    columns, sigma = columns_of(linear.restricted(train), model, smooth)
-    slices = effect_columns(model, columns.shape[2] - (0 if smooth is None else smooth.columns.shape[2]))
-    fitted = linear.restricted(train).whitener(noise)
-    posterior = Posterior.of(fitted, columns, sigma, linear.residual).with_estimated_prior(model, slices)
-    whiten = linear.restricted(test).whitener(noise)
 
-    def score(columns: np.ndarray) -> PredictiveScore:
-        with_stations = score_with_new_stations(linear, train, test, linear.residual - columns @ posterior.solution, noise)
-        chi2, log_det = posterior.predicted(whiten, columns, linear.residual)
+    def __init__(
+        self, linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, random: Sequence[RandomEffect], noise: Noise
+    ):
+        self.linear, self.train, self.test, self.noise = linear, train, test, noise
+        self.joint = JointModel(linear, model, random, linear.restricted(train | test).whitener(noise))
+        self._poses = np.bincount(linear.obs.pose, train, linear.obs.n_poses) > 0
+        self._seen = self.joint.columns.products(self._poses)
+        self._others = self.joint.columns.products(~self._poses)
+
+    def score(self, effects: Iterable[int] | None = None, groups: Iterable[int] | None = None) -> PredictiveScore:
+        """With geometry and these effects and groups alone, by their numbers, or with all of them."""
+        joint, linear = self.joint, self.linear
+        chosen = list(range(len(joint.effects)) if effects is None else effects)
+        index = joint.index(chosen, range(len(joint.groups)) if groups is None else groups)
+        place = np.full(len(joint.sigma), -1)
+        place[index] = np.arange(len(index))
+        own = [slice(place[p.start], place[p.start] + p.stop - p.start) for p in (joint.effects[j] for j in chosen)]
+        typical = [joint.model.effects[j][0].typical for j in chosen]
+        posterior = with_estimated_prior(Posterior(joint.sigma[index], self._seen.of_columns(index)), typical, own)
+        solution = np.zeros(len(joint.sigma))
+        solution[index] = posterior.solution
+        left = linear.residual - joint.displacement(solution)
+        best = self._scored(posterior, self._others.of_columns(index), left)
+        for j in chosen:
+            candidate, hyper = joint.model.effects[j]
+            for moment in steps.indistinguishable_moments(candidate, hyper, linear.obs, self.train):
+                changed = linear.columns(candidate.build(moment)) - joint.known[:, :, joint.effects[j]]
+                others = self._with_change(joint.effects[j], changed).of_columns(index)
+                best = min(best, self._scored(posterior, others, left - changed @ solution[joint.effects[j]]), key=lambda one: one.chi2)
+        return best
+
+    def _scored(self, posterior: Posterior, others: ColumnProducts, left: np.ndarray) -> PredictiveScore:
+        """left: (M, R) residual after the solution."""
+        chi2, log_det = posterior.predicted(others)
+        with_stations = score_with_new_stations(self.linear, self.train, self.test, left, self.noise)
         return replace(with_stations, chi2=chi2, negative_log_predictive_density=chi2 + log_det)
 
-    best = score(columns)
-    for (candidate, hyper), own in zip(model.effects, slices, strict=True):
-        for moment in steps.indistinguishable_moments(candidate, hyper, linear.obs, train):
-            other = columns.copy()
-            other[:, :, own] = linear.columns(candidate.build(moment))
-            best = min(best, score(other), key=lambda one: one.chi2)
-    return best
+    def _with_change(self, own: slice, changed: np.ndarray) -> ColumnProducts:
+        """The products of the centres left out where the columns of one effect change by these (M, R, k)."""
+        joint = self.joint
+        columns = joint.columns.with_change(own, joint.whiten(changed))
+        return columns.products(~self._poses)
 
 
-def effect_columns(model: EffectSet, end: int) -> list[slice]:
-    """Which columns are which effect's, if the last one's end there."""
-    first = end - sum(c.k for c, _ in model.effects)
-    return [slice(first + p.start, first + p.stop) for p in model.slices()]
+def held_out_score(
+    linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, random: Sequence[RandomEffect], noise: Noise
+) -> PredictiveScore:
+    """Of a whole model."""
+    return HeldOut(linear, train, test, model, random, noise).score()
 
 
 def score_with_new_stations(
@@ -107,16 +133,11 @@ def score_with_new_stations(
     return PredictiveScore(float(np.sum(residual[test, :3] ** 2)), int(test.sum()), float(r @ r), dof)
 
 
-def training_score(projected: CandidateScoring, model: EffectSet, smooth: RandomEffectsModel | None) -> tuple[PredictiveScore, np.ndarray]:
+def training_score(joint: JointModel) -> tuple[PredictiveScore, np.ndarray]:
     """The score on the data fitted, and the residual (M, R)."""
-    linear = projected.linear
-    columns, sigma = columns_of(linear, model, smooth)
-    Z = projected.whiten(columns) * sigma
-    normal = Z.T @ Z
-    inverse = np.linalg.inv(normal + np.eye(len(sigma)))
-    solution = sigma * (inverse @ (Z.T @ projected.r0))
-    residual = linear.residual - columns @ solution
+    linear, posterior = joint.linear, joint.posterior
     keep = linear.keep
-    dof = keep.sum() * linear.width - float(np.sum(inverse * normal))
-    r = projected.whiten(residual)
+    residual = linear.residual - joint.displacement(posterior.solution)
+    dof = keep.sum() * linear.width - posterior.determined
+    r = joint.whiten(residual)
     return PredictiveScore(float(np.sum(residual[keep, :3] ** 2)), int(keep.sum()), float(r @ r), dof), residual
