@@ -69,8 +69,7 @@ def fit_long_recording(problem: DiagnosisProblem) -> ModelFit:
     """The same for a long recording: effects are searched in a part of it, the remainder is random effects at every location."""
     small = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
     found = searched(small)
-    linear, noise, model = on_the_whole(problem, small, found)
-    better = reconsidered_outliers(CandidateScoring.of(linear, noise), model)
+    better = reconsidered_outliers(problem, small, reported_hypothesis(found))
     if better is not None:
         problem = problem.with_linearization(better)
         small = small.with_linearization(small.linear.restricted(better.keep[poses_of_part(problem, small)[problem.linear.obs.pose]]))
@@ -97,12 +96,13 @@ def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Evid
     return linear, noise, solved(CandidateScoring.of(linear, noise), model.effects)
 
 
-def reconsidered_outliers(projected: CandidateScoring, model: EffectSet) -> LinearProblem | None:
-    """The linearisation with the outliers judged with the model in place; None where they are the same, or too many to be outliers."""
-    keep = kept_centres(projected, model)
-    if np.array_equal(keep, projected.linear.keep) or np.mean(~keep) >= OPTIONS.most_outliers:
-        return None
-    return projected.linear.restricted(keep)
+def reconsidered_outliers(problem: DiagnosisProblem, small: DiagnosisProblem, best: Hypothesis) -> LinearProblem | None:
+    """The linearisation with the outliers judged with the effects of a part in place; None where they are the same, or too many to be
+    outliers.
+    """
+    linear = problem.linear
+    keep = kept_centres(CandidateScoring.of(linear, best.point.noise), transferred(small, problem, effects_of(best)))
+    return None if np.array_equal(keep, linear.keep) or np.mean(~keep) >= OPTIONS.most_outliers else linear.restricted(keep)
 
 
 def poses_of_part(problem: DiagnosisProblem, small: DiagnosisProblem) -> np.ndarray:
