@@ -11,7 +11,7 @@ from mbcacq.diagnosis.model_fit import fit_part
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import EffectSet, located_name
-from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, HeldOut, PredictiveScore
+from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, HeldOutPrediction, PredictiveScore
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 
@@ -50,9 +50,9 @@ class Fold:
         """(M,) bool of the centres of the poses left out."""
         return self.linear.keep & self.test[self.linear.obs.pose]
 
-    def held_out(self, model: EffectSet, random: Sequence[RandomEffect], test: np.ndarray | None = None) -> HeldOut:
+    def held_out(self, model: EffectSet, random: Sequence[RandomEffect], test: np.ndarray | None = None) -> HeldOutPrediction:
         """test: (M,) bool, those of the centres left out that are predicted."""
-        return HeldOut(self.linear, self.train, self.left_out if test is None else test, model, random, self.noise)
+        return HeldOutPrediction(self.linear, self.train, self.left_out if test is None else test, model, random, self.noise)
 
 
 def evaluated_fold(

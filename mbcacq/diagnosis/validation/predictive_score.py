@@ -59,7 +59,7 @@ def predicts_better(one: PredictiveScore, other: PredictiveScore) -> bool:
     return one.chi2 < other.chi2
 
 
-class HeldOut:
+class HeldOutPrediction:
     """Geometry and the coefficients of a model fitted on train (M,) bool, evaluated on test (M,) bool, where only the stations that are
     not in train are free, and the moment of a change that fell among the poses left out. A pose is in one of both as a whole.
     """
@@ -112,7 +112,7 @@ def held_out_score(
     linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, random: Sequence[RandomEffect], noise: Noise
 ) -> PredictiveScore:
     """Of a whole model."""
-    return HeldOut(linear, train, test, model, random, noise).score()
+    return HeldOutPrediction(linear, train, test, model, random, noise).score()
 
 
 def score_with_new_stations(
