@@ -29,12 +29,6 @@ class ColumnProducts:
     right: np.ndarray
     square: float
 
-    @classmethod
-    def of(cls, whiten: CentreWhitening, columns: np.ndarray, residual: np.ndarray) -> ColumnProducts:
-        """columns (M, R, z), residual (M, R); the whitener says which centres."""
-        X, r = whiten(columns), whiten(residual)
-        return cls(X.T @ X, X.T @ r, float(r @ r))
-
     def of_columns(self, index: np.ndarray) -> ColumnProducts:
         """Of some of the columns."""
         return ColumnProducts(self.information[np.ix_(index, index)], self.right[index], self.square)
