@@ -87,6 +87,8 @@ def parse(text: str, path: Path, role: str = "file") -> YamlFile:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 1
+        if "nesting depth" in str(error.problem):  # libyaml 0.2.6 and later have a limit of their own
+            raise _excess(path, line) from None
         tab = "; indent with spaces, not with tabs" if "\t" in _line_of(text, line) else ""
         raise ConfigError(
             f"{path}:{line}: not valid YAML: {error.problem or error.context}{tab or '; correct this line or the one before it'}"
