@@ -42,7 +42,7 @@ class ModelFit:
         return JointModel(self.geometry_only.linear, self.model, self.random, self.geometry_only.whiten)
 
     @cached_property
-    def smooth(self) -> RandomEffectsModel | None:
+    def random_effects(self) -> RandomEffectsModel | None:
         """The random effects with their coefficients; None where there are none."""
         return self.estimated or (self.joint.random_effects if self.random else None)
 

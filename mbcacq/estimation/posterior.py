@@ -36,7 +36,7 @@ class Posterior:
         """(k, k) of the coefficients at index (k,)."""
         unit = np.zeros((len(self.sigma), len(index)))
         unit[index, np.arange(len(index))] = self.sigma[index]
-        return unit[index].sum(axis=1)[:, None] * self.solved(unit)[index]
+        return self.sigma[index, None] * self.solved(unit)[index]
 
     @property
     def determined(self) -> float:

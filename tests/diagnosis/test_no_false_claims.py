@@ -92,7 +92,7 @@ def test_an_unmodelled_effect_is_not_explained_by_a_parametric_one(plan):
     found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 108, [bending_of_link_two])))
 
     assert verdict_of(found) in ("unexplained", "partly_explained")
-    assert found.smooth is not None
+    assert found.random_effects is not None
 
 
 def cubic_lens(context):

@@ -56,5 +56,5 @@ def test_fringes_across_the_field_are_located_in_the_scanner_with_their_period(p
     first = found.cells[0]
     assert verdict_of(found) == "unexplained"
     assert (first.location, first.depends_on) == ("scanner", "y")
-    modelled = found.smooth.displacement(found.geometry_only.linear)[:, 2]
+    modelled = found.random_effects.displacement(found.geometry_only.linear)[:, 2]
     assert np.corrcoef(modelled, true)[0, 1] > 0.95

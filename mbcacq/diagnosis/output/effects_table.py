@@ -150,7 +150,7 @@ def displacements(full: ModelFit) -> dict[tuple[str, str], Displacement]:
 
     It is at most what these leave of the misfit: beyond that, unmodelled effects compensate each other.
     """
-    smooth, linear = full.smooth, full.geometry_only.linear
+    smooth, linear = full.random_effects, full.geometry_only.linear
     assert smooth is not None, "only called where unmodelled effects were fitted"
     named = full.without_random_effects().joint
     misfit = rms_of(named.left_of(linear.residual)[linear.keep, :3])

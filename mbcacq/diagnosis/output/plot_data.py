@@ -82,7 +82,7 @@ def plot_data(setup: DiagnosisProblem, full: ModelFit, before: np.ndarray, after
         covariates={name: v[keep] for name, v in values.items()},
         pose=obs.pose_id[obs.pose][keep],
         ball=np.array(obs.cell.ball_ids)[obs.ball[keep]],
-        curves=response_curves(linear, values, full.model, full.smooth, after),
+        curves=response_curves(linear, values, full.model, full.random_effects, after),
         linear=linear,
         noise=full.geometry_only.noise,
         context=context,
