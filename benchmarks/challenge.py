@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.power import PowerCell, ninety_percent_point, with_interval
 from mbcacq.challenge.run import _begin, _take
-from mbcacq.challenge.scenarios import draw, kinds
+from mbcacq.challenge.scenarios import Scenario, draw, kinds
 from mbcacq.challenge.score import Score
 from mbcacq.challenge.table import markdown, row, summary
 
@@ -29,15 +30,16 @@ PLAN = HERE.parent / "plans" / "seeing.yaml"
 
 # part: title, seed, effects, how many, share of outliers, missing columns
 PARTS = {
-    "catalogue": ("Effects of the catalogue", 3700, "catalogue", 304, 0.0, ()),
-    "outside": ("Effects outside the catalogue", 3800, "outside", 108, 0.0, ()),
-    "clean": ("Cells with nothing injected", 7900, "none", 300, 0.0, ()),
-    "outliers": ("1 % gross outliers", 4000, "catalogue,none", 51, 0.01, ()),
-    "missing": ("No times, temperatures, senses of motion", 4100, "catalogue,none", 42, 0.0, ("time_s", "temperature", "direction")),
-    "two": ("Two effects at once", 4200, "two", 32, 0.0, ()),
+    "catalogue": ("Effects of the catalogue", 5700, "catalogue", 304, 0.0, ()),
+    "outside": ("Effects outside the catalogue", 5800, "outside", 108, 0.0, ()),
+    "clean": ("Cells with nothing injected", 9900, "none", 300, 0.0, ()),
+    "outliers": ("1 % gross outliers", 6000, "catalogue,none", 51, 0.01, ()),
+    "missing": ("No times, temperatures, senses of motion", 6100, "catalogue,none", 42, 0.0, ("time_s", "temperature", "direction")),
+    "two": ("Two effects at once", 6200, "two", 32, 0.0, ()),
 }
 POWER = ("joint_compliance", "joint_scale", "backlash", "gear_transmission_error", "mount_shift", "ball_shift")
 MULTIPLES = (0.8, 1.0, 1.2, 1.4, 1.7)
+LEAST = (10.0, 5.0, 3.0, 2.0, 1.5, 1.0)  # e-values
 CELLS = 40
 POWER_TEXT = """
 Share of cells in which the diagnosis, proof included, names the effect at its location (or as one of two that it cannot tell apart), and
@@ -46,6 +48,9 @@ estimate the noise: one that knows order and moment too, and one that estimates 
 of that at which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative
 normal), the ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows
 nothing, with 2 % false alarms shared by all places of all effects, and there by orders and moments (median over the cells).""".splitlines()
+E_VALUE_TEXT = """
+False alarms and power by the same recordings, were the least e-value another one: the clean cells above it, and the multiple of the
+strength for the informed test at which nine in ten effects are reported (below that in use: are in the most probable set).""".splitlines()
 TABLE, END = "<!-- table -->\n", "<!-- end -->\n"  # what is outside stays as it was written
 
 
@@ -62,7 +67,7 @@ def measure(part: str, share: float, jobs: int, kept: list[dict], file: Path) ->
 
 def measure_power(share: float, jobs: int, kept: list[dict], file: Path) -> None:
     done = {(r["effect"], r["cell"]) for r in kept if r["part"] == "power"}
-    cells = [82000 + 17 * i for i in range(max(int(round(share * CELLS)), 1))]
+    cells = [91000 + 17 * i for i in range(max(int(round(share * CELLS)), 1))]
     todo = [(name, cell) for cell in cells for name in POWER if (name, cell) not in done]
     with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
         for (name, cell), one in zip(todo, pool.map(_power, todo), strict=True):
@@ -74,6 +79,23 @@ def _power(job: tuple[str, int]) -> PowerCell:
     from mbcacq.challenge.power import try_cell
 
     return try_cell(run._challenger, *job, MULTIPLES)
+
+
+def measure_e_values(share: float, jobs: int, kept: list[dict], file: Path) -> None:
+    """Of the clean cells."""
+    _, seed, effects, count, *_ = PARTS["clean"]
+    done = {r["number"] for r in kept if r["part"] == "e-values"}
+    todo = [s for s in draw(seed, max(int(round(share * count)), 1), kinds(effects)) if s.number not in done]
+    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
+        for scenario, value in zip(todo, pool.map(_log_e_value, todo), strict=True):
+            add(kept, file, {"part": "e-values", "number": scenario.number, "log_e_value": value})
+
+
+def _log_e_value(scenario: Scenario) -> float:
+    from mbcacq.challenge import run
+    from mbcacq.challenge.power import evidence_of
+
+    return evidence_of(simulated_cells.observe(run._challenger.loaded, run._challenger.poses, scenario, [])[0]).log_e_value
 
 
 def code() -> str:
@@ -168,6 +190,20 @@ def power_lines(kept: list[dict]) -> list[str]:
         ratios = " | ".join(against(found, each) for each in known)
         least = np.median([r["needed_multiple"] for r in cells])
         lines.append(f"| {name} | {len(cells)} | {shown} | {ninety_percent_point(MULTIPLES, found):.2f} | {ratios} | {least:.2f} |")
+    return [*lines, "", *e_value_lines(kept, mine)]
+
+
+def e_value_lines(kept: list[dict], power: list[dict]) -> list[str]:
+    """What another least e-value would have given."""
+    clean = np.array([r["log_e_value"] for r in kept if r["part"] == "e-values"])
+    if not len(clean):
+        return []
+    names = [name for name in POWER if any(r["effect"] == name for r in power)]
+    lines = [*E_VALUE_TEXT, "", f"| e-value above | of {len(clean)} clean | {' | '.join(names)} |", "|---|--:|" + "--:|" * len(names)]
+    for least in np.log(LEAST):
+        found = [np.array([r["log_e_values"] for r in power if r["effect"] == name]) > least for name in names]
+        points = " | ".join(f"{ninety_percent_point(MULTIPLES, each):.2f}" for each in found)
+        lines.append(f"| {np.exp(least):g} | {np.sum(clean > least)} | {points} |")
     return [*lines, ""]
 
 
@@ -180,18 +216,21 @@ def against(found: np.ndarray, known: np.ndarray) -> str:
     return f"{max(ninety_percent_point(MULTIPLES, known), 1.0):.2f} | {ratio:.2f} ({low:.2f} to {high:.2f})"
 
 
+OTHERS = {"power": measure_power, "e-values": measure_e_values}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--share", type=float, default=1.0, help="of the full number of challenges")
-    parser.add_argument("--only", nargs="*", choices=[*PARTS, "power"], default=[*PARTS, "power"])
+    parser.add_argument("--only", nargs="*", choices=[*PARTS, *OTHERS], default=[*PARTS, *OTHERS])
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--keep", type=Path, default=Path("challenge.jsonl"), help="outcomes so far; go on with them")
     parser.add_argument("--out", type=Path, default=HERE / "challenge.md")
     options = parser.parse_args()
     kept = [json.loads(line) for line in options.keep.read_text(encoding="utf-8").splitlines()] if options.keep.exists() else []
     for part in options.only:
-        if part == "power":
-            measure_power(options.share, options.jobs, kept, options.keep)
+        if part in OTHERS:
+            OTHERS[part](options.share, options.jobs, kept, options.keep)
         else:
             measure(part, options.share, options.jobs, kept, options.keep)
         write_table(options.out, report(kept))

@@ -18,8 +18,11 @@ from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.score import at_location
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
+from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
+from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.result import plain
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -27,6 +30,7 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior
+from mbcacq.model.observations import Observations
 
 INFORMED_LEVEL = 0.01  # false-alarm rate of the informed test, which is that of the diagnosis as a whole
 CATALOGUE_LEVEL = 0.02  # false-alarm rate of a search over the whole catalogue
@@ -53,13 +57,15 @@ class PowerCell:
     """One cell with one drawn effect, at several strengths.
 
     found: whether the diagnosis reports it. informed: whether a likelihood-ratio test finds it that knows everything but its size and
-    the noise. estimating: the same for a test that knows name and location, and estimates order or moment too. needed_multiple: of the
-    strength for the informed test that a search over the catalogue needs.
+    the noise. estimating: the same for a test that knows name and location, and estimates order or moment too. log_e_values: of all
+    effects, where the diagnosis reports it or would with a lower least e-value, else -inf. needed_multiple: of the strength for the
+    informed test that a search over the catalogue needs.
     """
 
     found: list[bool]
     informed: list[bool]
     estimating: list[bool]
+    log_e_values: list[float]
     needed_multiple: float
 
 
@@ -73,19 +79,33 @@ def try_cell(challenger: Challenger, name: str, seed: int, multiples: Sequence[f
     gauge, one = challenger.gauge, {"name": name, "strength": 1.0, "seed": seed + 1}
     gain = gauge.gain(scenario, [one])
     k, share = search_space(challenger, scenario, one)
-    found, informed, estimating = [], [], []
+    found, informed, estimating, log_e_values = [], [], [], []
     for multiple in multiples:
         drawn = replace(scenario, seed=seed + int(1000 * multiple))
         strength = multiple * float(np.sqrt(least_gain(k) / gain))
         observations, stated = simulated_cells.observe(challenger.loaded, challenger.poses, drawn, [{**one, "strength": strength}])
         truth = plain(stated["effects"][0])
         found.append(bool(reports(diagnose(observations).to_json(), truth)))
+        fit = evidence_of(observations)
+        log_e_values.append(fit.log_e_value if found[-1] or not fit.significant and most_probable(fit, truth) else -np.inf)
         setup = prepare(observations)
         model = EffectSet(tuple(true_members(setup, truth)))
         informed.append(bool(likelihood_ratio(setup, model) > chdtri(k, INFORMED_LEVEL)))
         best, values = with_estimated_hypers(setup, model)
         estimating.append(bool(likelihood_ratio(setup, best) > chdtri(k, INFORMED_LEVEL / values)))
-    return PowerCell(found, informed, estimating, search_multiple(k, share))
+    return PowerCell(found, informed, estimating, log_e_values, search_multiple(k, share))
+
+
+def evidence_of(observations: Observations) -> EvidenceFit:
+    """The hypotheses that the diagnosis of a recording compares."""
+    return fit_model(readmit_outliers(prepare(observations))).evidence
+
+
+def most_probable(fit: EvidenceFit, truth: dict[str, Any]) -> bool:
+    """Whether the most probable set of effects has the true one at its location."""
+    best = next(h for h in fit.hypotheses if h.members)
+    effects = ({"name": m.candidate.name, "where": list(m.candidate.where)} for m in best.members)
+    return any(e["name"] == truth["name"] and at_location(e, truth) for e in effects)
 
 
 def with_estimated_hypers(setup: DiagnosisProblem, model: EffectSet) -> tuple[EffectSet, float]:

@@ -22,7 +22,7 @@ SAME = 0.9999  # correlation of the displacements by two descriptions of one eff
 
 
 def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
-    """``none`` where the evidence of all effects is below one over the false-alarm rate; ``cannot_tell`` where another set is not excluded;
+    """``none`` where the evidence of all effects is below what noise alone reaches; ``cannot_tell`` where another set is not excluded;
     otherwise by what explains more of the mismatch: effects of the catalogue, or unmodelled ones.
     """
     if not fit.significant:

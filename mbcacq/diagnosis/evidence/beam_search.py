@@ -199,8 +199,8 @@ def log_e_value(ranked: Sequence[Hypothesis]) -> float:
     return float(np.logaddexp.reduce(some)) if some else -np.inf
 
 
-def log_e_value_at_false_alarm_rate(rate: float) -> float:
-    """Log e-value that noise alone exceeds with no more than this probability, by Markov's inequality: the expectation of an e-value is one
-    where there is no effect.
+def log_e_value_at_false_alarm_rate(poses: int) -> float:
+    """Log e-value above which there is an effect, in a recording of so many poses: noise alone exceeds it at a rate of less than 1 %, by
+    simulation.
     """
-    return -float(np.log(rate))
+    return float(np.log(OPTIONS.least_e_value if poses >= OPTIONS.short_recording else OPTIONS.least_e_value_of_short))

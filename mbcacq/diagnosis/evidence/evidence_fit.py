@@ -21,7 +21,7 @@ from mbcacq.estimation.variance_components import pack
 @dataclass(frozen=True)
 class EvidenceFit:
     """hypotheses: all that were compared, most probable first, the empty set (``none``) among them. linear: the linearisation of the best
-    one, without discrepancy. log_e_value: of all effects together against none; above that of the false-alarm rate there is an effect.
+    one, without discrepancy. log_e_value: of all effects together against none; above ``least`` there is an effect.
     found: the set that the search ended with, where only its alternatives were compared afterwards; it stays the best one.
     """
 
@@ -29,11 +29,12 @@ class EvidenceFit:
     none: Hypothesis
     linear: LinearProblem
     log_e_value: float
+    least: float
     found: Hypothesis | None = None
 
     @property
     def significant(self) -> bool:
-        return self.log_e_value > log_e_value_at_false_alarm_rate(OPTIONS.false_alarm_rate)
+        return self.log_e_value > self.least
 
     @property
     def best(self) -> Hypothesis:
@@ -57,6 +58,7 @@ def fit_evidence(
     blocks = UnmodelledEffects(problem.design_blocks) if unmodelled else None
     effects = SetPrior.of(problem.candidates, blocks.locations if blocks else 1)
 
+    least = log_e_value_at_false_alarm_rate(linear.obs.n_poses)
     effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
 
     def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
@@ -69,7 +71,7 @@ def fit_evidence(
             found = ranked[0]
             search.exchange(found)
             ranked = search.ranked()
-        return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), found)
+        return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), least, found)
 
     fit = searched(linear, pack(problem.noise), begin)
     for _ in range(OPTIONS.relinearizations if keep is None else 0):
@@ -103,4 +105,4 @@ def judged_centres(fit: EvidenceFit) -> np.ndarray:
     for hypothesis, keep in ((fit.best, own), (fit.none, plain)):
         there = estimated(hypothesis.members, hypothesis.point.restricted(keep), hypothesis.log_prior)
         logs.append(there.log_posterior + cost * float(np.sum(~keep)))
-    return own if logs[0] - logs[1] > log_e_value_at_false_alarm_rate(OPTIONS.false_alarm_rate) else plain
+    return own if logs[0] - logs[1] > fit.least else plain

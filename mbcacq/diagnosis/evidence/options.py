@@ -15,9 +15,11 @@ class EvidenceOptions:
     same_kind: float = 0.5  # share of that for more of a kind that is there already: many joints of an arm are of one make
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
     preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
-    # The bound of Markov's inequality. One of 3108 clean sets was above it; of those with 12 poses and a fifth of their noise stated, 4 of
-    # 173 were above 5 (benchmarks/challenge.md).
-    false_alarm_rate: float = 0.1
+    # Noise alone is above e in at most 1/e of the recordings (Markov's inequality), and in fact in far fewer: above two in 4 of 1000 with
+    # 128 poses and in 8 of 1000 with 50 or 80, above ten in 3 of 1000 with less than 50 (benchmarks/challenge.md).
+    least_e_value: float = 2.0  # of all effects together, for an effect to be there
+    short_recording: int = 50  # poses, below which few joint angles decide what is the joints' noise
+    least_e_value_of_short: float = 10.0
     undecided: float = 0.05  # a set that has more than this share of the best one's probability is an alternative to it
 
     discrepancy: float = 0.02  # of its own displacement that an effect is wrong by, at each pose: no model is exact
