@@ -4,6 +4,8 @@ import numpy as np
 import simulated
 
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
 from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.validation import cross_validation
@@ -69,6 +71,32 @@ def test_a_pulling_hose_is_not_reported_as_a_wrist_coupling(plan):
 
     assert "wrist_coupling" not in found.model.names
     assert (found.cells[0].location, found.cells[0].depends_on) == ("A5", "q6")
+
+
+def pull_on_joint_five_where_five_and_six_meet(s):
+    """A bump over two angles: at either of them it may be there or not."""
+    away = s.obs.q[:, 4:6] - np.median(s.obs.q[:, 4:6], axis=0)
+    joint = np.zeros(s.obs.q.shape)
+    joint[:, 4] = 1e-3 * np.exp(-0.5 * np.sum((away / 0.7) ** 2, axis=1))
+    return Displacements(joint=joint)
+
+
+def test_an_effect_of_two_angles_is_predicted_better_by_a_process_of_both_than_by_functions_of_one(plan, monkeypatch):
+    observed = simulated.observe(plan, 125, [pull_on_joint_five_where_five_and_six_meet])
+
+    def squares_removed():
+        found = diagnose(observed).to_json()
+        assert [e["name"] for e in found["effects"]] == ["unknown"]
+        assert found["mismatch"][0]["at"] == "A5"
+        held_out = found["fit"]["held_out"]
+        return 1 - (held_out["after_rms_mm"] / held_out["before_rms_mm"]) ** 2
+
+    of_both = squares_removed()
+    monkeypatch.setattr(UnmodelledEffects, "process", lambda *_: None)
+    of_one = squares_removed()
+
+    assert of_both > 0.85
+    assert of_one < 0.7
 
 
 def test_two_effects_that_cancel_each_other_are_not_reported_together():

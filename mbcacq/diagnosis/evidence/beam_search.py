@@ -10,7 +10,17 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, conditioned, estimated, first_order, key_of, under
+from mbcacq.diagnosis.evidence.hypothesis import (
+    UNMODELLED,
+    Hypothesis,
+    Member,
+    SetPrior,
+    conditioned,
+    estimated,
+    first_order,
+    key_of,
+    under,
+)
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
@@ -56,7 +66,7 @@ class EvidenceSearch:
             beam = self.grown(beam)
             if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
                 break
-            best = beam[0] = self.relieved(self.polished(beam[0]))
+            best = beam[0] = self.enriched(self.relieved(self.polished(beam[0])))
         for _ in range(EXCHANGES if self.alternatives else 0):
             self.exchange(best)
             if self.ranked()[0].key == best.key:
@@ -169,6 +179,23 @@ class EvidenceSearch:
             rest = (*rest, member)
         found = self.known.get(key_of(rest)) or estimated(rest, best.point, self.log_prior(rest))
         found = replace(found, log_prior=max(found.log_prior, best.log_prior))
+        self.known[found.key] = found
+        return max(best, found, key=lambda h: h.log_posterior)
+
+    def enriched(self, best: Hypothesis) -> Hypothesis:
+        """A set whose last effect is unmodelled, or, where that is more probable, the one with a Gaussian process in the place of all
+        unmodelled effects at that location. Whether there is an effect at all is decided without.
+        """
+        last = best.members[-1]
+        there = log_e_value(self.ranked()) > log_e_value_at_false_alarm_rate(OPTIONS.false_alarm_rate)
+        if self.unmodelled is None or last.candidate.name != UNMODELLED or not there:
+            return best
+        rest = tuple(m for m in best.members if m.label != last.label)
+        process = self.unmodelled.process(conditioned(best.point, rest), last)
+        if process is None:
+            return best
+        members = (*rest, process)
+        found = self.known.get(key_of(members)) or estimated(members, best.point, self.log_prior(members))
         self.known[found.key] = found
         return max(best, found, key=lambda h: h.log_posterior)
 

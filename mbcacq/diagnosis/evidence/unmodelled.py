@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Member
+from mbcacq.diagnosis.nonparametric import gaussian_process, locations
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
-from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell, MapEvidence
+from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate, Part
 
@@ -46,13 +49,45 @@ class UnmodelledEffects:
             out.append((log, self.member(evidence_map, cell, log - cell.log_bayes_factor)))
         return out
 
-    def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float) -> Member:
-        """A block as an effect. Its sizes are those of the map, relative to the best determined direction."""
-        group = self.design_blocks.groups[cell.group]
+    def process(self, projected: CandidateScoring, member: Member) -> Member | None:
+        """The most probable Gaussian process at the location of an unmodelled effect, in its place; None where none is known.
+
+        Its covariates and length are chosen with one component of the location at a time, and then the components that move together;
+        what is not looked at is as if it had no evidence.
+        """
+        context = self.design_blocks.context
+        location = next((at for at in locations.of_arm(context) if at.name == member.candidate.where[0]), None)
+        possible = [] if location is None else gaussian_process.processes(context, location, member.candidate.depends_on)
+        if location is None or not possible:
+            return None
+
+        def evaluated(chosen: Sequence[Process], variants: Sequence[tuple[int, ...]], most: int) -> tuple[EvidenceMap, MapEvidence]:
+            evidence_map = EvidenceMap(projected, gaussian_process.blocks(location, chosen, variants, most))
+            return evidence_map, evidence_map.evaluate(projected)
+
+        alone = [rows for rows in location.variants if len(rows) == 1]
+        together = [rows for rows in location.variants if len(rows) > 1]
+        tried, found = evaluated(possible, alone, gaussian_process.COMPARED)
+        best, logs = found.best(), found.log_bayes_factor
+        (entries,) = (group.entries for group in tried.design_blocks.groups)
+        process = possible[next(j for j, (_, _, shape) in enumerate(entries) if shape is best.shape)]
+        if together:
+            _, found = evaluated([process], together, gaussian_process.COMPARED)
+            best = max(best, found.best(), key=lambda cell: cell.log_bayes_factor)
+            logs = np.concatenate([logs, found.log_bayes_factor])
+        average = float(np.logaddexp.reduce(logs)) - float(np.log(len(location.variants) * len(possible)))
+        whole, found = evaluated([process], [best.rows], gaussian_process.MOST_FUNCTIONS)
+        return self.member(whole, found.best(), average - best.log_bayes_factor, process.label)
+
+    def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float, functions: str = "") -> Member:
+        """A block as an effect. Its sizes are those of the map, relative to the best determined direction. functions: which, where the map
+        is not that of all design blocks.
+        """
+        group = evidence_map.design_blocks.groups[cell.group]
         rows = np.array(cell.rows)
         typical = np.tile(cell.shape.weight, len(rows)) / np.sqrt(np.maximum(evidence_map.raw_of(cell), 1e-300))
         parts = parts_of(group, rows, cell.shape.index)
-        label = f"{cell.group} {cell.rows} {tuple(cell.shape.index)}"
+        label = f"{functions or cell.group} {cell.rows} {tuple(cell.shape.index)}"
         candidate = Candidate(
             UNMODELLED, (cell.location,), cell.depends_on, lambda _: parts, lambda c, v, h: {}, typical, several=True, variant=label
         )
