@@ -187,7 +187,7 @@ class EvidenceSearch:
         unmodelled effects at that location. Whether there is an effect at all is decided without.
         """
         last = best.members[-1]
-        there = log_e_value(self.ranked()) > log_e_value_at_false_alarm_rate(OPTIONS.false_alarm_rate)
+        there = log_e_value(self.ranked()) > log_e_value_at_false_alarm_rate(best.point.linear.obs.n_poses)
         if self.unmodelled is None or last.candidate.name != UNMODELLED or not there:
             return best
         rest = tuple(m for m in best.members if m.label != last.label)
