@@ -31,7 +31,7 @@ PLAN = HERE.parent / "plans" / "seeing.yaml"
 # part: title, seed, effects, how many, share of outliers, missing columns
 PARTS = {
     "catalogue": ("Effects of the catalogue", 5700, "catalogue", 304, 0.0, ()),
-    "outside": ("Effects outside the catalogue", 5800, "outside", 108, 0.0, ()),
+    "outside": ("Effects outside the catalogue", 8800, "outside", 108, 0.0, ()),
     "clean": ("Cells with nothing injected", 9900, "none", 300, 0.0, ()),
     "outliers": ("1 % gross outliers", 6000, "catalogue,none", 51, 0.01, ()),
     "missing": ("No times, temperatures, senses of motion", 6100, "catalogue,none", 42, 0.0, ("time_s", "temperature", "direction")),
