@@ -12,7 +12,7 @@ from mbcacq.estimation import forward_model, terms
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.pose_columns import PoseColumns
+from mbcacq.estimation.pose_columns import WIDE, PoseColumns, WideColumns
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -80,12 +80,13 @@ class Lineariser:
             moved, of_station, jointly = basis @ moved, basis @ of_station, basis @ jointly
             basis = np.broadcast_to(np.eye(size), (len(basis), size, size))
         other = np.zeros((rows.n_poses, size, 0))
+        wide: tuple[WideColumns, ...] = ()
         if by_rows and not self.free_balls:
-            moved = self._beside(moved, prediction)
+            moved, wide = self._beside(moved, prediction), self._wide(prediction)
         else:
             other = self._beside(other, prediction)
         own = OwnColumns(self._turn(prediction), self.ball, self.free_balls, other)
-        return Linearization(prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(residual), by_rows))
+        return Linearization(prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(residual), by_rows, wide))
 
     def _twists(self, chain: Chain, prediction: forward_model.Prediction, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Twists of some poses by the free parameters of arm and hand-eye (P, f, 6), by the pose's own station (P, 6, 6) and by the
@@ -117,6 +118,17 @@ class Lineariser:
             out[:, :, end : end + columns.shape[2]] = columns
             end += columns.shape[2]
         return out
+
+    def _wide(self, prediction: forward_model.Prediction) -> tuple[WideColumns, ...]:
+        """Those of the effects, the last of all columns, that have many functions of one direction."""
+        rows, end, out = self.rows, self.layout.size, []
+        for term in reversed(self.options.terms):
+            start, end = end - term.size, end - term.size
+            one = term.parts[0]
+            if len(term.parts) == 1 and one.place in terms.PER_POSE and term.size >= WIDE:
+                unit = rows.pad(terms.unit(self.obs, prediction, one.place, one.index, one.component))
+                out.append(WideColumns(slice(start, start + term.size), unit, one.basis[rows.order]))
+        return tuple(out)
 
     def _turn(self, prediction: forward_model.Prediction) -> np.ndarray:
         """(P, R, 3): derivative of a centre's rows by the shift of its ball; zero where no ball is free."""
