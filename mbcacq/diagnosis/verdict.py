@@ -32,6 +32,7 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.search.solution import solved
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.pose import gear_transmission_error
 from mbcacq.estimation.variance_components import first_noise
@@ -41,8 +42,25 @@ from mbcacq.estimation.variance_components import first_noise
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
 
 
-def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Diagnosis:
-    """The diagnosis of a fit whose cross-validation is ``proof``."""
+@dataclass(frozen=True)
+class Judgement:
+    """What is decided of a fit, and what the conclusion is drawn from.
+
+    full, proof: of the effects that are left. before, after: scores on the data fitted, with geometry alone and with the model; residuals:
+    (M, R) of both. model: the reported effects, to be kept; None where there are none.
+    """
+
+    full: ModelFit
+    proof: CrossValidation
+    before: PredictiveScore
+    after: PredictiveScore
+    residuals: tuple[np.ndarray, np.ndarray]
+    judged: _Judged
+    model: EffectModel | None
+
+
+def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Judgement:
+    """What is reported of a fit whose cross-validation is ``proof``."""
     if proof.not_predictive:
         kept = full.model.without(proof.not_predictive)
         full = replace(full, model=solved(full.geometry_only, kept.effects))
@@ -51,6 +69,13 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
     judged = _judged_by_evidence(full, full.evidence, proof, before) if full.residual_tests is None else _judged(full, proof, before)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
+    model = kept_model(setup, full, judged.effects) or None
+    return Judgement(full, proof, before, after, (residual_before, residual_after), judged, model)
+
+
+def conclude(setup: DiagnosisProblem, found: Judgement) -> Diagnosis:
+    """The diagnosis of what was decided: uncertainties, alternatives, limits, advice."""
+    full, proof, judged, before, after = found.full, found.proof, found.judged, found.before, found.after
     advice = next_measurements.separating(setup.context, judged.pairs)
     there = next_measurements.elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
@@ -80,8 +105,8 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         ),
         exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
-        model=kept_model(setup, full, judged.effects) or None,
-        plot_data=plot_data(setup, full, residual_before, residual_after),
+        model=found.model,
+        plot_data=plot_data(setup, full, *found.residuals),
     )
 
 
