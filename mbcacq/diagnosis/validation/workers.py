@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+# loky takes 300 MB more than at first for a leak, and starts another process, which takes a second; a part of a long recording needs more.
+NO_LEAK = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e12"}
 
 
 def cores() -> int:
@@ -42,7 +44,7 @@ class WorkerPool:
         if self._workers > 1:
             from loky import ProcessPoolExecutor
 
-            self._pool = ProcessPoolExecutor(self._workers - 1, initializer=_prepare, env=ONE_THREAD)
+            self._pool = ProcessPoolExecutor(self._workers - 1, initializer=_prepare, env=ONE_THREAD | NO_LEAK)
             for _ in range(self._workers - 1):
                 self._pool.submit(_prepare)
 
