@@ -43,39 +43,35 @@ LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """What is decided of a fit, and what the conclusion is drawn from.
-
-    full, proof: of the effects that are left. before, after: scores on the data fitted, with geometry alone and with the model; residuals:
-    (M, R) of both. model: the reported effects, to be kept; None where there are none.
+class JudgedFit:
+    """What is reported of a fit. full, proof: of the effects that are left. before: score on the data fitted with geometry alone, which
+    leaves residual (M, R). model: the reported effects, to be kept; None where there are none.
     """
 
     full: ModelFit
     proof: CrossValidation
     before: PredictiveScore
-    after: PredictiveScore
-    residuals: tuple[np.ndarray, np.ndarray]
+    residual: np.ndarray
     judged: _Judged
     model: EffectModel | None
 
 
-def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Judgement:
+def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> JudgedFit:
     """What is reported of a fit whose cross-validation is ``proof``."""
     if proof.not_predictive:
         kept = full.model.without(proof.not_predictive)
         full = replace(full, model=solved(full.geometry_only, kept.effects))
-    alone = replace(full, model=NO_EFFECTS).without_random_effects()
-    (before, residual_before), (after, residual_after) = training_score(alone.joint), training_score(full.joint)
+    before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     judged = _judged_by_evidence(full, full.evidence, proof, before) if full.residual_tests is None else _judged(full, proof, before)
+    return JudgedFit(full, proof, before, residual, judged, kept_model(setup, full, judged.effects) or None)
+
+
+def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
+    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found."""
+    full, proof, before, judged = fit.full, fit.proof, fit.before, fit.judged
+    after, residual_after = training_score(full.joint)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
-    model = kept_model(setup, full, judged.effects) or None
-    return Judgement(full, proof, before, after, (residual_before, residual_after), judged, model)
-
-
-def conclude(setup: DiagnosisProblem, found: Judgement) -> Diagnosis:
-    """The diagnosis of what was decided: uncertainties, alternatives, limits, advice."""
-    full, proof, judged, before, after = found.full, found.proof, found.judged, found.before, found.after
     advice = next_measurements.separating(setup.context, judged.pairs)
     there = next_measurements.elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
@@ -105,8 +101,8 @@ def conclude(setup: DiagnosisProblem, found: Judgement) -> Diagnosis:
         ),
         exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
-        model=found.model,
-        plot_data=plot_data(setup, full, *found.residuals),
+        model=fit.model,
+        plot_data=plot_data(setup, full, fit.residual, residual_after),
     )
 
 
