@@ -18,12 +18,14 @@ from mbcacq.diagnosis.problem import prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.validation.workers import WorkerPool
-from mbcacq.diagnosis.verdict import conclude
+from mbcacq.diagnosis.verdict import conclude, judge
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
 Progress = Callable[[str], None]
+Refit = Callable[[EffectModel], tuple[EffectModel | None, tuple[str, ...]]]
 
 
 def diagnose(
@@ -33,13 +35,15 @@ def diagnose(
     workers: int = 1,
     options: CalibrationOptions | None = None,
     formulas: bool = False,
+    refit: Refit | None = None,
 ) -> Diagnosis:
     """Locate the mismatch, explain it by effects, and validate these on data left out.
 
     recordings: one, or several of one arm, which share the arm and its effects and keep their own base, tool, stations and noise.
     folds: of the cross-validation; by default as many as the recording allows. workers: its processes.
     options: of the adjustment, as ``mbcacq.calibrate`` takes them; the same poses, noise and geometry come out. formulas: whether
-    formulas are proposed for unmodelled effects.
+    formulas are proposed for unmodelled effects. refit: makes of the effects that are kept those of the diagnosis' ``model``, and says
+    what is to be noted of it.
     Raises CalibrationError where the data do not even determine the geometry.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]
@@ -49,7 +53,7 @@ def diagnose(
     try:
         # The matrices are small: two threads of linear algebra take longer for them than one, and three times the work.
         with threadpool_limits(1), WorkerPool(workers) as pool:
-            return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()), formulas)
+            return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()), formulas, refit)
     except ContradictionError as error:
         raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
@@ -63,6 +67,7 @@ def _diagnose(
     pool: WorkerPool,
     options: CalibrationOptions,
     formulas: bool,
+    refit: Refit | None,
 ) -> Diagnosis:
     progress("fitting the geometry")
     problem = readmit_outliers(prepare(recordings, options))
@@ -74,10 +79,18 @@ def _diagnose(
     full = fit_model(problem)
     validation = cross_validate(problem, full, folds or usual_folds(obs), pool, progress)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = conclude(problem, full, validation)
+    judged = judge(problem, full, validation)
+    # What is concluded does not depend on the refit, which takes seconds: another process makes it meanwhile.
+    refitted = pool.beside(refit, judged.model) if refit is not None and judged.model is not None else None
+    result = conclude(problem, judged)
     if formulas:
         result = replace(result, proposals=propose(problem, full, result.effects, progress))
-    return replace(result, notes=(*result.notes, *notes))
+    result = replace(result, notes=(*result.notes, *notes))
+    if refitted is None:
+        return result
+    progress("fitting the cell with its effects")
+    model, further = refitted()
+    return replace(result, model=model, notes=(*result.notes, *further))
 
 
 def usual_folds(obs: Observations) -> int:

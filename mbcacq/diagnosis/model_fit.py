@@ -88,12 +88,14 @@ def fit_long_recording(problem: DiagnosisProblem) -> ModelFit:
 
 
 def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: EvidenceFit) -> tuple[LinearProblem, Noise, EffectSet]:
-    """The effects found in a part of a recording, on all of it: linearised anew with them in place, the noise, and their coefficients."""
+    """The effects found in a part of a recording, on all of it: linearised anew with them in place, the noise, and they themselves, without
+    coefficients.
+    """
     best = reported_hypothesis(found)
     model = transferred(small, problem, effects_of(best))
     linear = relinearized(problem.linear, model, best.point.noise)
     noise = noise_with(linear, model, best.point.noise, problem.prior_noise)
-    return linear, noise, solved(CandidateScoring.of(linear, noise), model.effects)
+    return linear, noise, model
 
 
 def reconsidered_outliers(problem: DiagnosisProblem, small: DiagnosisProblem, best: Hypothesis) -> LinearProblem | None:

@@ -32,6 +32,7 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.search.solution import solved
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.pose import gear_transmission_error
 from mbcacq.estimation.variance_components import first_noise
@@ -41,14 +42,34 @@ from mbcacq.estimation.variance_components import first_noise
 LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
 
 
-def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Diagnosis:
-    """The diagnosis of a fit whose cross-validation is ``proof``."""
+@dataclass(frozen=True)
+class JudgedFit:
+    """What is reported of a fit. full, proof: of the effects that are left. before: score on the data fitted with geometry alone, which
+    leaves residual (M, R). model: the reported effects, to be kept; None where there are none.
+    """
+
+    full: ModelFit
+    proof: CrossValidation
+    before: PredictiveScore
+    residual: np.ndarray
+    judged: _Judged
+    model: EffectModel | None
+
+
+def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> JudgedFit:
+    """What is reported of a fit whose cross-validation is ``proof``."""
     if proof.not_predictive:
         kept = full.model.without(proof.not_predictive)
         full = replace(full, model=solved(full.geometry_only, kept.effects))
-    alone = replace(full, model=NO_EFFECTS).without_random_effects()
-    (before, residual_before), (after, residual_after) = training_score(alone.joint), training_score(full.joint)
+    before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     judged = _judged_by_evidence(full, full.evidence, proof, before) if full.residual_tests is None else _judged(full, proof, before)
+    return JudgedFit(full, proof, before, residual, judged, kept_model(setup, full, judged.effects) or None)
+
+
+def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
+    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found."""
+    full, proof, before, judged = fit.full, fit.proof, fit.before, fit.judged
+    after, residual_after = training_score(full.joint)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
     advice = next_measurements.separating(setup.context, judged.pairs)
@@ -80,8 +101,8 @@ def conclude(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) ->
         ),
         exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
-        model=kept_model(setup, full, judged.effects) or None,
-        plot_data=plot_data(setup, full, residual_before, residual_after),
+        model=fit.model,
+        plot_data=plot_data(setup, full, fit.residual, residual_after),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -143,7 +144,8 @@ class EffectTerm:
     def parts_at(self, here: Covariates, learnt: LearntRecording) -> list[Part]:
         """Its parts at the poses and centres of a recording."""
         same = learnt.is_of(here.obs) if self.bound_to_recording else True
-        return evaluated(here, self.parts, lambda name: self._value(here, learnt, name, same))
+        # A hundred functions are of one covariate: its values are looked up once.
+        return evaluated(here, self.parts, cache(lambda name: self._value(here, learnt, name, same)))
 
     def term(self, here: Covariates, learnt: LearntRecording) -> Term:
         """The term of the estimation at the poses and centres of a recording."""

@@ -133,11 +133,6 @@ def arm_jacobian(observations: Observations, prediction: Prediction, twists: np.
     return prediction.gradient @ np.swapaxes(twists, -1, -2)[observations.pose]
 
 
-def station_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
-    """By a local twist of the pose's own station, T_base_station exp(xi): (M, R, 6). Moving the artefact is moving the arm back."""
-    return -prediction.gradient @ se3.adjoint(prediction.T_base_station)[observations.pose]
-
-
 def ball_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
     """By a shift of the ball in its artefact's frame, or of a reflector in the target's: (M, 3, 3)."""
     return ball_rotation(observations, prediction)[observations.pose]

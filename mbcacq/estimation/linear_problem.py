@@ -23,7 +23,6 @@ from mbcacq.estimation.pose_information import PoseInformation, WeightedRows
 from mbcacq.estimation.solver import Weights, known_placement, solve
 from mbcacq.estimation.terms import PER_POSE, Part, Term
 from mbcacq.estimation.whitening import CentreWhitening, PoseRows
-from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
 Computed = TypeVar("Computed")
@@ -128,35 +127,12 @@ class LinearProblem:
 
     def twist(self, location: str, index: int, component: int) -> np.ndarray:
         """(P, 6): spatial twist of the arm, in the base frame, by a unit of one component of a joint, a frame of the arm or a station."""
-        prediction = self.prediction
-        if location == "joint":
-            return self.state.chain.joint_twists(prediction.frames)[:, index]
-        if location == "frame":
-            return se3.adjoint(prediction.frames[:, index])[:, :, component]
-        if location == "station":
-            return -se3.adjoint(prediction.T_base_station)[:, :, component]
-        raise ValueError(f"{location} does not move the arm as a whole")
+        return terms.unit_twist(self.obs, self.prediction, location, index, component)
 
     def unit(self, location: str, index: int, component: int) -> np.ndarray:
         """(M, R): change of the prediction by a unit of one component of one location."""
         key = (location, index, component)
-        return self.computed_once(key, lambda: self._unit(*key))
-
-    def _unit(self, location: str, index: int, component: int) -> np.ndarray:
-        obs, prediction = self.obs, self.prediction
-        if location in ("joint", "frame", "station"):
-            twist = self.twist(location, index, component)
-            return np.einsum("mrc,mc->mr", prediction.gradient, twist[obs.pose])
-        out = np.zeros((obs.n_centres, self.width))
-        if location == "ball":
-            out[:, :3] = forward_model.ball_jacobian(obs, prediction)[:, :, component]
-        elif location == "point":
-            out[:, component] = 1.0
-        elif location == "orientation" and prediction.rotation is not None:
-            out[:, 3:] = prediction.rotation[:, :, component]
-        else:
-            raise ValueError(f"no such location: {location}")
-        return out
+        return self.computed_once(key, lambda: terms.unit(self.obs, self.prediction, *key))
 
     def columns(self, parts: Sequence[Part], rows: slice = slice(None)) -> np.ndarray:
         """(M, R, k): columns of an effect; of these of the R rows of each centre."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +12,7 @@ from mbcacq.estimation import forward_model, terms
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.pose_columns import PoseColumns
+from mbcacq.estimation.pose_columns import WIDE, PoseColumns, WideColumns
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -72,15 +73,20 @@ class Lineariser:
             some = self._twists(chain, prediction, rows.order[block.poses])
             for whole, part in zip((moved, of_station, jointly), some, strict=True):
                 whole[block.poses] = np.swapaxes(part, 1, 2)
-        basis, own, size = rows.pad(prediction.gradient), self._own(prediction), rows.depth * rows.width
+        basis, size = rows.pad(prediction.gradient), rows.depth * rows.width
         by_rows = size <= 6
         if by_rows:
             # No more rows than a twist has components: the rows themselves are the shorter basis, in which effects are twists as well.
             moved, of_station, jointly = basis @ moved, basis @ of_station, basis @ jointly
             basis = np.broadcast_to(np.eye(size), (len(basis), size, size))
-            if not own.k:
-                moved, own = np.concatenate([moved, own.other], axis=2), replace(own, other=own.other[..., :0])
-        return Linearization(prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(residual), by_rows))
+        other = np.zeros((rows.n_poses, size, 0))
+        wide: tuple[WideColumns, ...] = ()
+        if by_rows and not self.free_balls:
+            moved, wide = self._beside(moved, prediction), self._wide(prediction)
+        else:
+            other = self._beside(other, prediction)
+        own = OwnColumns(self._turn(prediction), self.ball, self.free_balls, other)
+        return Linearization(prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(residual), by_rows, wide))
 
     def _twists(self, chain: Chain, prediction: forward_model.Prediction, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Twists of some poses by the free parameters of arm and hand-eye (P, f, 6), by the pose's own station (P, 6, 6) and by the
@@ -93,19 +99,44 @@ class Lineariser:
         moving = np.concatenate([arm, self._of_recordings(mount, poses)[:, mount_free]], axis=1)
         return moving, station, twists[:, :, 0] * chain.sign[:, None]
 
-    def _own(self, prediction: forward_model.Prediction) -> OwnColumns:
-        rows, options = self.rows, self.options
-        other = [rows.pad(terms.columns(self.obs, prediction, one)) for one in options.terms]
-        turn, free = np.zeros((rows.n_poses, rows.width, 3)), self.layout.blocks[2].free
-        if free.any():
+    def _others(self, prediction: forward_model.Prediction) -> Iterator[np.ndarray]:
+        """(P, B R, k) columns of the balls where these are written out, then of each effect."""
+        rows, free = self.rows, self.layout.blocks[2].free
+        if free.any() and not self.free_balls:
+            every, none = np.arange(len(free) // 3), np.zeros((rows.n_poses, rows.depth * rows.width, 0))
+            yield OwnColumns(self._turn(prediction), self._in_slots(every, len(every)), len(every), none).dense[..., free]
+        for one in self.options.terms:
+            yield rows.pad(terms.columns(self.obs, prediction, one))
+
+    def _beside(self, first: np.ndarray, prediction: forward_model.Prediction) -> np.ndarray:
+        """(P, B R, k): the others, ``_others``, after the first columns (P, B R, f). All of them are in memory once only."""
+        written = 0 if self.free_balls else int(self.layout.blocks[2].free.sum())
+        end = first.shape[2]
+        out = np.empty((*first.shape[:2], end + written + sum(one.size for one in self.options.terms)))
+        out[:, :, :end] = first
+        for columns in self._others(prediction):
+            out[:, :, end : end + columns.shape[2]] = columns
+            end += columns.shape[2]
+        return out
+
+    def _wide(self, prediction: forward_model.Prediction) -> tuple[WideColumns, ...]:
+        """Those of the effects, the last of all columns, that have many functions of one direction."""
+        rows, end, out = self.rows, self.layout.size, []
+        for term in reversed(self.options.terms):
+            start, end = end - term.size, end - term.size
+            one = term.parts[0]
+            if len(term.parts) == 1 and one.place in terms.PER_POSE and term.size >= WIDE:
+                unit = rows.pad(terms.unit(self.obs, prediction, one.place, one.index, one.component))
+                out.append(WideColumns(slice(start, start + term.size), unit, one.basis[rows.order]))
+        return tuple(out)
+
+    def _turn(self, prediction: forward_model.Prediction) -> np.ndarray:
+        """(P, R, 3): derivative of a centre's rows by the shift of its ball; zero where no ball is free."""
+        turn = np.zeros((self.rows.n_poses, self.rows.width, 3))
+        if self.layout.blocks[2].free.any():
             # A measured orientation does not depend on a reflector's place.
-            turn[:, :3] = forward_model.ball_rotation(self.obs, prediction)[rows.order]
-            if not self.free_balls:
-                every = np.arange(len(free) // 3)
-                none = np.zeros((rows.n_poses, rows.depth * rows.width, 0))
-                other = [OwnColumns(turn, self._in_slots(every, len(every)), len(every), none).dense[..., free], *other]
-        none = np.zeros((rows.n_poses, rows.depth * rows.width, 0))
-        return OwnColumns(turn, self.ball, self.free_balls, np.concatenate([none, *other], axis=2))
+            turn[:, :3] = forward_model.ball_rotation(self.obs, prediction)[self.rows.order]
+        return turn
 
     def _in_slots(self, number: np.ndarray, none: int) -> np.ndarray:
         """(P, B): number (K,) of the ball of each centre, ``none`` where there is no centre."""

@@ -123,16 +123,17 @@ class PoseBlock:
         """Sums over the poses and over those of each station at which the block is."""
         A, S, share = self.columns.twists, self.columns.station, self.share[:, None, None]
         f, e = A.shape[2], self.own.columns.size
-        if self.columns.by_rows:  # the product of a matrix with itself takes half of the time of another
+        H = np.empty((f + e, f + e))
+        if self.columns.by_rows:
             W = self.whitened_basis
-            left = right = W @ A
-            left_station = right_station = W @ S
+            station = W @ S
+            Hss = self.place.runs.products(station, station)
+            H[:f, :f], Hsg = self._products_by_rows(W, station)
         else:
             information = self.twist_information
-            left, right, left_station, right_station = A, information @ A, S, information @ S
-        H = np.empty((f + e, f + e))
-        H[:f, :f] = flat_product(left, right)
-        Hss, Hsg = (self.place.runs.products(left_station, one) for one in (right_station, right))
+            right, right_station = information @ A, information @ S
+            H[:f, :f] = flat_product(A, right)
+            Hss, Hsg = (self.place.runs.products(S, one) for one in (right_station, right))
         if e:
             own = np.swapaxes(self.F, 1, 2) * share @ self.own_twist
             H[:f, f:] = flat_product(A, own)
@@ -141,6 +142,29 @@ class PoseBlock:
             Hsg = np.concatenate([Hsg, self.place.runs.products(S, own)], axis=2)
         b, bs, chi2 = self.right_hand_side()
         return NormalBlocks((H + H.T) / 2, b, chi2, Hss, Hsg, bs)
+
+    def _products_by_rows(self, W: np.ndarray, station: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Products of the twists with each other (f, f) and with the stations (S', 6, f). W: (P, u, u), ``whitened_basis``; station:
+        (P, u, 6) whitened columns.
+        """
+        A, wide, runs = self.columns.twists, self.columns.wide, self.place.runs
+        if not wide:
+            white = W @ A
+            return flat_product(white, white), runs.products(station, white)  # a matrix with itself takes half of the time of another
+        f = A.shape[2]
+        narrow = np.delete(np.arange(f), np.concatenate([np.arange(one.place.start, one.place.stop) for one in wide]))
+        H, Hsg = np.empty((f, f)), np.empty((len(runs.first), 6, f))
+        white, units = W @ A[:, :, narrow], W @ np.stack([one.direction for one in wide], axis=2)
+        H[np.ix_(narrow, narrow)], Hsg[:, :, narrow] = flat_product(white, white), runs.products(station, white)
+        by_narrow, by_station, among = (np.swapaxes(units, 1, 2) @ x for x in (white, station, units))  # (P, number of wide ones, ...)
+        for i, one in enumerate(wide):
+            H[one.place, narrow] = one.functions.T @ by_narrow[:, i]
+            H[narrow, one.place] = H[one.place, narrow].T
+            Hsg[:, :, one.place] = runs.products(by_station[:, i, None], one.functions[:, None])
+            for j, other in enumerate(wide[: i + 1]):
+                H[one.place, other.place] = one.functions.T @ (among[:, i, j, None] * other.functions)
+                H[other.place, one.place] = H[one.place, other.place].T
+        return H, Hsg
 
     def right_hand_side(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Products of the residual with the columns, (g,) and those (S', 6) of the stations, and its chi square."""

@@ -8,6 +8,23 @@ import numpy as np
 
 from mbcacq.estimation.own_columns import OwnColumns
 
+WIDE = 24  # functions of one direction from which their products are made from these, not from the columns
+
+
+@dataclass(frozen=True)
+class WideColumns:
+    """Columns (P, u, k) that move a pose in one direction (P, u), by functions (P, k). place: of these among all twists.
+
+    Their products with other columns are sums over poses of the functions by one number for each pose: a sixth of the work.
+    """
+
+    place: slice
+    direction: np.ndarray
+    functions: np.ndarray
+
+    def of_poses(self, poses: slice) -> WideColumns:
+        return WideColumns(self.place, self.direction[poses], self.functions[poses])
+
 
 @dataclass(frozen=True)
 class PoseColumns:
@@ -15,7 +32,8 @@ class PoseColumns:
 
     basis: (P, B R, u) derivative of a pose's rows by its twist. twists: (P, u, f) of the first f parameters; station: (P, u, 6) of the
     pose's own station; joints: (P, u, n) of the joints. own: the e columns of the other parameters. residual: (P, B R). by_rows: whether
-    the first columns of the basis are the rows themselves, so that any column is a twist.
+    the first columns of the basis are the rows themselves, so that any column is a twist. wide: which of the twists are made of few
+    directions and many functions.
     """
 
     basis: np.ndarray
@@ -25,11 +43,13 @@ class PoseColumns:
     own: OwnColumns
     residual: np.ndarray
     by_rows: bool = False
+    wide: tuple[WideColumns, ...] = ()
 
     def of_poses(self, poses: slice) -> PoseColumns:
         """Those of some poses that follow each other; no array is copied."""
         arrays = self.basis[poses], self.twists[poses], self.station[poses], self.joints[poses]
-        return PoseColumns(*arrays, self.own.of_poses(poses), self.residual[poses], self.by_rows)
+        wide = tuple(one.of_poses(poses) for one in self.wide)
+        return PoseColumns(*arrays, self.own.of_poses(poses), self.residual[poses], self.by_rows, wide)
 
     @property
     def size(self) -> int:
@@ -65,6 +85,7 @@ class PoseColumns:
 
     def with_noise(self, columns: np.ndarray) -> PoseColumns:
         """The same with further noise of each pose: columns (P, B R, k) are taken as those of the joints are."""
+        assert not self.wide, "effects are beside further noise only where none of them is wide"
         k = columns.shape[2]
         added = [(0, 0), (0, k), (0, 0)]
         own = np.broadcast_to(np.eye(self.basis.shape[2] + k)[:, -k:], (len(columns), self.basis.shape[2] + k, k))

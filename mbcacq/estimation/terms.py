@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.estimation.forward_model import Displacements, Prediction, arm_jacobian, ball_jacobian, station_jacobian
+from mbcacq.estimation.forward_model import Displacements, Prediction, ball_jacobian
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
@@ -77,32 +77,42 @@ def columns(observations: Observations, prediction: Prediction, term: Term) -> n
 
     ``prediction`` should include the displacements at which to linearise; second order in a displacement's rotation is left out.
     """
-    obs = observations
-    twists = np.zeros((obs.n_poses, term.size, 6))
-    local = np.zeros((obs.n_poses, term.size, 6))
-    out = np.zeros((*prediction.gradient.shape[:2], term.size))
+    total = np.zeros(())
     for part in term.parts:
-        _check_rows(obs, term, part)
-        if part.place == "joint":
-            axis = obs.cell.robot.chain.joint_twists(prediction.frames)[:, part.index]
-            twists += axis[:, None, :] * part.basis[:, :, None]
-        elif part.place == "frame":
-            direction = se3.adjoint(prediction.frames[:, part.index])[:, :, part.component]
-            twists += direction[:, None, :] * part.basis[:, :, None]
-        elif part.place == "station":
-            local[:, :, part.component] += part.basis
-        elif part.place == "point":
-            out[:, part.component] += part.basis
-        elif part.place == "orientation":
-            if prediction.rotation is not None:  # where none is measured there is nothing to turn
-                out[:, 3:] += prediction.rotation[:, :, part.component, None] * part.basis[:, None, :]
-        else:
-            out[:, :3] += ball_jacobian(obs, prediction)[:, :, part.component, None] * part.basis[:, None, :]
-    if any(part.place in ("joint", "frame") for part in term.parts):
-        out += arm_jacobian(obs, prediction, twists)
-    if any(part.place == "station" for part in term.parts):
-        out += station_jacobian(obs, prediction) @ np.swapaxes(local, -1, -2)[obs.pose]
+        _check_rows(observations, term, part)
+        # All functions move a centre in one direction: a product a row and function, not one for each component of the twist.
+        basis = part.basis[observations.pose] if part.place in PER_POSE else part.basis
+        total = total + unit(observations, prediction, part.place, part.index, part.component)[:, :, None] * basis[:, None, :]
+    return total
+
+
+def unit(observations: Observations, prediction: Prediction, place: str, index: int, component: int) -> np.ndarray:
+    """(M, R): change of the prediction by a unit of one component of one place."""
+    obs = observations
+    if place in PER_POSE:
+        return np.einsum("mrc,mc->mr", prediction.gradient, unit_twist(obs, prediction, place, index, component)[obs.pose])
+    out = np.zeros(prediction.gradient.shape[:2])
+    if place == "ball":
+        out[:, :3] = ball_jacobian(obs, prediction)[:, :, component]
+    elif place == "point":
+        out[:, component] = 1.0
+    elif place == "orientation":
+        if prediction.rotation is not None:  # where none is measured there is nothing to turn
+            out[:, 3:] = prediction.rotation[:, :, component]
+    else:
+        raise ValueError(f"no such place: {place}")
     return out
+
+
+def unit_twist(observations: Observations, prediction: Prediction, place: str, index: int, component: int) -> np.ndarray:
+    """(P, 6): spatial twist of the arm, in the base frame, by a unit of one component of a joint, a frame of the arm or a station."""
+    if place == "joint":
+        return observations.cell.robot.chain.joint_twists(prediction.frames)[:, index]
+    if place == "frame":
+        return se3.adjoint(prediction.frames[:, index])[:, :, component]
+    if place == "station":
+        return -se3.adjoint(prediction.T_base_station)[:, :, component]  # moving the artefact is moving the arm back
+    raise ValueError(f"{place} does not move the arm as a whole")
 
 
 def accumulate(observations: Observations, terms: Sequence[Term], coefficients: Sequence[np.ndarray]) -> Displacements:

@@ -71,6 +71,7 @@ class PoseRows:
         self.order = np.argsort(obs.station, kind="stable")
         place = np.empty(obs.n_poses, int)
         place[self.order] = np.arange(obs.n_poses)
+        self.in_order = bool(np.array_equal(self.order, np.arange(obs.n_poses)))
         count = np.bincount(obs.pose, minlength=obs.n_poses)
         rank = np.arange(obs.n_centres) - (np.cumsum(count) - count)[obs.pose]
         self.n_poses, self.depth, self.width = obs.n_poses, int(count.max(initial=1)), width
@@ -124,7 +125,9 @@ class PoseRows:
         return rows if self.full else rows[self.slot]
 
     def per_pose(self, blocks: np.ndarray) -> np.ndarray:
-        """Blocks (P, ...) in the order of the observations' poses."""
+        """Blocks (P, ...) in the order of the observations' poses; where these are so ordered, the blocks themselves."""
+        if self.in_order:
+            return blocks
         out = np.empty_like(blocks)
         out[self.order] = blocks
         return out

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mbcacq.calibration.transfer import check_transfer
-from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -116,26 +117,23 @@ def diagnose_poses(
     from mbcacq.diagnosis import diagnose as room
     from mbcacq.diagnosis.validation.workers import cores
 
-    found = room.diagnose(observations, progress=progress, workers=workers or cores(), options=options, formulas=formulas)
-    return DiagnosisResult(with_fitted_model(found, observations, progress) if fitted else found, observations=observations)
+    refit = partial(fitted_model, observations) if fitted else None
+    found = room.diagnose(observations, progress=progress, workers=workers or cores(), options=options, formulas=formulas, refit=refit)
+    return DiagnosisResult(found, observations=observations)
 
 
-def with_fitted_model(found: Diagnosis, observations: Observations, progress: Callable[[str], None]) -> Diagnosis:
-    """The diagnosis with the effects of its model fitted together with the cell, as a calibration would fit them. Where the recording
-    does not determine the cell with them, they stay as the diagnosis had them.
+def fitted_model(observations: Observations, model: EffectModel) -> tuple[EffectModel | None, tuple[str, ...]]:
+    """The effects of a diagnosis fitted together with the cell, as a calibration would fit them. Where the recording does not determine the
+    cell with them, they stay as the diagnosis had them, and a sentence says why.
     """
     from mbcacq.calibration.with_effects import calibrate_with_effects
     from mbcacq.errors import CalibrationError
     from mbcacq.estimation.options import CalibrationOptions
 
-    if not found.model:
-        return found
-    progress("fitting the cell with its effects")
     try:
-        fitted = calibrate_with_effects(observations, CalibrationOptions(refuse=False), found.model)
+        return calibrate_with_effects(observations, CalibrationOptions(refuse=False), model).effects, ()
     except CalibrationError as reason:
-        return replace(found, notes=(*found.notes, f"the effects could not be fitted with the cell: {reason}"))
-    return replace(found, model=fitted.effects)
+        return model, (f"the effects could not be fitted with the cell: {reason}",)
 
 
 def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Callable[[str], None]) -> DiagnosisResult:

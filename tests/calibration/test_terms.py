@@ -1,10 +1,16 @@
 """The design matrix of a term is the derivative of the forward model by its coefficients."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cells import scanner_cell, tracker_cell
 
-from mbcacq.estimation import forward_model
+from mbcacq.estimation import forward_model, parameters
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.pose_columns import WIDE
+from mbcacq.estimation.pose_information import PoseInformation
 from mbcacq.estimation.terms import Part, accumulate, columns, term
 
 
@@ -70,3 +76,29 @@ def test_shapes_that_disagree_are_refused():
         term("x", [Part("joint", 0, 0, np.zeros((2, 1))), Part("joint", 1, 0, np.zeros((2, 2)))])
     with pytest.raises(ValueError, match="rows, expected 16"):
         accumulate(obs, [term("x", [Part("point", 0, 0, np.zeros((2, 1)))])], [np.zeros(1)])
+
+
+@pytest.mark.parametrize(("place", "index", "component"), [("joint", 2, 0), ("frame", 4, 3), ("station", 0, 5)])
+def test_products_of_many_functions_of_one_direction_are_those_of_their_columns(place, index, component):
+    rng = np.random.default_rng(2)
+    cell = tracker_cell(rng, 80, orientation=True)
+    obs, functions = cell.observations, rng.normal(size=(80, WIDE))
+    several = (
+        term("wide", [Part(place, index, component, functions)], sigma=1.0),
+        term("narrow", [Part("joint", 1, 0, rng.normal(size=(80, 2)))], sigma=1.0),
+    )
+    several = (*several, term("other", [Part("joint", 0, 0, rng.normal(size=(80, WIDE + 1)))], sigma=1.0))
+    options = CalibrationOptions(terms=several)
+    lineariser = Lineariser(obs, parameters.build(obs, options), options)
+    found = lineariser(parameters.Estimate(cell.truth, tuple(np.zeros(t.size) for t in several))).columns
+    noise = Noise(np.full(3, 0.02), np.full(6, 1e-5), 1e-4)
+
+    products = [
+        PoseInformation.of(lineariser.rows, columns, noise, rng.integers(0, 2, obs.n_centres).astype(float), np.ones(80)).normal_equations()
+        for rng, columns in ((np.random.default_rng(3), found), (np.random.default_rng(3), replace(found, wide=())))
+    ]
+
+    assert len(found.wide) == 2
+    for name in ("H", "b", "Hss", "Hsg", "bs"):
+        one, other = (getattr(p, name) for p in products)
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max(), err_msg=name)

@@ -35,6 +35,17 @@ def test_answers_come_in_order_from_this_process_and_another_beside_threads(pool
     assert len(homes) == 2
 
 
+def test_a_call_beside_is_made_by_another_process_and_without_one_when_asked_for(pool):
+    assert pool.beside(lambda k: (k, os.getpid()), 3)() != (3, os.getpid())
+    with pytest.raises(CalibrationError, match="does not determine"):
+        pool.beside(refuse, 1)()
+    made = []
+    answer = WorkerPool(1).beside(made.append, 1)
+    assert made == []
+    answer()
+    assert made == [1]
+
+
 def test_an_error_in_a_worker_is_raised_in_the_caller(pool):
     home = os.getpid()
     with pytest.raises(CalibrationError, match="does not determine"):

@@ -9,7 +9,10 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.diagnosis.options import OPTIONS
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+# loky takes 300 MB more than at first for a leak, and starts another process, which takes a second; a part of a long recording needs more.
+NO_LEAK = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e12"}
 
 
 def cores() -> int:
@@ -39,7 +44,7 @@ class WorkerPool:
         if self._workers > 1:
             from loky import ProcessPoolExecutor
 
-            self._pool = ProcessPoolExecutor(self._workers - 1, initializer=_prepare, env=ONE_THREAD)
+            self._pool = ProcessPoolExecutor(self._workers - 1, initializer=_prepare, env=ONE_THREAD | NO_LEAK)
             for _ in range(self._workers - 1):
                 self._pool.submit(_prepare)
 
@@ -54,9 +59,7 @@ class WorkerPool:
         calls = list(zip(*arguments, strict=True))
         if self._pool is None:
             return _counted((function(*call) for call in calls), answered)
-        from concurrent.futures.process import BrokenProcessPool
-
-        try:
+        with _killed_process_named():
             # Not pool.map: it cancels what is left over when Ctrl-C comes, which loky's own thread then cannot end without a stack trace.
             # All calls of a process go together: what they share, and what is computed from it once, it has once.
             shares = [calls[k :: self._workers] for k in range(1, self._workers)]
@@ -68,9 +71,16 @@ class WorkerPool:
             for k, one in enumerate(others, start=1):
                 out[k :: self._workers] = one.result()
                 answered(len(calls) - sum(len(share) for share, other in zip(shares, others, strict=True) if not other.done()))
-        except BrokenProcessPool:
-            raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
         return out
+
+    def beside(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+        """A function that returns the answer to one call, which another process makes while this one goes on. Where there is no other, the
+        call is made when its answer is asked for. Raises as ``map`` does.
+        """
+        if self._pool is None:
+            return partial(function, *arguments)
+        with _killed_process_named():
+            return partial(_answer, self._pool.submit(function, *arguments))
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -78,6 +88,22 @@ class WorkerPool:
     def __exit__(self, kind: object, *_: object) -> None:
         if self._pool is not None:
             self._pool.shutdown(wait=True, kill_workers=kind is not None)
+
+
+@contextmanager
+def _killed_process_named() -> Iterator[None]:
+    """Raises CalibrationError where a process was killed."""
+    from concurrent.futures.process import BrokenProcessPool
+
+    try:
+        yield
+    except BrokenProcessPool:
+        raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
+
+
+def _answer(call: Future) -> Any:
+    with _killed_process_named():
+        return call.result()
 
 
 def _counted(answers: Iterable[Any], answered: Callable[[int], None]) -> list[Any]:
