@@ -35,10 +35,11 @@ INTRODUCTION = """# Diagnosis: time and memory
 Made by `python benchmarks/diagnosis.py --tracker ../shared/data/ur10-tracker-a`: whole processes with the full catalogue and the proof on
 data left out, on two cores: the process itself and one more share the proof, each with one thread of linear algebra. Memory is that of the
 larger one.
-How right it is: [challenge.md](challenge.md).
+How right it is: [challenge.md](challenge.md). What stands below the table was written by hand.
 
 | recording | poses | centres | wall, s | processor, s | memory, GiB | asked: wall, memory |
 |---|--:|--:|--:|--:|--:|---|"""
+END = "<!-- end -->\n"  # what is below stays as it was written
 
 
 def made(effect: str, seed: int, folder: Path) -> Path:
@@ -108,7 +109,9 @@ def main() -> None:
     if options.tracker is not None:
         lines.append(row(options.tracker.name, options.tracker, "tracker"))
         print(lines[-1])
-    (HERE / "diagnosis.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    page = HERE / "diagnosis.md"
+    below = page.read_text(encoding="utf-8").partition(END)[2]
+    page.write_text("\n".join(lines) + f"\n\n{END}{below}", encoding="utf-8")
 
 
 if __name__ == "__main__":
