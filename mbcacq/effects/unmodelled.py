@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.covariates import INCIDENCE, Covariates
+from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, is_angle, learnt_ranges
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, of_second_degree, sine
 
@@ -78,6 +79,20 @@ def everywhere(here: Covariates) -> list[EffectTerm]:
         found += [group(here, f"station{s.id}", "pose") for s in here.obs.cell.stations]
         found += [group(here, "target", "incidence")] if here.obs.rotation is not None else []
     return [g for g in found if g is not None]
+
+
+def process(here: Covariates, candidate: Candidate, sigma: np.ndarray) -> EffectTerm:
+    """A Gaussian process that was found, with its prior sigma (k,). Its covariates are held at the end of their learnt range."""
+    assert candidate.described is not None, "a process is written down"
+    parts = candidate.described(None)
+    units = [next(unit_of(p) for p in parts if p.columns[j]) for j in range(candidate.k)]
+    covariates = tuple(sorted(frozenset().union(*(p.covariates for p in parts))))
+    return _term(here, (candidate.where, candidate.depends_on), parts, sigma, units, covariates, candidate.variant)
+
+
+def unit_of(part: DescribedPart) -> str:
+    """rad of what turns, mm of what shifts."""
+    return "rad" if part.place in ("joint", "orientation") or (part.place in ("frame", "station") and part.component >= 3) else "mm"
 
 
 def carried(groups: Sequence[EffectTerm]) -> list[EffectTerm]:
@@ -213,9 +228,9 @@ def _grown(
     for j, (place, index, component) in enumerate(keys):
         own = [zero] * (j * f) + list(columns) + [zero] * ((len(keys) - 1 - j) * f)
         parts.append(DescribedPart(place, index, component, tuple(own)))
-        turns = place in ("joint", "orientation") or (place in ("frame", "station") and component >= 3)
-        sigma.append(weight * (1e-3 if turns else 1.0))
-        units += ["rad" if turns else "mm"] * f
+        unit = unit_of(parts[-1])
+        sigma.append(weight * (1e-3 if unit == "rad" else 1.0))
+        units += [unit] * f
     return _term(here, ((location,), covariate), parts, np.concatenate(sigma), units, clamped)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class UnmodelledEffects:
             return None
 
         def evaluated(chosen: Sequence[Process], variants: Sequence[tuple[int, ...]], most: int) -> tuple[EvidenceMap, MapEvidence]:
-            evidence_map = EvidenceMap(projected, gaussian_process.blocks(location, chosen, variants, most))
+            evidence_map = EvidenceMap(projected, gaussian_process.blocks(context, location, chosen, variants, most))
             return evidence_map, evidence_map.evaluate(projected)
 
         alone = [rows for rows in location.variants if len(rows) == 1]
@@ -77,17 +77,18 @@ class UnmodelledEffects:
             logs = np.concatenate([logs, found.log_bayes_factor])
         average = float(np.logaddexp.reduce(logs)) - float(np.log(len(location.variants) * len(possible)))
         whole, found = evaluated([process], [best.rows], gaussian_process.MOST_FUNCTIONS)
-        return self.member(whole, found.best(), average - best.log_bayes_factor, process.label)
+        described = gaussian_process.described(location, best.rows, process, gaussian_process.MOST_FUNCTIONS)
+        member = self.member(whole, found.best(), average - best.log_bayes_factor)
+        variant = f"{process.label} at {best.rows}"
+        return replace(member, candidate=replace(member.candidate, variant=variant, described=lambda _: described))
 
-    def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float, functions: str = "") -> Member:
-        """A block as an effect. Its sizes are those of the map, relative to the best determined direction. functions: which, where the map
-        is not that of all design blocks.
-        """
+    def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float) -> Member:
+        """A block as an effect. Its sizes are those of the map, relative to the best determined direction."""
         group = evidence_map.design_blocks.groups[cell.group]
         rows = np.array(cell.rows)
         typical = np.tile(cell.shape.weight, len(rows)) / np.sqrt(np.maximum(evidence_map.raw_of(cell), 1e-300))
         parts = parts_of(group, rows, cell.shape.index)
-        label = f"{functions or cell.group} {cell.rows} {tuple(cell.shape.index)}"
+        label = f"{cell.group} {cell.rows} {tuple(cell.shape.index)}"
         candidate = Candidate(
             UNMODELLED, (cell.location,), cell.depends_on, lambda _: parts, lambda c, v, h: {}, typical, several=True, variant=label
         )

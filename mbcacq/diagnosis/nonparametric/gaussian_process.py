@@ -1,7 +1,8 @@
-"""Richer descriptions of an unmodelled effect whose location is known: a Gaussian process of one covariate, or of two angles together.
+"""Richer descriptions of an unmodelled effect whose location is known: a Gaussian process of one covariate, or of several together.
 
-A process with a Matern kernel is a random effect of the kernel's eigenfunctions at the poses, with prior variances that are its
-eigenvalues. Its length is one of a few; which, and of which covariates, is decided by evidence.
+On a box a process with a Matern kernel is, but for the neighbourhood of its walls, a random effect of the box's cosines, whose prior
+variances are the kernel's spectral density at their frequencies (Solin, Sarkka 2020). So it is written down as any other effect is. Its
+length is one of a few; which, and of which covariates, is decided by evidence.
 """
 
 from __future__ import annotations
@@ -10,71 +11,107 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
-from scipy.spatial.distance import cdist
 
-from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction, BasisTable
+from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, GivenBlocks
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect_term import is_angle
+from mbcacq.effects.functions import ZERO, Column, DescribedPart, Function, Product, evaluate, scaled
 
 LENGTHS = (0.2, 0.4, 0.8)  # rad, or of the largest moment: from a local bump to what few harmonics nearly are
+SMOOTHNESS = 2.5  # of the kernel: twice differentiable
 COMPARED = 30  # functions of each process, while these are compared
 MOST_FUNCTIONS = 90  # of the one chosen: what fewer leave of it would be taken for noise of the joints
 SMALLEST = 1e-4  # variance of a function, in those of the first, that is left out
+VARIES = 0.02  # rad, or of the largest moment, by which a covariate must vary
 
 
 @dataclass(frozen=True)
 class Process:
-    """x (P, d): a covariate, or it and another together; depends_on: the covariate, for the report. length: of the kernel, in units of x.
-
-    label: tells processes at one location apart.
+    """depends_on: a covariate, for the report. box: all covariates, with the lower and the upper wall of each. unit: of the covariates, in
+    which ``length`` of the kernel is.
     """
 
     depends_on: str
-    label: str
-    x: np.ndarray
+    box: tuple[tuple[str, float, float], ...]
     length: float
+    unit: float
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        return tuple(name for name, _, _ in self.box)
+
+    @property
+    def label(self) -> str:
+        """Tells processes at one location apart."""
+        return f"process of {', '.join(self.covariates)} over {self.length}"
+
+    def functions(self, most: int) -> tuple[tuple[Column, ...], np.ndarray]:
+        """At most so many products of cosines, and the relative prior sigma (f,) of each, largest first."""
+        width = np.array([(high - low) / (self.unit * self.length) for _, low, high in self.box])
+        exponent = SMOOTHNESS + len(width) / 2
+        fastest = np.sqrt(2 * SMOOTHNESS * (SMALLEST ** (-1 / exponent) - 1))
+        orders = np.indices(np.ceil(fastest * width / np.pi).astype(int) + 1).reshape(len(width), -1).T[1:]
+        variance = (1 + np.sum((np.pi * orders / width) ** 2, axis=1) / (2 * SMOOTHNESS)) ** -exponent
+        chosen = np.argsort(-variance, kind="stable")[:most]
+        chosen = chosen[variance[chosen] > SMALLEST * variance[chosen[0]]]
+        return tuple(self._cosines(row) for row in orders[chosen]), np.sqrt(variance[chosen] / variance[chosen[0]])
+
+    def _cosines(self, orders: np.ndarray) -> Column:
+        each = (Function(name, "cosine", (low, high, float(k))) for (name, low, high), k in zip(self.box, orders, strict=True) if k)
+        return (Product(1.0, tuple(each)),)
 
 
 def processes(s: Context, location: Location, depends_on: str) -> list[Process]:
     """Processes at a location where something was found to depend on a covariate: of an angle, of it together with that of either
     neighbouring joint, and of the gravity moment, whole and by its components.
     """
-    out, angle = list[tuple[str, str, np.ndarray]](), s.obs.q
+    out = list[tuple[str, tuple[str, ...], float]]()
+    moment = [f"gravity_moment_{location.frame}_{axis}" for axis in "xyz"]
+    largest = max(float(np.linalg.norm(s.gravity_moment(location.frame), axis=1).max()), 1e-12)
     if is_angle(depends_on):
-        own = int(depends_on[1:]) - 1
-        for joints in ([own], [own - 1, own], [own, own + 1]):
-            if min(joints) >= 0 and max(joints) < s.n and np.ptp(angle[:, joints], axis=0).min() > 0.02:
-                out.append((depends_on, "+".join(f"q{j + 1}" for j in joints), angle[:, joints]))
+        own = int(depends_on[1:])
+        for joints in ((own,), (own - 1, own), (own, own + 1)):
+            if min(joints) >= 1 and max(joints) <= s.n:
+                out.append((depends_on, tuple(f"q{i}" for i in joints), 1.0))
     elif not depends_on.startswith("gravity_torque_"):
         return []
-    moment = s.gravity_moment(location.frame)
-    moment = moment / max(float(np.linalg.norm(moment, axis=1).max()), 1e-12)
-    moment = moment[:, np.ptp(moment, axis=0) > 0.02]
-    name = f"gravity_torque_{min(max(location.frame + 1, 2), s.n)}"
-    out += [(name, f"moment {j}", moment[:, [j]]) for j in range(moment.shape[1])]
-    out += [(name, "moment", moment)] if moment.shape[1] > 1 else []
-    return [Process(on, f"{label} {length}", x, length) for on, label, x in out for length in LENGTHS]
+    gravity = f"gravity_torque_{min(max(location.frame + 1, 2), s.n)}"
+    varying = tuple(name for name in moment if np.ptp(s.value(name)) > VARIES * largest)
+    out += [(gravity, (name,), largest) for name in varying]
+    out += [(gravity, varying, largest)] if len(varying) > 1 else []
+    return [
+        Process(on, tuple(walls(s, name, unit * length) for name in names), length, unit)
+        for on, names, unit in out
+        if all(np.ptp(s.value(name)) > VARIES * unit for name in names)
+        for length in LENGTHS
+    ]
 
 
-def eigenfunctions(x: np.ndarray, length: float, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """(P, f) of a Matern kernel (5/2) at x (P, d), without their mean over the poses, and the variance (f,) of each, largest first."""
-    near = np.sqrt(5.0) * cdist(x, x) / length
-    kernel = (1.0 + near + near**2 / 3.0) * np.exp(-near)
-    kernel = kernel - kernel.mean(axis=0)
-    kernel = kernel - kernel.mean(axis=1, keepdims=True)
-    variance, functions = eigh(kernel, subset_by_index=[max(len(x) - most, 1), len(x) - 1])
-    kept = variance > SMALLEST * variance[-1]
-    return functions[:, kept][:, ::-1], variance[kept][::-1]
+def walls(s: Context, name: str, away: float) -> tuple[str, float, float]:
+    """A covariate with the walls of a box, so far from its values that they do not show there."""
+    values = s.value(name)
+    return name, float(values.min()) - away, float(values.max()) + away
 
 
-def blocks(location: Location, chosen: Sequence[Process], variants: Iterable[tuple[int, ...]], most: int) -> GivenBlocks:
+def blocks(s: Context, location: Location, chosen: Sequence[Process], variants: Iterable[tuple[int, ...]], most: int) -> GivenBlocks:
     """Each process, of at most so many functions, for some choices of a location's components; one after the other."""
-    table = BasisTable()
-    for process in chosen:
-        functions, variance = eigenfunctions(process.x, process.length, most)
-        table.shapes.append(BasisFunction(process.depends_on, table.add(functions), np.sqrt(variance / variance[0])))
-    entries = [(location.name, rows, shape) for rows in variants for shape in table.shapes]
-    return GivenBlocks([BlockGroup(len(location.mix), table.values, entries, location.keys, location.mix, True)])
+    each, shapes, columns = [process.functions(most) for process in chosen], list[BasisFunction](), list[Column]()
+    for process, (functions, sigma) in zip(chosen, each, strict=True):
+        shapes.append(BasisFunction(process.depends_on, np.arange(len(columns), len(columns) + len(functions)), sigma))
+        columns += functions
+    values = evaluate(tuple(columns), s.value, s.obs.n_poses)
+    entries = [(location.name, rows, shape) for rows in variants for shape in shapes]
+    return GivenBlocks([BlockGroup(len(location.mix), values, entries, location.keys, location.mix, True)])
+
+
+def described(location: Location, rows: Sequence[int], process: Process, most: int) -> list[DescribedPart]:
+    """Some components of a location by a process, of at most so many functions, component by component."""
+    functions, _ = process.functions(most)
+    parts = []
+    for (place, index, component), mix in zip(location.keys, location.mix[list(rows)].T, strict=True):
+        if np.any(mix):
+            columns = tuple(scaled(column, float(m)) if m else ZERO for m in mix for column in functions)
+            parts.append(DescribedPart(place, index, component, columns))
+    return parts

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -28,7 +29,7 @@ def kept_model(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFou
             variance = np.diag(full.model.covariance[own, own])
             terms.append(term_of(here, candidate, hyper, full.model.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
     if UNKNOWN in names:
-        terms += groups(here, [e for e in reported if e.name == UNKNOWN], terms)
+        terms += groups(here, full, [e for e in reported if e.name == UNKNOWN], terms)
     return EffectModel(obs.cell.robot, tuple(terms), LearntRecording.of(obs), obs.cell.measurement)
 
 
@@ -66,8 +67,10 @@ def partly_covered(here: Covariates, candidate: Candidate, hyper: float | None) 
     return (candidate.depends_on,) if covered < gear_transmission_error.LEAST_PERIODS else ()
 
 
-def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm]) -> list[EffectTerm]:
-    """Groups of basis functions where unmodelled effects were reported; of a long recording at every location."""
+def groups(here: Covariates, full: ModelFit, reported: list[EffectFound], named: list[EffectTerm]) -> list[EffectTerm]:
+    """Groups of basis functions where unmodelled effects were reported, the processes that were found there if there are any; of a long
+    recording at every location.
+    """
     if here.obs.n_poses > OPTIONS.many_poses:
         # A second description of one error takes it away from the first.
         elastic = {t.where for t in named if t.name == joint_compliance.NAME}
@@ -75,7 +78,10 @@ def groups(here: Covariates, reported: list[EffectFound], named: list[EffectTerm
         every = unmodelled.carried(unmodelled.everywhere(here))
         every = [g for g in every if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
         return [g for g in every if not (turned and g.where == ("target",))]
-    return [g for e in reported for at in e.where if (g := kept_group(here, at, e.depends_on)) is not None]
+    found = [m for m in reported_hypothesis(full.evidence).unmodelled if m.candidate.described is not None]
+    processes = [unmodelled.process(here, m.candidate, m.size * m.candidate.typical) for m in found]
+    others = [kept_group(here, at, e.depends_on) for e in reported for at in e.where]
+    return [*processes, *(g for g in others if g is not None)]
 
 
 def kept_group(here: Covariates, at: str, depends_on: str) -> EffectTerm | None:
@@ -90,7 +96,7 @@ def _unit(candidate: Candidate) -> str:
     """The unit of a candidate's coefficients: of what it displaces first, per unit of its covariate."""
     assert candidate.described is not None, "only effects that are written down can be kept"
     part = candidate.described(_any(candidate))[0]
-    unit = "rad" if part.place in ("joint", "orientation") or (part.place in ("frame", "station") and part.component >= 3) else "mm"
+    unit = unmodelled.unit_of(part)
     per = {"gravity_torque": "/Nm", "gravity_moment": "/Nm", "payload_force": "/N", "qd": " s"}
     linear = all(f.kind == "power" for column in part.columns for product in column for f in product.functions)
     return unit + next((p for prefix, p in per.items() if linear and any(c.startswith(prefix) for c in part.covariates)), "")
