@@ -3,13 +3,16 @@
 import numpy as np
 import simulated
 
+import mbcacq
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
+from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
+from mbcacq.effects.functions import evaluate
 from mbcacq.estimation.forward_model import Displacements
 
 
@@ -97,6 +100,38 @@ def test_an_effect_of_two_angles_is_predicted_better_by_a_process_of_both_than_b
 
     assert of_both > 0.85
     assert of_one < 0.7
+
+
+def test_what_a_process_describes_is_kept_for_other_places(plan):
+    observed = simulated.observe(plan, 125, [pull_on_joint_five_where_five_and_six_meet])
+    elsewhere = np.isin(observed.station, np.unique(observed.station)[::3])
+
+    found = mbcacq.diagnose(observed.select(~elsewhere), check=[observed.select(elsewhere)])
+
+    (kept,) = [t for t in found.poses.model.terms if t.variant.startswith("process")]
+    assert kept.where == ("A5",)
+    assert set(kept.clamped) == kept.covariates == {"q5", "q6"}
+    (check,) = found.checks
+    assert check.with_effects.rms_mm < 0.5 * check.geometry_alone.rms_mm
+
+
+def test_cosines_on_a_box_are_a_process_with_a_matern_kernel():
+    """Away from the walls the covariance of the random effect is the kernel, but for a constant, which is no effect."""
+    length, x = 0.4, np.linspace(-1.0, 1.0, 9)
+    grid = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    process = Process("q1", (("q1", -3.0, 3.0), ("q2", -3.0, 3.0)), length, 1.0)
+
+    columns, sigma = process.functions(10**6)
+    F = evaluate(columns, lambda name: grid[:, ["q1", "q2"].index(name)], len(grid)) * sigma
+    # A cosine of order zero in one covariate is constant there: of twice the mean square.
+    constant = np.array([sum(2 - len(p.functions) for p in column) for column in columns])
+    covariance = (F * 0.5**constant) @ F.T
+
+    away = np.sqrt(5) * np.linalg.norm(grid[:, None] - grid, axis=2) / length
+    kernel = (1 + away + away**2 / 3) * np.exp(-away)
+    regressors = np.stack([covariance.ravel(), np.ones(covariance.size)], axis=1)
+    scaled = regressors @ np.linalg.lstsq(regressors, kernel.ravel())[0]
+    assert np.abs(scaled - kernel.ravel()).max() < 0.01
 
 
 def test_two_effects_that_cancel_each_other_are_not_reported_together():

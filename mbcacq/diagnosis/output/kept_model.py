@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.hypothesis import Member, conditioned
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
+from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -29,7 +31,7 @@ def kept_model(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFou
             variance = np.diag(full.model.covariance[own, own])
             terms.append(term_of(here, candidate, hyper, full.model.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
     if UNKNOWN in names:
-        terms += groups(here, full, [e for e in reported if e.name == UNKNOWN], terms)
+        terms += groups(setup, full, [e for e in reported if e.name == UNKNOWN], terms)
     return EffectModel(obs.cell.robot, tuple(terms), LearntRecording.of(obs), obs.cell.measurement)
 
 
@@ -67,10 +69,11 @@ def partly_covered(here: Covariates, candidate: Candidate, hyper: float | None) 
     return (candidate.depends_on,) if covered < gear_transmission_error.LEAST_PERIODS else ()
 
 
-def groups(here: Covariates, full: ModelFit, reported: list[EffectFound], named: list[EffectTerm]) -> list[EffectTerm]:
-    """Groups of basis functions where unmodelled effects were reported, the processes that were found there if there are any; of a long
-    recording at every location.
+def groups(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound], named: list[EffectTerm]) -> list[EffectTerm]:
+    """Groups of basis functions where unmodelled effects were reported, and the most probable process there; of a long recording at every
+    location.
     """
+    here = Covariates(full.geometry_only.linear.obs)
     if here.obs.n_poses > OPTIONS.many_poses:
         # A second description of one error takes it away from the first.
         elastic = {t.where for t in named if t.name == joint_compliance.NAME}
@@ -78,10 +81,20 @@ def groups(here: Covariates, full: ModelFit, reported: list[EffectFound], named:
         every = unmodelled.carried(unmodelled.everywhere(here))
         every = [g for g in every if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
         return [g for g in every if not (turned and g.where == ("target",))]
-    found = [m for m in reported_hypothesis(full.evidence).unmodelled if m.candidate.described is not None]
-    processes = [unmodelled.process(here, m.candidate, m.size * m.candidate.typical) for m in found]
-    others = [kept_group(here, at, e.depends_on) for e in reported for at in e.where]
-    return [*processes, *(g for g in others if g is not None)]
+    found = [kept_group(here, at, e.depends_on) for e in reported for at in e.where]
+    return [*(unmodelled.process(here, m.candidate, m.size * m.candidate.typical) for m in processes(setup, full)), *filter(None, found)]
+
+
+def processes(setup: DiagnosisProblem, full: ModelFit) -> list[Member]:
+    """The Gaussian process of each location of an unmodelled effect: that which was found there, or would be the most probable one."""
+    best, blocks = reported_hypothesis(full.evidence), UnmodelledEffects(setup.design_blocks)
+    found = {m.label: m for m in best.unmodelled if m.candidate.described is not None}
+    for member in best.unmodelled:
+        if member.label not in found:
+            others = [m for m in best.members if m.label != member.label]
+            process = blocks.process(conditioned(best.point, others), member)
+            found |= {member.label: process} if process is not None else {}
+    return list(found.values())
 
 
 def kept_group(here: Covariates, at: str, depends_on: str) -> EffectTerm | None:
