@@ -108,7 +108,8 @@ def test_what_a_process_describes_is_kept_for_other_places(plan):
 
     found = mbcacq.diagnose(observed.select(~elsewhere), check=[observed.select(elsewhere)])
 
-    (kept,) = [t for t in found.poses.model.terms if t.variant.startswith("process")]
+    assert found.model is not None
+    (kept,) = [t for t in found.model.terms if t.variant.startswith("process")]
     assert kept.where == ("A5",)
     assert set(kept.clamped) == kept.covariates == {"q5", "q6"}
     (check,) = found.checks
