@@ -16,7 +16,7 @@ class EvidenceOptions:
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
     preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
     # Noise alone is above e in at most 1/e of the recordings (Markov's inequality), and in fact in far fewer: above two in 4 of 1000 with
-    # 128 poses and in 8 of 1000 with 50 or 80, above ten in 3 of 1000 with less than 50 (benchmarks/challenge.md).
+    # 50 poses and more, above ten in 2 of 1000 with fewer (benchmarks/recording_sizes.md).
     least_e_value: float = 2.0  # of all effects together, for an effect to be there
     short_recording: int = 50  # poses, below which few joint angles decide what is the joints' noise
     least_e_value_of_short: float = 10.0
