@@ -191,6 +191,8 @@ class EvidenceSearch:
         if self.unmodelled is None or last.candidate.name != UNMODELLED or not there:
             return best
         rest = tuple(m for m in best.members if m.label != last.label)
+        if any(m.candidate.name == UNMODELLED for m in rest):
+            return best  # what is unmodelled at several locations is not described by more detail at one
         process = self.unmodelled.process(conditioned(best.point, rest), last)
         if process is None:
             return best
