@@ -13,6 +13,7 @@ from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.outliers import kept_centres, log_density_of_outlier
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
+from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.variance_components import pack
@@ -94,11 +95,11 @@ def judged_centres(fit: EvidenceFit) -> np.ndarray:
     """
     linear = fit.none.point.linear
     own, plain = kept_centres(fit.best), kept_centres(fit.none)
-    if np.mean(~plain) > OPTIONS.most_outliers:
+    if np.mean(~plain) > DIAGNOSIS.most_outliers:
         plain = linear.keep
     if not fit.best.members:
         return plain
-    if np.mean(~own) > OPTIONS.most_outliers:
+    if np.mean(~own) > DIAGNOSIS.most_outliers:
         own = linear.keep
     cost = log_density_of_outlier(linear)
     logs = []

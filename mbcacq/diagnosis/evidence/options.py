@@ -26,7 +26,6 @@ class EvidenceOptions:
     outlier_prior: float = 0.01  # share of grossly wrong centres
     outlier_mm: float = 1.0  # standard deviation of a grossly wrong centre
     outlier_rad: float = 0.01  # and of a grossly wrong orientation
-    most_outliers: float = 0.05  # share of outliers beyond which they are structure, and stay
 
     # Search
     beam: int = 3  # sets kept

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Member
+from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member, conditioned
 from mbcacq.diagnosis.nonparametric import gaussian_process, locations
 from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES
@@ -81,6 +81,16 @@ class UnmodelledEffects:
         member = self.member(whole, found.best(), average - best.log_bayes_factor)
         variant = f"{process.label} at {best.rows}"
         return replace(member, candidate=replace(member.candidate, variant=variant, described=lambda _: described))
+
+    def processes(self, best: Hypothesis) -> list[Member]:
+        """The Gaussian process at each location of the unmodelled effects of a set: the one that it has, or would be the most probable."""
+        found = {m.label: m for m in best.unmodelled if m.candidate.described is not None}
+        for member in best.unmodelled:
+            if member.label not in found:
+                others = [m for m in best.members if m.label != member.label]
+                process = self.process(conditioned(best.point, others), member)
+                found |= {member.label: process} if process is not None else {}
+        return list(found.values())
 
     def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float) -> Member:
         """A block as an effect. Its sizes are those of the map, relative to the best determined direction."""

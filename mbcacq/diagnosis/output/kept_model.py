@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import Member, conditioned
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.model_fit import ModelFit
@@ -82,19 +81,8 @@ def groups(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound],
         every = [g for g in every if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
         return [g for g in every if not (turned and g.where == ("target",))]
     found = [kept_group(here, at, e.depends_on) for e in reported for at in e.where]
-    return [*(unmodelled.process(here, m.candidate, m.size * m.candidate.typical) for m in processes(setup, full)), *filter(None, found)]
-
-
-def processes(setup: DiagnosisProblem, full: ModelFit) -> list[Member]:
-    """The Gaussian process of each location of an unmodelled effect: that which was found there, or would be the most probable one."""
-    best, blocks = reported_hypothesis(full.evidence), UnmodelledEffects(setup.design_blocks)
-    found = {m.label: m for m in best.unmodelled if m.candidate.described is not None}
-    for member in best.unmodelled:
-        if member.label not in found:
-            others = [m for m in best.members if m.label != member.label]
-            process = blocks.process(conditioned(best.point, others), member)
-            found |= {member.label: process} if process is not None else {}
-    return list(found.values())
+    described = UnmodelledEffects(setup.design_blocks).processes(reported_hypothesis(full.evidence))
+    return [*(unmodelled.process(here, m.candidate, m.size * m.candidate.typical) for m in described), *filter(None, found)]
 
 
 def kept_group(here: Covariates, at: str, depends_on: str) -> EffectTerm | None:
