@@ -232,4 +232,4 @@ def log_e_value_at_false_alarm_rate(poses: int) -> float:
     """Log e-value above which there is an effect, in a recording of so many poses: noise alone exceeds it at a rate of less than 1 %, by
     simulation.
     """
-    return float(np.log(max(OPTIONS.certain_poses / poses, 1.0)))
+    return float(np.log(OPTIONS.least_e_value if poses >= OPTIONS.short_recording else OPTIONS.least_e_value_of_short))

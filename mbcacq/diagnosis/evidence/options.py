@@ -15,9 +15,11 @@ class EvidenceOptions:
     same_kind: float = 0.5  # share of that for more of a kind that is there already: many joints of an arm are of one make
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
     preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
-    # Noise alone is above e in at most 1/e of the recordings (Markov's inequality), and in fact in far fewer, the fewer the more poses say
-    # what is noise of the joints (benchmarks/challenge.md: less than one in a hundred clean recordings of any size).
-    certain_poses: float = 100.0  # effects are there from an e-value of this number over that of the poses on, and of 1 at least
+    # Noise alone is above e in at most 1/e of the recordings (Markov's inequality), and in fact in far fewer: above two in 4 of 1000 with
+    # 50 poses and more, above ten in 2 of 1000 with fewer (benchmarks/recording_sizes.md).
+    least_e_value: float = 2.0  # of all effects together, for an effect to be there
+    short_recording: int = 50  # poses, below which few joint angles decide what is the joints' noise
+    least_e_value_of_short: float = 10.0
     undecided: float = 0.05  # a set that has more than this share of the best one's probability is an alternative to it
 
     discrepancy: float = 0.02  # of its own displacement that an effect is wrong by, at each pose: no model is exact
