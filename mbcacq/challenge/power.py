@@ -33,7 +33,6 @@ from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
 INFORMED_LEVEL = 0.01  # false-alarm rate of the informed test, which is that of the diagnosis as a whole
-CATALOGUE_LEVEL = 0.02  # false-alarm rate of a search over the whole catalogue
 WANTED_POWER = 0.9  # share of the cells in which an effect has to be found
 
 
@@ -44,12 +43,12 @@ def least_gain(k: int, level: float = INFORMED_LEVEL) -> float:
     return float(root)  # pyright: ignore[reportArgumentType]  # the stubs do not know that the full output was not asked for
 
 
-def search_multiple(k: int, share: float) -> float:
-    """Multiple of the strength for the informed test that a search over the catalogue needs.
+def search_multiple(k: int, share: float, level: float) -> float:
+    """Multiple of the strength for the informed test that a search over the catalogue needs, of this false-alarm rate.
 
-    share: of the false-alarm rate, given to one effect at one location and value of its hyper-parameter.
+    share: of that rate, given to one effect of k coefficients at one location and value of its hyper-parameter.
     """
-    return float(np.sqrt(least_gain(k, CATALOGUE_LEVEL * share) / least_gain(k)))
+    return float(np.sqrt(least_gain(k, level * share) / least_gain(k)))
 
 
 @dataclass(frozen=True)
@@ -58,15 +57,16 @@ class PowerCell:
 
     found: whether the diagnosis reports it. informed: whether a likelihood-ratio test finds it that knows everything but its size and
     the noise. estimating: the same for a test that knows name and location, and estimates order or moment too. log_e_values: of all
-    effects, where the diagnosis reports it or would with a lower least e-value, else -inf. needed_multiple: of the strength for the
-    informed test that a search over the catalogue needs.
+    effects, where the diagnosis reports it or would with a lower least e-value, else -inf. coefficients, share: of the true model, for
+    ``search_multiple``.
     """
 
     found: list[bool]
     informed: list[bool]
     estimating: list[bool]
     log_e_values: list[float]
-    needed_multiple: float
+    coefficients: int
+    share: float
 
 
 def try_cell(challenger: Challenger, name: str, seed: int, multiples: Sequence[float]) -> PowerCell:
@@ -93,7 +93,7 @@ def try_cell(challenger: Challenger, name: str, seed: int, multiples: Sequence[f
         informed.append(bool(likelihood_ratio(setup, model) > chdtri(k, INFORMED_LEVEL)))
         best, values = with_estimated_hypers(setup, model)
         estimating.append(bool(likelihood_ratio(setup, best) > chdtri(k, INFORMED_LEVEL / values)))
-    return PowerCell(found, informed, estimating, log_e_values, search_multiple(k, share))
+    return PowerCell(found, informed, estimating, log_e_values, k, share)
 
 
 def evidence_of(observations: Observations) -> EvidenceFit:

@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 
-from mbcacq.challenge.power import (
-    CATALOGUE_LEVEL,
-    INFORMED_LEVEL,
-    least_gain,
-    ninety_percent_point,
-    reports,
-    search_multiple,
-    with_interval,
-)
+from mbcacq.challenge.power import INFORMED_LEVEL, least_gain, ninety_percent_point, reports, search_multiple, with_interval
 
 
 def test_one_coefficient_needs_the_sum_of_two_normal_quantiles():
@@ -33,10 +25,10 @@ def test_ninety_percent_of_a_normal_threshold():
 
 
 def test_a_larger_search_needs_a_stronger_effect():
-    assert search_multiple(1, INFORMED_LEVEL / CATALOGUE_LEVEL) == pytest.approx(1.0)
+    assert search_multiple(1, 0.5, 2 * INFORMED_LEVEL) == pytest.approx(1.0)
     # two-sided 1.96e-4 (2 % over 17 effects at 6 joints each): 3.725, and 90 % power: 1.282
-    assert search_multiple(1, 1 / 102) == pytest.approx((3.7246 + 1.2816) / (2.5758 + 1.2816), abs=1e-3)
-    assert search_multiple(2, 1 / 40) < search_multiple(2, 1 / 7000)
+    assert search_multiple(1, 1 / 102, 0.02) == pytest.approx((3.7246 + 1.2816) / (2.5758 + 1.2816), abs=1e-3)
+    assert search_multiple(2, 1 / 40, 0.02) < search_multiple(2, 1 / 7000, 0.02)
 
 
 def test_one_of_two_that_cannot_be_told_apart_counts_as_reported():
