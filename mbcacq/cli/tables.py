@@ -27,7 +27,7 @@ def effects(result: dict[str, Any]) -> list[str]:
     terms = (result.get("effects") or {}).get("terms", ())
     if not terms:
         return []
-    out = ["Effects, with the cell (coefficient +- standard deviation):"]
+    out = ["Effects, with the cell (coefficient +- standard deviation; orders, moments and time constants held):"]
     for t in terms:
         if t["name"] != "unknown":
             hyper = "".join(f", {k} {v:.6g}" for k, v in t["hyper"].items())

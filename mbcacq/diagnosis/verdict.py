@@ -34,7 +34,7 @@ from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.in_words import odds_in_words
-from mbcacq.effects.pose import gear_transmission_error
+from mbcacq.effects.pose import gear_transmission_error, warm_up
 from mbcacq.estimation.variance_components import first_noise
 
 # Share of the held-out excess that a parametric effect must remove to be reported although an unmodelled effect is there: where the
@@ -234,6 +234,19 @@ def confounded_pauses(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -
     return interruptions.confounded(setup.linear.obs, {e.name for e in effects}, moments)
 
 
+def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
+    """Sentences on what fades with time so slowly that the recording shows only how it begins."""
+    out = []
+    for effect in effects:
+        constants = [p for name, p in effect.parameters.items() if name.rpartition(".")[2] == warm_up.TIME_CONSTANT]
+        if any(np.max(p.std) > 0.5 * np.ptp(setup.context.time) for p in constants):
+            out.append(
+                f"{effect.name} at {effect.where[0]}: the recording is too short for its time constant, and determines its size only "
+                f"together with that; what was measured is the change within the recording"
+            )
+    return out
+
+
 def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     """Sentences on periodic errors of which the recording covers less than a period."""
     out = []
@@ -256,7 +269,13 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
     reported = reported_hypothesis(full.evidence)
     tool = payload_instead(full.evidence, reported)
     weigh = f"a payload other than declared explains as much as elastic joints ({odds_in_words(tool)}): weigh the tool" if tool else ""
-    return [*partial_periods(setup, full), *aliased(setup, reported), *confounded_pauses(setup, effects), *([weigh] if weigh else [])]
+    return [
+        *partial_periods(setup, full),
+        *aliased(setup, reported),
+        *unfinished_warm_ups(setup, effects),
+        *confounded_pauses(setup, effects),
+        *([weigh] if weigh else []),
+    ]
 
 
 def not_carried_over(verdict: str, proof: CrossValidation) -> list[str]:

@@ -54,7 +54,9 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
     probability = likelihood(hypothesis, member, values)
     possible = probability > LEAST
     std = float(np.sqrt(probability @ (values - found) ** 2))
-    away = np.array([size_with(hypothesis, member, float(v)) for v in values[possible]]) - size_with(hypothesis, member, found)
+    there = coefficients(hypothesis)
+    reported = there.mean[there.slices[hypothesis.members.index(member)]]
+    away = np.array([size_with(hypothesis, member, float(v)) for v in values[possible]]) - reported
     along = (away * probability[possible, None]).T @ away
 
     def report(c: np.ndarray, v: np.ndarray, tau: float | None) -> Parameters:
@@ -65,9 +67,9 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
 
 
 def size_with(hypothesis: Hypothesis, member: Member, value: float) -> np.ndarray:
-    """(k,) coefficients of a member, had its hyper-parameter this value."""
+    """(k,) coefficients of a member, had its hyper-parameter this value, of whatever size that asks for."""
     j = hypothesis.members.index(member)
-    members = (*hypothesis.members[:j], replace(member, hyper=value), *hypothesis.members[j + 1 :])
+    members = (*hypothesis.members[:j], replace(member, hyper=value, size=member.sizes[-1]), *hypothesis.members[j + 1 :])
     there = coefficients(replace(hypothesis, members=members))
     return there.mean[there.slices[j]]
 
