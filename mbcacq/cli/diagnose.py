@@ -127,12 +127,9 @@ def command(
             out.write_text(found.to_json() + "\n", encoding="utf-8")
         except OSError as error:
             raise ConfigError(f"cannot write {out}: {error.strerror}; give another --out") from error
-    if as_json:
-        echo(found.to_json())
-        return
-    echo(found.text)
+    echo(found.to_json() if as_json else found.text)
     for line in calibrated:
-        echo(line)
+        echo(line, err=as_json)
 
 
 def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:
@@ -161,9 +158,11 @@ def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path
 
 def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:
     """Calibrate with what was found, write the result, and say what came of it."""
-    from mbcacq.workflow.calibrate_with_found import FOLDER, calibrate_with_found
+    from mbcacq.report.sources.run_folder import WITH_EFFECTS
+    from mbcacq.workflow.calibrate_with_found import calibrate_with_found, limit_of
     from mbcacq.workflow.load import is_run_folder
 
-    result = calibrate_with_found(found, options)
-    files = result.write(data[0] / FOLDER if is_run_folder(data[0]) else Path(FOLDER))
+    run = data[0] if is_run_folder(data[0]) else None
+    result = calibrate_with_found(found, options, limit_of(run) if run is not None else None)
+    files = result.write((run or Path()) / WITH_EFFECTS)
     return ["", result.text, *(str(file) for file in files)]

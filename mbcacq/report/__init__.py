@@ -29,8 +29,8 @@ def report_from_result(
     """Write the report of a result.json, with 'verification', 'accuracy_map' and 'gaps' in it or not.
 
     observations: the recording, for residuals, histogram and coverage. run_info: what ``read_run_info`` returns for a run: optional texts
-    'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'devices', 'hashes'. Raises
-    ConfigError for a damaged result, RecordingError where the file cannot be written.
+    'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'with_effects', 'devices', 'hashes'.
+    Raises ConfigError for a damaged result, RecordingError where the file cannot be written.
     """
     return write_report_page(content_of(result, observations, run_info), path)
 

@@ -228,6 +228,8 @@ class FleetContent:
 
 @dataclass(frozen=True)
 class Content:
+    """All that a report says. with_effects: of the cell that was calibrated with what its diagnosis found, on the poses of ``spacing``."""
+
     title: str
     subtitle: str
     verdict: ReportVerdict
@@ -254,6 +256,7 @@ class Content:
     accuracy: AccuracyGrid | None = None
     devices: Devices | None = None
     diagnosis: DiagnosisContent | None = None
+    with_effects: Spacing | None = None
     warnings: list[str] = field(default_factory=list)
     caveats: list[str] = field(default_factory=list)
     versions: list[tuple[str, str]] = field(default_factory=list)

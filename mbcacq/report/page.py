@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import RecordingError
-from mbcacq.report.content import Content, DiagnosisContent, FleetContent
+from mbcacq.report.content import Content, DiagnosisContent, FleetContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity, readable
@@ -25,6 +25,7 @@ def render(content: Content) -> str:
     from mbcacq.report.charts.spacing_svg import spacing_picture
 
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
+    stages = "" if content.with_effects is None else Markup(_stages(content.spacing, content.with_effects))
     figures = report_figures(content) | ({} if content.diagnosis is None else diagnosis_figures(content.diagnosis))
     return _template(
         "page.html.j2",
@@ -32,12 +33,24 @@ def render(content: Content) -> str:
         figures=_embedded(figures),
         np=np,
         picture=picture,
+        stages=stages,
         groups=groups(content),
         matrices=matrices(content),
         held=held(content),
         d=content.diagnosis,
         scene=_scene(content),
     )
+
+
+def _stages(geometry: Spacing | None, with_effects: Spacing) -> str:
+    """The bar before calibration, after geometry where that was measured at the same places, and after effects."""
+    from mbcacq.report.charts.stages_svg import stages_picture
+
+    stages = {"before": with_effects.before}
+    if geometry is not None and geometry.place == with_effects.place:
+        stages["after geometry"] = geometry.after
+    expected = None if with_effects.sigma is None else float(np.sqrt(2 / np.pi) * np.mean(with_effects.sigma))
+    return stages_picture(with_effects.place, stages | {"after effects": with_effects.after}, expected)
 
 
 def _scene(content: Content) -> Any:

@@ -11,10 +11,9 @@ import numpy as np
 from mbcacq.calibration import Calibration, CalibrationOptions, Verification
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.exports.result_json import load_result
 from mbcacq.workflow.calibrate import calibrate, verify
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
-
-FOLDER = "with-effects"  # in the folder of a run
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class CalibratedWithFound:
 
         files = {folder / "result.json": sealed_text(self.result())}
         if self.places:
-            files[folder / "bar.svg"] = stages_picture(self.places, self.stages)
+            files[folder / "bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for path, text in files.items():
@@ -72,16 +71,25 @@ class CalibratedWithFound:
         return list(files)
 
 
-def calibrate_with_found(found: DiagnosisResult, options: CalibrationOptions | None = None) -> CalibratedWithFound:
-    """Both calibrations of the recording that was diagnosed, verified. Raises ConfigError for a diagnosis without poses, CalibrationError
-    where they do not determine the cell.
+def limit_of(run: Path) -> float | None:
+    """The limit of the sphere spacing error, mm, that a run was judged by; None where it has none."""
+    if not (run / "result.json").is_file():
+        return None
+    return (load_result(run).get("verification") or {}).get("limit_mm")
+
+
+def calibrate_with_found(
+    found: DiagnosisResult, options: CalibrationOptions | None = None, limit_mm: float | None = None
+) -> CalibratedWithFound:
+    """Both calibrations of the recording that was diagnosed, verified. limit_mm: largest sphere spacing error permitted. Raises ConfigError
+    for a diagnosis without poses, CalibrationError where they do not determine the cell.
     """
     obs = found.observations
     if obs is None:
         raise ConfigError("--calibrate needs one recording of poses at standstill; give it alone")
     geometry = calibrate(obs, options)
-    by_geometry = verify(obs, geometry)
+    by_geometry = verify(obs, geometry, limit_mm=limit_mm)
     if not found.model:
         return CalibratedWithFound(geometry, by_geometry)
     better = calibrate(obs, options, effects=found.model)
-    return CalibratedWithFound(geometry, by_geometry, better, verify(obs, better))
+    return CalibratedWithFound(geometry, by_geometry, better, verify(obs, better, limit_mm=limit_mm))

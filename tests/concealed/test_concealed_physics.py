@@ -12,6 +12,7 @@ import mbcacq
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.plan import expand, load
+from mbcacq.report import report_from_result
 from mbcacq.workflow.calibrate_with_found import CalibratedWithFound, calibrate_with_found
 
 PLAN = Path(__file__).parents[2] / "plans" / "concealed.yaml"
@@ -57,6 +58,21 @@ def test_result_and_picture_are_written_and_the_result_is_the_cell_with_effects(
     assert svg.count("<rect") == 1 + 3 + 3 * len(calibrated.places)
     terms = json.loads(result.read_text(encoding="utf-8"))["effects"]["terms"]
     assert {t["name"] for t in terms} == {"joint_compliance", "gear_transmission_error", "scanner_warmup"}
+
+
+def test_the_report_of_the_run_shows_the_cell_with_effects(calibrated, found, tmp_path):
+    geometry = calibrated.geometry.to_dict() | {"verification": calibrated.by_geometry.to_dict()}
+    about = {"diagnosis": json.loads(found.to_json()), "pictures": None, "with_effects": calibrated.result()}
+    page = report_from_result(geometry, path=tmp_path / "report.html", run_info=about).read_text(encoding="utf-8")
+
+    for name, errors in calibrated.stages.items():
+        assert name in page
+        assert f"mean {np.abs(errors).mean():.4f} mm" in page
+    assert f"noise alone: {calibrated.result()['verification']['expected_mean_mm']:.4f} mm" in page
+
+
+def test_a_limit_of_the_run_is_the_limit_of_its_cell_with_effects(found):
+    assert calibrate_with_found(found, limit_mm=0.05).result()["verification"]["limit_mm"] == 0.05
 
 
 def test_without_effects_there_are_two_stages_and_the_text_says_so(calibrated):

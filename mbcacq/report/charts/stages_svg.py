@@ -10,12 +10,14 @@ import numpy as np
 from mbcacq.report.charts.spacing_svg import ticks
 from mbcacq.report.charts.style import AFTER, BEFORE
 
-WIDTH, LEFT, RIGHT, HEAD, FOOT, THICK = 620.0, 64.0, 62.0, 54.0, 44.0, 8.0
+WIDTH, LEFT, RIGHT, HEAD, FOOT, THICK = 620.0, 64.0, 62.0, 62.0, 44.0, 8.0
 COLOURS = (BEFORE, AFTER, "#009E73")  # Okabe and Ito's
 
 
-def stages_picture(places: Sequence[str], stages: Mapping[str, np.ndarray]) -> str:
-    """SVG with a bar for each place and stage. stages: at most three, name -> (places,) signed errors in mm; drawn are their magnitudes."""
+def stages_picture(places: Sequence[str], stages: Mapping[str, np.ndarray], expected_mm: float | None = None) -> str:
+    """SVG with a bar for each place and stage. stages: at most three, name -> (places,) signed errors in mm; drawn are their magnitudes.
+    expected_mm: mean magnitude that the last stage would have by noise alone.
+    """
     size = {name: np.abs(errors) for name, errors in stages.items()}
     top = 1.06 * max(max(float(e.max()) for e in size.values()), 1e-9)
     unit, pitch = (WIDTH - LEFT - RIGHT) / top, THICK * len(size) + 8.0
@@ -44,5 +46,8 @@ def stages_picture(places: Sequence[str], stages: Mapping[str, np.ndarray]) -> s
             f'<rect x="{x:.1f}" y="8" width="12" height="10" fill="{COLOURS[k]}"/><text x="{x + 17:.1f}" y="18">{escape(name)}</text>'
         )
         out.append(f'<text x="{x + 17:.1f}" y="36" fill="#444">mean {errors.mean():.4f} mm</text>')
+    if expected_mm is not None:
+        x = LEFT + (len(size) - 1) * (WIDTH - LEFT) / 3
+        out.append(f'<text x="{x + 17:.1f}" y="50" font-size="11" fill="#444">noise alone: {expected_mm:.4f} mm</text>')
     out.append(f'<line x1="{LEFT:g}" x2="{LEFT:g}" y1="{HEAD:g}" y2="{bottom:g}" stroke="#222"/></svg>')
     return "".join(out)

@@ -70,6 +70,7 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
         diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
+        with_effects=_spacing((run_info.get("with_effects") or {}).get("verification"), set()),
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         hand_eye_alone=bool(result.get("scope")),
         noise=_noise(result),

@@ -15,6 +15,7 @@ IDENTITY = re.compile(r"(robot|scanner|positioner|sensor \d+): (.+)")  # a devic
 MAX_LINES = 5
 MAX_BYTES = 1 << 20
 KEPT = ("plan.yaml", "result.json", "diagnosis.json")
+WITH_EFFECTS = "with-effects"  # folder of the result of the cell with what its diagnosis found
 
 
 def read_run_identity(folder: str | Path) -> dict[str, Any]:
@@ -38,7 +39,9 @@ def read_run_identity(folder: str | Path) -> dict[str, Any]:
 
 
 def read_run_info(folder: str | Path) -> dict[str, Any]:
-    """``read_run_identity`` with devices, diagnosis (where one was made) and hashes: all that a whole report needs besides the result."""
+    """``read_run_identity`` with devices, diagnosis and the result of the cell with its effects (where these were made) and hashes: all
+    that a whole report needs besides the result.
+    """
     from mbcacq.report.sources.devices import devices_of
 
     folder = Path(folder)
@@ -49,6 +52,8 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
     diagnosis, pictures = _json(folder / "diagnosis.json"), _json(folder / "diagnosis-pictures.json")
     if diagnosis is not None:
         info |= {"diagnosis": diagnosis, "pictures": pictures}
+    if (better := _json(folder / WITH_EFFECTS / "result.json")) is not None:
+        info["with_effects"] = better
     return info
 
 
