@@ -30,8 +30,11 @@ sys.path.insert(0, str(HERE.parent / "tests" / "diagnosis"))
 
 import simulated  # noqa: E402
 
+from mbcacq.challenge.power import likelihood_ratio  # noqa: E402
 from mbcacq.diagnosis.diagnose import diagnose  # noqa: E402
+from mbcacq.diagnosis.problem import prepare  # noqa: E402
 from mbcacq.diagnosis.result import Diagnosis  # noqa: E402
+from mbcacq.diagnosis.search.effect_set import EffectSet  # noqa: E402
 from mbcacq.effects import catalogue  # noqa: E402
 from mbcacq.effects.context import Context  # noqa: E402
 from mbcacq.estimation import forward_model  # noqa: E402
@@ -116,14 +119,24 @@ def outcome(job: tuple[str, int, float, int, int]) -> dict:
     instrument, poses, stated, which, number = job
     start = process_time()
     effect = EFFECTS[which]
-    found = diagnose(recorded(instrument, poses, crc32(repr(job).encode()), effect, stated))
+    observed = recorded(instrument, poses, crc32(repr(job).encode()), effect, stated)
+    found = diagnose(observed)
+    seconds = process_time() - start
+    unseen = effect is not None and found.verdict == "none"
     return {
         "job": list(job),
         "verdict": found.verdict,
         "effects": [f"{e.name}:{'+'.join(e.where)}" for e in found.effects],
-        "seconds": process_time() - start,
-        **({"said_possible": said_possible(found, effect)} if effect is not None and found.verdict == "none" else {}),
+        "seconds": seconds,
+        **({"said_possible": said_possible(found, effect), "informed_chi2": informed_chi2(observed, effect)} if unseen else {}),
     }
+
+
+def informed_chi2(observed: Observations, effect: tuple[str, tuple[str, ...], tuple[float, ...]]) -> float:
+    """What a likelihood-ratio test says that knows the effect and its place: chi2 of one degree of freedom where it is not there."""
+    problem = prepare(observed)
+    known = next(c for c in problem.candidates if (c.name, c.where) == effect[:2])
+    return likelihood_ratio(problem, EffectSet(((known, None),)))
 
 
 def said_possible(found: Diagnosis, effect: tuple[str, tuple[str, ...], tuple[float, ...]]) -> bool:
@@ -170,6 +183,8 @@ def report(records: list[dict]) -> str:
     wrong = [r for r in records if judged(r) == "wrong"]
     unseen = [r for r in records if judged(r) == "none"]
     possible = sum(r.get("said_possible", False) for r in unseen)
+    chi2 = [r["informed_chi2"] for r in unseen]
+    known = f"A test that knows the effect and its place has a chi2 of {np.median(chi2):.1f} in the median of these." if chi2 else ""
     lines = [
         "# Recording sizes",
         "",
@@ -178,7 +193,7 @@ def report(records: list[dict]) -> str:
         f"With one plain effect ({effects}): right is that effect and no other,",
         "wrong is all but that, `cannot_tell` and `none`. Limits are those of Clopper and Pearson; a row of few cells says little.",
         f"Of {len(unseen)} recordings with an effect the verdict is `none`; the exclusion limits of {possible} of them say that this",
-        "effect may be there in that size.",
+        f"effect may be there in that size. {known}",
         "",
         *table("all", lambda r: ("all",)),
         *table("poses", lambda r: (r["job"][1],)),
