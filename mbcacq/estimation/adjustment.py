@@ -30,6 +30,9 @@ NOISE_GAIN = 0.01  # of the log posterior: then the noise is within 0.14 of its 
 REJECTED_SHARE = 0.4
 COARSE_ROTATION = 5e-3  # rad over which the columns of the hand-eye alone are kept: its residuals are kinematic errors of that order
 CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the data cannot be of this cell
+# Median shift of a pose's joints (rad, root of the sum of squares) that would explain its misfit, beyond which the same holds: an artefact
+# at a free station never misses by much more than its size, however wrong the arm. Where an arm misses by 25 mm, 0.03 rad explain it.
+CONTRADICTION_RAD = 0.05
 THIN = 200  # poses that settle geometry and noise before all of a large recording are looked at
 
 
@@ -130,7 +133,8 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
         lineariser = Lineariser(obs, layout, held)
     solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0, COARSE_ROTATION)
     apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
-    if apart > CONTRADICTION_MM:
+    shift = float(np.median(solution.poses.by_pose(lambda of: np.linalg.norm(of.residual_joint * noise.joint, axis=1))))
+    if apart > CONTRADICTION_MM or shift > CONTRADICTION_RAD:
         raise ContradictionError(
             f"with the nominal arm the measurements miss each other by {apart:.0f} mm, far more than an arm's errors; "
             "check the robot model (signs, units), the certificate, and that joint angles and scans belong together"
