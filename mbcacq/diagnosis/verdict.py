@@ -52,7 +52,7 @@ class JudgedFit:
     proof: CrossValidation
     before: PredictiveScore
     residual: np.ndarray
-    judgement: Judgement
+    findings: Findings
     model: EffectModel | None
 
 
@@ -62,13 +62,13 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
         kept = full.model.without(proof.not_predictive)
         full = replace(full, model=solved(full.geometry_only, kept.effects))
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
-    judgement = by_evidence(full, full.evidence, proof, before) if full.residual_tests is None else by_prediction(full, proof, before)
-    return JudgedFit(full, proof, before, residual, judgement, kept_model(setup, full, judgement.effects) or None)
+    findings = by_evidence(full, full.evidence, proof, before) if full.residual_tests is None else by_prediction(full, proof, before)
+    return JudgedFit(full, proof, before, residual, findings, kept_model(setup, full, findings.effects) or None)
 
 
 def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
     """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found."""
-    full, proof, before, judged = fit.full, fit.proof, fit.before, fit.judgement
+    full, proof, before, judged = fit.full, fit.proof, fit.before, fit.findings
     after, residual_after = training_score(full.joint)
     if not judged.predictive:
         after, proof = before, replace(proof, after=proof.before)
@@ -133,17 +133,17 @@ def examined_silence(setup: DiagnosisProblem, full: ModelFit, limited: Sequence[
     return Silence(verdict, advice, tuple(_absorbed(m) for m in absorbed), notes)
 
 
-def by_evidence(full: ModelFit, fit: EvidenceFit, proof: CrossValidation, before: PredictiveScore) -> Judgement:
+def by_evidence(full: ModelFit, fit: EvidenceFit, proof: CrossValidation, before: PredictiveScore) -> Findings:
     """What the evidence says, of a recording that was searched as a whole; held-out figures are reported beside it."""
     contributions = Contributions(full)
     effects = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     mismatch = mismatch_table(full, contributions, before)
-    return Judgement(verdict_by_evidence(full, fit), mismatch, list(with_alternatives(fit, effects)), True, not_separable, pairs)
+    return Findings(verdict_by_evidence(full, fit), mismatch, list(with_alternatives(fit, effects)), True, not_separable, pairs)
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Findings:
     """What is reported of a fit. predictive: whether the model predicts held-out data better than the geometry alone does."""
 
     verdict: str
@@ -154,7 +154,7 @@ class Judgement:
     pairs: tuple[tuple[SizedEffect, SizedEffect], ...] = ()
 
 
-def by_prediction(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> Judgement:
+def by_prediction(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> Findings:
     """What is reported of a long recording, whose evidence grows without limit: effects that predict data left out."""
     # Groups that act at every location could do what parametric effects do: they are left out of the contributions then.
     contributions = Contributions(full if full.cells else full.without_random_effects())
@@ -173,7 +173,7 @@ def by_prediction(full: ModelFit, proof: CrossValidation, before: PredictiveScor
     if verdict == "unexplained" and not effects:
         effects = suspected_effect(mismatch)
     compared = with_other_locations(full.residual_tests, with_alternatives(full.evidence, effects))
-    return Judgement(verdict, mismatch, list(compared), predictive)
+    return Findings(verdict, mismatch, list(compared), predictive)
 
 
 def reportable(effects: list[EffectFound], verdict: str) -> list[EffectFound]:
