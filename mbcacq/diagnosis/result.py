@@ -17,6 +17,7 @@ from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import damage
 
 FORMAT_1, FORMAT = "mbcacq-diagnosis/1", "mbcacq-diagnosis/2"
 READABLE = (FORMAT_1, FORMAT)
@@ -230,8 +231,8 @@ class Diagnosis:
             raise ConfigError(f"this is no diagnosis: its format is {content.get('format')!r}, and should be {FORMAT!r}")
         try:
             return _read_diagnosis(content)
-        except KeyError as error:
-            raise ConfigError(f"the diagnosis lacks the key {error}; write it again with mbcacq diagnose --out FILE") from error
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
 
     def __repr__(self) -> str:
         found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"
