@@ -162,12 +162,13 @@ def _check_function(function: _Function, axes: int, source: str, key: str) -> No
             raise _damaged(source, f"{key}.of", f"there is no {function.of} on an arm of {axes} axes")
     kind = FUNCTIONS.get(function.kind)
     if kind is None:
-        raise ConfigError(f"{source}: {key}.kind: there is no function '{function.kind}'; it may be of a newer version of mbcacq: update it")
+        raise ConfigError(f"{source}: {key}.kind: there is no function '{function.kind}'; where a newer mbcacq wrote it, update this one")
     count = kind.__code__.co_argcount - 1
     if len(function.numbers) != count:
         raise _damaged(source, f"{key}.numbers", f"'{function.kind}' has {count} numbers, here are {len(function.numbers)}")
     with np.errstate(all="ignore"):
-        if not np.isfinite(kind(np.array([0.5]), *function.numbers)).all():  # a width of zero, say
+        at_zero, beside = kind(np.array([0.0, 0.5]), *function.numbers)
+        if np.isnan(at_zero) or not np.isfinite(beside):  # a width of zero, say; a power may have a pole
             raise _damaged(source, f"{key}.numbers", f"with these '{function.kind}' has no finite value")
 
 

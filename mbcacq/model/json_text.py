@@ -25,6 +25,7 @@ WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a re
     "finite_number": "it is not finite",
 }
 
+
 def read_json(data: bytes | str, name: str, cure: str) -> Any:
     """The data in a JSON text. name: of the file; cure: what to do where it is none. Raises ConfigError."""
     try:
