@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import first_fault
 
-ANEW = "write it anew with mbcacq calibrate"
 Row = tuple[float, float, float, float]
 Transform = tuple[Row, Row, Row, Row]
 Rows = dict[Literal["theta", "d", "a", "alpha", "beta"], list[float]]
@@ -93,21 +92,16 @@ def check_result(data: dict[str, Any], source: str) -> None:
     try:
         ResultFile.model_validate(data)
     except ValidationError as error:
-        key, fault = first_fault(error)
-        raise ConfigError(f"{source}: {key}: {fault}; the file is damaged, {ANEW}") from None
+        raise _damaged(source, *first_fault(error)) from None
     n, axes = len(data["names"]), len(data["robot"]["sign"])
     if len(data["covariance"]) != n or any(len(row) != n for row in data["covariance"]):
-        raise ConfigError(f"{source}: the covariance is not {n} x {n} as the {n} names say; the file is damaged, {ANEW}")
-    limits = data["robot"].get("limits")
-    if limits is not None and len(limits) != axes:
-        raise ConfigError(f"{source}: robot.limits are of {len(limits)} axes, the arm has {axes}; the file is damaged, {ANEW}")
-    for which in ("nominal", "calibrated", "errors"):
-        for parameter, column in data["robot"][which].items():
-            if len(column) != axes:
-                raise ConfigError(
-                    f"{source}: robot.{which}.{parameter} has {len(column)} values, the arm has {axes} axes; the file is damaged, {ANEW}"
-                )
-    if len(data["noise"]["joint_rad"]) != axes:
-        raise ConfigError(
-            f"{source}: noise.joint_rad has {len(data['noise']['joint_rad'])} values, the arm has {axes} axes; the file is damaged, {ANEW}"
-        )
+        raise _damaged(source, "covariance", f"the covariance is not {n} x {n} as the {n} names say")
+    arm = data["robot"]
+    columns = {f"robot.{which}.{p}": column for which in ("nominal", "calibrated", "errors") for p, column in arm[which].items()}
+    for key, values in {"robot.limits": arm.get("limits"), "noise.joint_rad": data["noise"]["joint_rad"], **columns}.items():
+        if values is not None and len(values) != axes:
+            raise _damaged(source, key, f"it has {len(values)} values, and the arm has {axes} axes")
+
+
+def _damaged(source: str, key: str, fault: str) -> ConfigError:
+    return ConfigError(f"{source}: {key}: {fault}; the file is damaged, write it anew with mbcacq calibrate")

@@ -16,7 +16,6 @@ from mbcacq.effects.functions import FUNCTIONS
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import first_fault
 
-ANEW = "make it anew with mbcacq diagnose"
 COMPONENTS = {"joint": 1, "frame": 6, "station": 6, "point": 3, "orientation": 3, "ball": 3}  # of each place
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(r"^(?:q|qd|tau|direction_|movement_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$")
@@ -173,4 +172,4 @@ def _check_function(function: _Function, axes: int, source: str, key: str) -> No
 
 
 def _damaged(source: str, key: str, fault: str) -> ConfigError:
-    return ConfigError(f"{source}: {key}: {fault}; the model of effects is damaged, {ANEW}")
+    return ConfigError(f"{source}: {key}: {fault}; the model of effects is damaged, make it anew with mbcacq diagnose")

@@ -21,8 +21,6 @@ from mbcacq.workflow.diagnosis_result import DiagnosisResult
 One = DiagnosisResult | Diagnosis | EffectModel | Calibration | CalibratedCell | Path | str
 Effects = One | Sequence[One]
 DIAGNOSIS, RESULT, EFFECT_MODEL = KINDS = ("mbcacq-diagnosis/", "mbcacq-result/", "mbcacq-effect-model/")
-WANTED = "give what mbcacq diagnose --out wrote"
-OTHERWISE = "calibrate without --effects, or diagnose the recording anew with mbcacq diagnose --out FILE"
 
 
 def as_effects(found: Effects) -> EffectModel:
@@ -50,15 +48,17 @@ def _from_file(path: Path) -> EffectModel:
     try:
         text = file.read_bytes()
     except OSError as error:
-        raise ConfigError(f"cannot read {file}: {error.strerror}; {WANTED}") from error
-    content: Any = result_of_one(read_json(text, str(file), WANTED), number, file, any_of_them=True)
+        raise ConfigError(f"cannot read {file}: {error.strerror}; give what mbcacq diagnose --out wrote") from error
+    content: Any = result_of_one(read_json(text, str(file), "give what mbcacq diagnose --out wrote"), number, file, any_of_them=True)
     if not isinstance(content, dict):
-        raise ConfigError(f"{file} is no diagnosis; {WANTED}")
+        raise ConfigError(f"{file} is no diagnosis; give what mbcacq diagnose --out wrote")
     kind = content.get("format")
     if not isinstance(kind, str):
-        raise ConfigError(f"{file} does not say its format, as a diagnosis does; {WANTED}")
+        raise ConfigError(f"{file} does not say its format, as a diagnosis does; give what mbcacq diagnose --out wrote")
     if not kind.startswith(KINDS):
-        raise ConfigError(f"{file} is of format '{kind}', and no diagnosis, result or model of effects; {WANTED}")
+        raise ConfigError(
+            f"{file} is of format '{kind}', and no diagnosis, result or model of effects; give what mbcacq diagnose --out wrote"
+        )
     fit = content.get("fit")
     if isinstance(fit, dict) and "channels" in fit:
         raise ConfigError(
@@ -68,10 +68,13 @@ def _from_file(path: Path) -> EffectModel:
     key = "" if kind.startswith(EFFECT_MODEL) else "effects" if kind.startswith(RESULT) else "model"
     held = content.get(key) if key else content
     if not held:
-        raise ConfigError(f"{file} holds no effects that a calibration could take: its '{key}' is empty or missing; {OTHERWISE}")
+        raise ConfigError(
+            f"{file} holds no effects that a calibration could take: its '{key}' is empty or missing; diagnose anew, or leave out --effects"
+        )
     model = EffectModel.from_dict(held, str(file), key)
     if not model:
-        raise ConfigError(f"{file} holds no effects that a calibration could take: {key + '.' if key else ''}terms is empty; {OTHERWISE}")
+        terms = f"{key}.terms" if key else "terms"
+        raise ConfigError(f"{file} holds no effects that a calibration could take: {terms} is empty; diagnose anew, or leave out --effects")
     return model
 
 

@@ -32,6 +32,7 @@ def content(plan):
     context = Context(plan, state, forward_model.predict(plan, state))
     soft = next(c for c in catalogue.candidates(context)[0] if c.name == "joint_compliance" and c.where == ("A2",))
     base = unmodelled.group(Covariates(plan), "base", "gravity_torque_2")
+    assert base is not None
     terms = (term_of(context, soft, None, np.array([2e-6]), np.array([1e-7])), base)
     return {"format": "mbcacq-diagnosis/1", "fit": {}, "model": EffectModel(plan.cell.robot, terms, LearntRecording.of(plan)).to_dict()}
 
