@@ -227,8 +227,10 @@ class Diagnosis:
 
         Raises ConfigError where the object has another format or lacks a key.
         """
-        if content.get("format") not in READABLE:
-            raise ConfigError(f"this is no diagnosis: its format is {content.get('format')!r}, and should be {FORMAT!r}")
+        kind = content.get("format")
+        if kind not in READABLE:
+            said = f"its format is '{kind}'" if kind else "it does not say its format"
+            raise ConfigError(f"this is no diagnosis: {said}, which should be '{FORMAT}'; give what mbcacq diagnose --out writes")
         try:
             return _read_diagnosis(content)
         except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -12,6 +12,7 @@ import simulated
 
 from mbcacq.cli import tables
 from mbcacq.diagnosis.output.kept_model import term_of
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import Covariates
@@ -122,6 +123,20 @@ def test_what_is_no_json_is_said_in_words(tmp_path, data, fault):
     file.write_bytes(data)
     with pytest.raises(ConfigError, match=re.escape(f"found.json is not JSON ({fault}")):
         as_effects(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"format": None}, "it does not say its format"),
+        ({"format": "x"}, "its format is 'x'"),
+        ({}, "the key 'verdict' is missing"),
+        ({"verdict": "x", "mismatch": None}, "a value in it is not of its kind"),
+    ],
+)
+def test_a_diagnosis_that_is_none_says_why(content, change, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        Diagnosis.from_json(content | change)
 
 
 @pytest.mark.parametrize(
