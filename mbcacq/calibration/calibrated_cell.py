@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.model.json_text import damage, read_json
 from mbcacq.model.observations import Observations
 
 
@@ -37,19 +37,18 @@ class CalibratedCell(CalibratedCellMethods):
     effects: EffectModel | None = None
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> CalibratedCell:
-        """The cell of a result's content. Raises ConfigError where this is no result of a calibration, or a damaged one."""
+    def from_dict(cls, content: dict[str, Any], source: str = "the calibration result") -> CalibratedCell:
+        """The cell of a result's content. source: how a message calls it. Raises ConfigError where this is no result of a calibration, or
+        a damaged one."""
         state = result_io.state_from_dict(content)
         try:
-            nominal, T = result_io.chain_of(content, "nominal"), np.array(content["preliminary"]["T_flange_scanner"], dtype=float)
+            nominal, T = result_io.chain_of(content, "nominal"), result_io.transform(content["preliminary"]["T_flange_scanner"])
             layout = result_io.layout_from_dict(content)
             covariance = np.array(content["covariance"], dtype=float).reshape(layout.size, layout.size)
             noise = result_io.noise_from_dict(content["noise"])
             robot = str(content["robot"]["name"])
         except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(
-                f"the calibration result is damaged ({type(error).__name__}: {error}); write it anew with mbcacq calibrate"
-            ) from error
+            raise ConfigError(f"{source} is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
         first = CellState(nominal, T, state.T_base_station, state.balls)
         stations = tuple(str(s["id"]) for s in content["stations"])
         effects = result_io.effects_of(content)
@@ -60,11 +59,9 @@ class CalibratedCell(CalibratedCellMethods):
         """The cell of a result's JSON text, of a result.json, or of a run folder that holds one; of one of several recordings by its number
         (``result.json#2``), or without where ``any_of_them`` will do, since they share the arm. Raises ConfigError."""
         if isinstance(source, str) and source.lstrip().startswith("{"):
-            try:
-                return cls.from_dict(unsealed(json.loads(source), Path("the calibration result")))
-            except ValueError as error:
-                raise ConfigError(f"the calibration result is not JSON ({error}); give the content of a result.json") from error
-        return cls.from_dict(result_io.read_result(Path(source), any_of_them=any_of_them))
+            content = read_json(source, "the calibration result", "give the content of a result.json")
+            return cls.from_dict(unsealed(content, Path("the calibration result")))
+        return cls.from_dict(result_io.read_result(Path(source), any_of_them=any_of_them), str(source))
 
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json."""

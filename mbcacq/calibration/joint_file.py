@@ -11,6 +11,7 @@ from typing import Any
 
 from mbcacq.calibration.sealed_json import unsealed
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import damage
 
 FORMAT = "mbcacq-joint-result/1"
 
@@ -33,7 +34,7 @@ def result_of_one(content: Any, number: int | None, file: Path, *, any_of_them: 
     try:
         names, results = zip(*((str(one["name"]), one["result"]) for one in content["recordings"]), strict=True)
     except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{file}: the joint result is damaged ({error}); write it anew with mbcacq calibrate") from error
+        raise ConfigError(f"{file}: the joint result is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
     if number is None and any_of_them:
         number = 1
     if number is None or not 1 <= number <= len(results):

@@ -6,7 +6,6 @@ hand-eye entries being a local twist (scanner frame) behind T_flange_scanner.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from mbcacq.calibration import notebook
 from mbcacq.calibration.calibration_fit import CalibrationFit
 from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.calibration.observability import of_calibration
+from mbcacq.calibration.result_schema import check_result
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
@@ -28,6 +28,7 @@ from mbcacq.estimation.scan_scale import scan_scale
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import Cell
+from mbcacq.model.json_text import damage, read_json
 
 FORMAT = "mbcacq-result/1"
 
@@ -104,13 +105,11 @@ def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellSta
         raise ConfigError(f"this is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
     try:
         chain = chain_of(result, "calibrated")
-        T = _transform(result["T_flange_scanner"])
-        placed = {s["id"]: _transform(s["T_base_station"]) for s in result["stations"]}
-        balls = {b["id"]: np.array(b["centre_mm"], dtype=float) for b in result["balls"]}
+        T = transform(result["T_flange_scanner"])
+        placed = {s["id"]: transform(s["T_base_station"]) for s in result["stations"]}
+        balls = {b["id"]: np.array(b["centre_mm"], dtype=float).reshape(3) for b in result["balls"]}
     except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            f"the calibration result is damaged ({type(error).__name__}: {error}); write it anew with mbcacq calibrate"
-        ) from error
+        raise ConfigError(f"the calibration result is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
     if cell is None:
         return CellState(chain, T, np.array(list(placed.values())).reshape(-1, 4, 4), np.array(list(balls.values())).reshape(-1, 3))
     if cell.robot.n != chain.n:
@@ -122,8 +121,12 @@ def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellSta
 
 def chain_of(result: Mapping[str, Any], which: str) -> Chain:
     """The 'nominal' or the 'calibrated' arm of a result. Raises KeyError, TypeError or ValueError where it is damaged."""
-    rows = result["robot"][which]
-    return Chain(np.array(result["robot"]["sign"], dtype=float), *(np.array(rows[p], dtype=float) for p in PARAMETERS))
+    rows, sign = result["robot"][which], np.array(result["robot"]["sign"], dtype=float)
+    columns = [np.array(rows[p], dtype=float) for p in PARAMETERS]
+    for name, column in zip(PARAMETERS, columns, strict=True):
+        if column.shape != sign.shape:
+            raise ValueError(f"{name} of the {which} arm has {column.size} values, the arm has {sign.size} axes")
+    return Chain(sign, *columns)
 
 
 def layout_from_dict(result: Mapping[str, Any]) -> ParameterLayout:
@@ -167,14 +170,16 @@ def read_result(path: Path, *, any_of_them: bool = False) -> dict[str, Any]:
     path, number = split_number(path)
     file = path / "result.json" if path.is_dir() else path
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        text = file.read_bytes()
     except OSError as error:
         raise ConfigError(f"cannot read {file}: {error.strerror}; give the result.json of a calibration") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{file} is not JSON ({error}); give the result.json of a calibration") from error
+    content = read_json(text, str(file), "give the result.json of a calibration")
     content = result_of_one(content, number, file, any_of_them=any_of_them)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ConfigError(f"{file} is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
+    check_result(content, str(file))
+    if content.get("effects"):
+        EffectModel.from_dict(content["effects"], str(file), "effects")
     return content
 
 
@@ -188,7 +193,8 @@ def html(result: Mapping[str, Any]) -> str:
     return notebook.table(f"{result['robot']['name']}, calibrated", ("parameter", "unit", "value", "error", "+-"), rows)
 
 
-def _transform(rows: Any) -> np.ndarray:
+def transform(rows: Any) -> np.ndarray:
+    """(4, 4) transform of rows that were read. Raises TypeError or ValueError where they are none."""
     T = np.array(rows, dtype=float)
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise ValueError("a transform is not 4 x 4")

@@ -280,7 +280,7 @@ def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, u
         A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
     C = np.diag([0.0] * len(shared) + [variance[names[j]] for j in drawn])
     C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
-    A = A.reshape(-1, 3, len(C))
+    A = A.reshape(len(A) // 3, 3, len(C))  # of a hand-eye transform alone C is empty
     covariance = A @ C @ np.swapaxes(A, 1, 2)
     joint = lineariser.rows.unpad(linear.J)[:, :3] * cell.noise.joint
     covariance += joint @ np.swapaxes(joint, 1, 2)

@@ -27,6 +27,8 @@ def effects(result: dict[str, Any]) -> list[str]:
     terms = (result.get("effects") or {}).get("terms", ())
     if not terms:
         return []
+    from mbcacq.workflow.effects import remarks_on_names
+
     out = ["Effects, with the cell (coefficient +- standard deviation; orders, moments and time constants held):"]
     for t in terms:
         if t["name"] != "unknown":
@@ -38,7 +40,7 @@ def effects(result: dict[str, Any]) -> list[str]:
         count = sum(len(t["names"]) for t in unknown)
         places = ", ".join(dict.fromkeys("+".join(t["where"]) for t in unknown))
         out.append(f"  unmodelled effect: {len(unknown)} groups of {count} basis functions at {places}")
-    return out
+    return out + [f"  note: {remark}" for remark in remarks_on_names(t["name"] for t in terms)]
 
 
 def day_to_day(joint: dict[str, Any]) -> list[str]:

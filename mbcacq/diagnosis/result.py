@@ -17,6 +17,7 @@ from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import damage
 
 FORMAT_1, FORMAT = "mbcacq-diagnosis/1", "mbcacq-diagnosis/2"
 READABLE = (FORMAT_1, FORMAT)
@@ -226,12 +227,14 @@ class Diagnosis:
 
         Raises ConfigError where the object has another format or lacks a key.
         """
-        if content.get("format") not in READABLE:
-            raise ConfigError(f"this is no diagnosis: its format is {content.get('format')!r}, and should be {FORMAT!r}")
+        kind = content.get("format")
+        if kind not in READABLE:
+            said = f"its format is '{kind}'" if kind else "it does not say its format"
+            raise ConfigError(f"this is no diagnosis: {said}, which should be '{FORMAT}'; give what mbcacq diagnose --out writes")
         try:
             return _read_diagnosis(content)
-        except KeyError as error:
-            raise ConfigError(f"the diagnosis lacks the key {error}; write it again with mbcacq diagnose --out FILE") from error
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
 
     def __repr__(self) -> str:
         found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"

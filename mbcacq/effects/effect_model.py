@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_file import check_effects
 from mbcacq.effects.effect_term import MOVEMENT, UNKNOWN, EffectTerm, LearntRecording, is_angle
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import Displacements
@@ -170,21 +171,20 @@ class EffectModel:
         }
 
     @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> EffectModel:
-        """The model that ``to_dict`` wrote. Raises ConfigError where it is none, or damaged."""
+    def from_dict(cls, content: Mapping[str, Any], source: str = "the model of effects", key: str = "") -> EffectModel:
+        """The model that ``to_dict`` wrote. source: how a message calls the file; key: under which the model is in it. Raises ConfigError
+        where it is none, or damaged.
+        """
         if not isinstance(content, Mapping) or content.get("format") != FORMAT:
-            raise ConfigError(f"this is no model of effects of format '{FORMAT}'; make it with mbcacq diagnose or calibrate --effects")
-        try:
-            return cls(
-                _robot(content["robot"]),
-                tuple(EffectTerm.from_dict(t) for t in content["terms"]),
-                _learnt(content["learnt"]),
-                str(content["measurement"]),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise ConfigError(
-                f"the model of effects is damaged ({type(error).__name__}: {error}); make it anew with mbcacq diagnose"
-            ) from error
+            at = f"{source}: {key}" if key else source
+            raise ConfigError(f"{at} is no model of effects of format '{FORMAT}'; make it with mbcacq diagnose or calibrate --effects")
+        check_effects(content, source, key)
+        return cls(
+            _robot(content["robot"]),
+            tuple(EffectTerm.from_dict(t) for t in content["terms"]),
+            _learnt(content["learnt"]),
+            str(content["measurement"]),
+        )
 
 
 def combined(models: Iterable[EffectModel]) -> EffectModel:

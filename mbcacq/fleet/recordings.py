@@ -117,8 +117,11 @@ def listed(table: Path) -> list[FleetRecording]:
     """The recordings of a CSV table; relative paths are seen from its folder. Raises ConfigError naming the line of a fault."""
     try:
         lines = list(csv.DictReader(table.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{table} cannot be read as a CSV table of recordings ({error}); give columns recording, arm, time") from error
+    except UnicodeDecodeError:
+        raise ConfigError(f"{table} is no CSV table of recordings: it is not UTF-8 text; save it as UTF-8") from None
+    except (OSError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{table} cannot be read as a CSV table of recordings ({reason}); give columns recording, arm, time") from error
     if not lines or "recording" not in lines[0]:
         raise ConfigError(f"{table}:1: a table of recordings needs the column 'recording' (and may have 'arm' and 'time')")
     out = []

@@ -13,6 +13,7 @@ from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, Unmode
 from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import damage, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 
@@ -177,10 +178,7 @@ class DiagnosisResult:
     @classmethod
     def from_json(cls, text: str) -> DiagnosisResult:
         """The diagnosis of such a text, without observations and pictures. Raises ConfigError where it is none."""
-        try:
-            content = json.loads(text)
-        except ValueError as error:
-            raise ConfigError(f"the diagnosis is not JSON ({error}); give what mbcacq diagnose --out writes") from error
+        content = read_json(text, "the diagnosis", "give what mbcacq diagnose --out writes")
         if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
             raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
         motion, simulation = content.get("motion"), content.get("simulation")
@@ -188,7 +186,7 @@ class DiagnosisResult:
             checks = tuple(Transfer.from_dict(one) for one in content.get("checks", ()))
             match = None if simulation is None else ModelMatch.from_dict(simulation)
         except (KeyError, TypeError, AttributeError) as error:
-            raise ConfigError(f"the checks of the diagnosis are damaged ({error}); diagnose the recording anew") from error
+            raise ConfigError(f"the checks of the diagnosis are damaged ({damage(error)}); diagnose the recording anew") from error
         if "channels" in content["fit"]:
             return cls(motion=MotionDiagnosis.from_json(content), simulation=match)
         return cls(

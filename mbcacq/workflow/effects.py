@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from mbcacq.calibration import CalibratedCell, Calibration
 from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.effects import catalogue
 from mbcacq.effects.effect_model import EffectModel, combined
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import read_json
+from mbcacq.recording.datasets.yaml_text import RESEMBLES
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
 One = DiagnosisResult | Diagnosis | EffectModel | Calibration | CalibratedCell | Path | str
 Effects = One | Sequence[One]
+DIAGNOSIS, RESULT, EFFECT_MODEL = KINDS = ("mbcacq-diagnosis/", "mbcacq-result/", "mbcacq-effect-model/")
 
 
 def as_effects(found: Effects) -> EffectModel:
@@ -41,20 +46,53 @@ def _from_file(path: Path) -> EffectModel:
     names = ("diagnosis.json", "result.json")
     file = next((path / name for name in names if (path / name).is_file()), path) if path.is_dir() else path
     try:
-        content: Any = json.loads(file.read_text(encoding="utf-8"))
+        text = file.read_bytes()
     except OSError as error:
         raise ConfigError(f"cannot read {file}: {error.strerror}; give what mbcacq diagnose --out wrote") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{file} is not JSON ({error}); give what mbcacq diagnose --out wrote") from error
-    content = result_of_one(content, number, file, any_of_them=True)
+    content: Any = result_of_one(read_json(text, str(file), "give what mbcacq diagnose --out wrote"), number, file, any_of_them=True)
     if not isinstance(content, dict):
         raise ConfigError(f"{file} is no diagnosis; give what mbcacq diagnose --out wrote")
-    held = content.get("effects") if str(content.get("format")).startswith("mbcacq-result/") else content.get("model")
-    if str(content.get("format")).startswith("mbcacq-effect-model/"):
-        held = content
+    kind = content.get("format")
+    if not isinstance(kind, str):
+        raise ConfigError(f"{file} does not say its format, as a diagnosis does; give what mbcacq diagnose --out wrote")
+    if not kind.startswith(KINDS):
+        raise ConfigError(
+            f"{file} is of format '{kind}', and no diagnosis, result or model of effects; give what mbcacq diagnose --out wrote"
+        )
+    fit = content.get("fit")
+    if isinstance(fit, dict) and "channels" in fit:
+        raise ConfigError(
+            f"{file} is the diagnosis of a motion: its effects are of torques and paths, and none is a displacement at standstill that a "
+            "calibration could take; give the diagnosis of a recording of poses, or leave out --effects"
+        )
+    key = "" if kind.startswith(EFFECT_MODEL) else "effects" if kind.startswith(RESULT) else "model"
+    held = content.get(key) if key else content
     if not held:
         raise ConfigError(
-            f"{file} holds no effects that a calibration could take (format {content.get('format')!r}): "
-            "diagnose the recording anew with mbcacq diagnose --out FILE"
+            f"{file} holds no effects that a calibration could take: its '{key}' is empty or missing; diagnose anew, or leave out --effects"
         )
-    return EffectModel.from_dict(held)
+    model = EffectModel.from_dict(held, str(file), key)
+    if not model:
+        terms = f"{key}.terms" if key else "terms"
+        raise ConfigError(f"{file} holds no effects that a calibration could take: {terms} is empty; diagnose anew, or leave out --effects")
+    return model
+
+
+def remarks_on_names(names: Iterable[str]) -> list[str]:
+    """A sentence for each name of an effect that neither the catalogue nor an installed package has.
+
+    Such an effect is used: its file says what it displaces, and another machine may lack the package or the file that found it. But it
+    may be a slip, which the reader must see.
+    """
+    try:
+        known = sorted(catalogue.effects())
+    except ConfigError:
+        return []  # a broken package is named where effects are searched for
+    out = []
+    for name in dict.fromkeys(names):
+        if name in known or name == UNKNOWN:
+            continue
+        near = difflib.get_close_matches(name, known, 1, cutoff=RESEMBLES)
+        meant = f" (is '{near[0]}' meant?)" if near else ""
+        out.append(f"the effect '{name}' is not in the catalogue here{meant}: it is taken as its file describes it")
+    return out

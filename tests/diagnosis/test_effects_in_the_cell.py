@@ -122,6 +122,13 @@ def test_with_known_places_nothing_is_fitted(recording, fitted):
         check_transfer(moved, fitted, place="known")
 
 
+def test_a_hand_eye_transform_alone_is_tried_on_a_recording(recording):
+    """Nothing of the arm was learnt then: what its uncertainty adds to that of the noise is nothing."""
+    cell = calibrate(recording, replace(OPTIONS, kinematics=False))
+    again = CalibratedCell.from_json(cell.to_json())
+    assert np.isfinite(check_transfer(recording, again).normalised_error.rms)
+
+
 def test_effects_of_another_arm_are_refused(recording, fitted):
     wrong = replace(fitted.effects, robot=replace(fitted.effects.robot, name="another arm"))
     with pytest.raises(ConfigError, match="learnt on 'another arm'"):

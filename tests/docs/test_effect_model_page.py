@@ -48,7 +48,7 @@ def result(postures: np.ndarray) -> dict:
         names = tuple(f"{name}[{j}]" for j in range(len(values)))
         ranges = learnt_ranges(here, parts)
         return EffectTerm(
-            name, ("A2",), "q2", tuple(parts), names, ("rad",) * len(values), np.array(values), none, none, none, ranges=ranges
+            name, ("A2",), "q2", tuple(parts), names, ("rad",) * len(values), np.array(values), none, none + np.inf, none, ranges=ranges
         )
 
     soft = named("joint_compliance", [DescribedPart("joint", 1, 0, (linear("gravity_torque_2"),))], [4e-6])

@@ -70,8 +70,11 @@ def result() -> dict:
         w: {p: getattr(c, p).tolist() for p in PARAMETERS}
         for w, c in (("nominal", robot.chain), ("calibrated", robot.chain.with_errors(errors)))
     }
+    rows["errors"] = {p: errors[:, i].tolist() for i, p in enumerate(PARAMETERS)}
     return {
         "format": "mbcacq-result/1",
+        "method": "ml",
+        "fit": {"poses": 1, "centres": 1, "rms_mm": 0.0, "chi2": 0.0, "dof": 0, "rank": 0},
         "robot": {"name": robot.name, "sign": robot.chain.sign.tolist(), "limits": robot.limits.tolist(), **rows},
         "T_flange_scanner": np.eye(4).tolist(),
         "preliminary": {"T_flange_scanner": np.eye(4).tolist()},

@@ -87,7 +87,7 @@ def test_an_edited_result_says_how_it_can_be_used_all_the_same(solved, tmp_path)
 def test_what_is_no_json_is_named(tmp_path, text):
     path = tmp_path / "result.json"
     path.write_text(text, encoding="latin-1")
-    with pytest.raises(ConfigError, match=r"result\.json: is not JSON"):
+    with pytest.raises(ConfigError, match=r"result\.json is not JSON"):
         load_result(path)
 
 

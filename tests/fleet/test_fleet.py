@@ -26,7 +26,7 @@ from mbcacq.fleet.arm_prior import learnt, population, read_priors
 from mbcacq.fleet.control_chart import arm_types, excess_variance, outliers, weighted_median
 from mbcacq.fleet.drift import drifts
 from mbcacq.fleet.evaluation import FleetTask, evaluate_recording
-from mbcacq.fleet.recordings import FleetRecording, dated, find_recordings
+from mbcacq.fleet.recordings import FleetRecording, dated, find_recordings, listed
 from mbcacq.fleet.store import FleetStore, read_table, stored_result
 from mbcacq.recording import write_observation_set
 
@@ -296,6 +296,13 @@ def test_a_prior_about_the_truth_improves_a_short_recording_and_counts_in_its_un
     other = replace(prior, nominal=chain.rows + 1.0)
     with pytest.raises(ConfigError, match="knows no arm with the nominal geometry of 'test arm'"):
         mbcacq.calibrate(short, CalibrationOptions(priors=(other,)))
+
+
+def test_a_table_that_is_no_text_is_refused_in_words(tmp_path):
+    table = tmp_path / "arms.csv"
+    table.write_bytes(b"recording,arm\n\xff,1\n")
+    with pytest.raises(ConfigError, match=r"arms\.csv is no CSV table of recordings: it is not UTF-8 text"):
+        listed(table)
 
 
 def test_a_prior_is_read_from_the_table_of_a_fleet(tmp_path):

@@ -96,6 +96,16 @@ def test_a_file_cut_at_any_byte_keeps_what_was_flushed(tmp_path):
             found.output.unlink()
 
 
+def test_an_empty_file_is_called_empty_and_nothing_is_promised_of_it(tmp_path):
+    file = tmp_path / "empty.rrd"
+    file.write_bytes(b"")
+    with pytest.raises(RecordingError, match=r"empty\.rrd is empty: nothing was ever written into it") as error:
+        load_observations(file)
+    assert "mbcacq recover" not in str(error.value)
+    with pytest.raises(RecordingError, match=r"nothing could be recovered from .*empty\.rrd: it is empty"):
+        recover(file)
+
+
 def test_a_torn_file_is_named_with_the_command_that_recovers_it(tmp_path):
     with Recorder(tmp_path) as recorder:
         for event in synthetic.run(n_poses=3):

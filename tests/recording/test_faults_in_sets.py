@@ -64,6 +64,21 @@ def test_a_file_without_rows_is_refused(a_set, file):
         load_observations(a_set)
 
 
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "it is empty, where keys are expected"),
+        ("# nothing\n", "it is empty"),
+        ("- a\n", "found a list"),
+        ("12\n", "found a single value"),
+    ],
+)
+def test_a_cell_without_keys_is_refused_in_words(a_set, text, sentence):
+    (a_set / "cell.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=rf"cell\.yaml:1: .*{sentence}"):
+        load_observations(a_set)
+
+
 def test_a_direction_other_than_minus_one_zero_and_one_is_refused(a_set):
     path = a_set / "poses.csv"
     head, *rows = path.read_text().splitlines()

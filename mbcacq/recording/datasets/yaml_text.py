@@ -46,8 +46,11 @@ def load_yaml(text: str, name: str) -> tuple[dict[str, Any], yaml.Node]:
     finally:
         loader.dispose()
     _refuse_repeated_keys(node, name)
+    if data is None:
+        raise ConfigError(f"{name}:1: it is empty, where keys are expected (format, robot, ...); fill it in")
     if node is None or not isinstance(data, dict):
-        raise ConfigError(f"{name}:1: a mapping of keys is expected (format, robot, ...), found {type(data).__name__}; correct the file")
+        found = "a list" if isinstance(data, list) else "a single value"
+        raise ConfigError(f"{name}:1: keys are expected (format, robot, ...), found {found}; correct the file")
     return data, node
 
 

@@ -45,6 +45,8 @@ class Recording:
         self.path = Path(path)
         if not self.path.is_file():
             raise ConfigError(f"{self.path} does not exist; give a recording (.rrd)")
+        if self.path.stat().st_size == 0:
+            raise RecordingError(f"{self.path} is empty: nothing was ever written into it; give another recording")
         rerun_path(self.path)
         self._reader = LibraryReader(self.path) if is_as_written(self.path) else ProcessReader(self.path)
 

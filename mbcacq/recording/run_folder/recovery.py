@@ -67,6 +67,8 @@ def make_readable(path: Path) -> list[Recovered]:
 
 
 def _recover_file(source: Path) -> Recovered:
+    if source.stat().st_size == 0:
+        raise NothingRecovered(f"{_nothing([source])}: it is empty, nothing was ever written into it")
     if _verified(source):
         return _summary(source, source)
     existing = layout.recovered_of(source)

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbcacq.calibration.caveats import caveats
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import damage
 from mbcacq.model.observations import Observations
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
@@ -30,9 +31,7 @@ def content_of(result: Mapping[str, Any], observations: Observations | None = No
     try:
         return _content(result, observations, run_info or {})
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise ConfigError(
-            f"the calibration result is damaged ({type(error).__name__}: {error}); write it anew with mbcacq calibrate"
-        ) from error
+        raise ConfigError(f"the calibration result is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
 
 
 def _content(result: Mapping[str, Any], observations: Observations | None, run_info: Mapping[str, Any]) -> Content:

@@ -1,0 +1,54 @@
+"""JSON texts as data, and what is wrong with one said in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from mbcacq.errors import ConfigError
+
+WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a reader of JSON calls it
+    "missing": "the key is missing",
+    "model_type": "it is no object of keys and values",
+    "dict_type": "it is no object of keys and values",
+    "list_type": "it is no list",
+    "tuple_type": "it is no list",
+    "string_type": "it is no text",
+    "float_type": "it is no number",
+    "float_parsing": "it is no number",
+    "int_type": "it is no whole number",
+    "int_parsing": "it is no whole number",
+    "int_from_float": "it is no whole number",
+    "finite_number": "it is not finite",
+}
+
+
+def read_json(data: bytes | str, name: str, cure: str) -> Any:
+    """The data in a JSON text. name: of the file; cure: what to do where it is none. Raises ConfigError."""
+    try:
+        return json.loads(data.decode("utf-8-sig") if isinstance(data, bytes) else data)
+    except UnicodeDecodeError:
+        fault = "it is not UTF-8 text"
+    except json.JSONDecodeError as error:
+        fault = f"it breaks off or is malformed in line {error.lineno}, column {error.colno}" if data.strip() else "it is empty"
+    except RecursionError:
+        fault = "its brackets are nested deeper than in any such file"
+    except ValueError:  # Python refuses integers of several thousand digits
+        fault = "a number in it has too many digits"
+    raise ConfigError(f"{name} is not JSON ({fault}); {cure}")
+
+
+def first_fault(error: ValidationError) -> tuple[str, str]:
+    """(key, fault in words) of the first fault of content that does not fit a pydantic model."""
+    first = error.errors()[0]
+    return ".".join(str(part) for part in first["loc"]), WORDS.get(first["type"], first["msg"])
+
+
+def damage(error: Exception) -> str:
+    """In words, what an error says that was raised while content of JSON was taken apart; a ValueError speaks for itself."""
+    if isinstance(error, KeyError):
+        return f"the key {error} is missing"
+    return str(error) if isinstance(error, ValueError) else "a value in it is not of its kind"
