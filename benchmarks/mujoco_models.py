@@ -250,19 +250,19 @@ def main() -> None:
         match = check_model(match, arm, held, "a third motion")
         print(match.text)
         fit = RollOutFit(arm, learnt)
-        peer = None
+        peer, others, theirs = None, None, []
         if with_peer:
             with timed() as theirs:
                 peer = fitted_by_peer(arm, structure(arm, fit), fit)
             print("passes of mujoco.sysid:", *peer.iterations, "iterations", file=sys.stderr)
             others = RollOutFit(arm, held).errors_of(peer.spec)
-        text = page(found, match, ours[0], peer, others if peer else None, theirs[0] if peer else None)
+        text = page(found, match, *ours, peer, others, *theirs)
     print(text)
     if args.write:
         PAGE.write_text(text)
 
 
-def page(found, match, cost, peer, others, cost_of_peer) -> str:
+def page(found, match, cost, peer, others, cost_of_peer=None) -> str:
     true = {("friction", j, "frictionloss_Nm"): f[0] for j, f in zip(JOINTS, FRICTION, strict=True)}
     true |= {("friction", j, "damping_Nms_per_rad"): f[1] for j, f in zip(JOINTS, FRICTION, strict=True)}
     true |= {("gear", "A2", "stiffness_Nm_per_rad"): STIFFNESS, ("gear", "A2", "damping_Nms_per_rad"): GEAR_DAMPING}
