@@ -6,7 +6,8 @@ For each seed a fake cell conceals an elastic A2 and A3 and a wavy A4. It is rec
 clouds), calibrated as geometry, diagnosed, and calibrated with the effects. Printed are sphere spacing errors of the bar, which took part
 in no fit, from measured centres and, with --protocols, from the clouds themselves brought into the base as ``mbcacq apply`` does; and the
 centres of a second run of the same cell at other poses, with other noise, predicted by the simulation with everything held (chi2 per
-degree of freedom under the stated noise).
+degree of freedom under the stated noise). Beside it stands what noise alone leaves: the same of a run that conceals nothing, calibrated
+as geometry.
 """
 
 from __future__ import annotations
@@ -39,17 +40,17 @@ HIDDEN = [
 ]
 
 
-def recorded(plan: Path, seed: int, folder: Path | None, shifted: bool) -> Observations:
+def recorded(plan: Path, seed: int, folder: Path | None, shifted: bool = False, hidden: list[dict] = HIDDEN) -> Observations:
     """One run of the concealed cell, through its servers into a folder or by arrays; shifted: at other joint angles, up to 3 deg away."""
     loaded = mbcacq.load_plan(plan)
     poses = expand(loaded)
     if shifted:
         rng = np.random.default_rng(seed + 1000)
         poses = [replace(p, q=np.clip(p.q + rng.uniform(-0.05, 0.05, len(p.q)), *loaded.cell.robot.limits.T)) for p in poses]
-    scenario = Scenario(seed, "two", seed, tuple(h["name"] for h in HIDDEN), seed, 1.0)
+    scenario = Scenario(seed, "two", seed, tuple(h["name"] for h in hidden), seed, 1.0)
     if folder is None:
-        return simulated_cells.observe(loaded, poses, scenario, HIDDEN)[0]
-    return simulated_cells.run(loaded, poses, scenario, HIDDEN, folder)[0]
+        return simulated_cells.observe(loaded, poses, scenario, hidden)[0]
+    return simulated_cells.run(loaded, poses, scenario, hidden, folder)[0]
 
 
 def spacing_of_scans(run: Path, bars: Observations, cell: mbcacq.Calibration, folder: Path) -> float:
@@ -86,14 +87,14 @@ def study(plan: Path, seed: int, protocols: bool) -> list[str]:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         run = folder / "run" if protocols else None
-        first, second = recorded(plan, seed, run, False), recorded(plan, seed, None, True)
+        first, second = recorded(plan, seed, run), recorded(plan, seed, None, shifted=True)
         fit = first.select(first.phase != "verification")
         options = mbcacq.CalibrationOptions(refuse=False)
         alone = mbcacq.calibrate(first, options)
         found = mbcacq.diagnose(fit, workers=1)
         names = "; ".join(f"{e.name} {'+'.join(e.where)}" for e in found.effects) or "none"
         if found.model is None:
-            return [str(seed), names, *[""] * 8]
+            return [str(seed), names, *[""] * 10]
         cell = mbcacq.calibrate(first, options, effects=found)
         bars = verification_poses(first)
         spacing = [float(np.abs(mbcacq.verify(bars, c).errors("after")).mean()) for c in (alone, cell)]
@@ -101,6 +102,7 @@ def study(plan: Path, seed: int, protocols: bool) -> list[str]:
         if run is not None:
             scans = [f"{spacing_of_scans(run, bars, c, folder):.4f}" for c in (alone, cell)]
         expected = mbcacq.verify(bars, cell).to_dict() or {}
+        noise = by_noise_alone(plan, seed, folder / "noise" if protocols else None, options)
         other = second.select(second.phase != "verification")
         other = replace(other, pose_id=other.pose_id + 10_000)
         known = check_transfer(other, cell, alone.state.chain, place="known")
@@ -111,15 +113,26 @@ def study(plan: Path, seed: int, protocols: bool) -> list[str]:
         f"{spacing[1]:.4f}",
         *scans,
         f"{expected.get('expected_mean_mm', float('nan')):.4f}",
+        *noise,
         f"{known.geometry_alone.rms_mm:.4f}",
         f"{known.with_effects.rms_mm:.4f}",
         f"{known.with_effects.chi2_dof:.2f}",
     ]
 
 
+def by_noise_alone(plan: Path, seed: int, folder: Path | None, options: mbcacq.CalibrationOptions) -> list[str]:
+    """What noise leaves of the bar in a run that conceals nothing, calibrated as geometry: from centres, and from clouds."""
+    calm = recorded(plan, seed, folder, hidden=[])
+    cell = mbcacq.calibrate(calm, options)
+    bars = verification_poses(calm)
+    centres = float(np.abs(mbcacq.verify(bars, cell).errors("after")).mean())
+    scans = "" if folder is None else f"{spacing_of_scans(folder, bars, cell, folder / 'scans'):.4f}"
+    return [f"{centres:.4f}", scans]
+
+
 HEADER = (
     "| seed | found | bar, geometry mm | with effects mm | clouds applied, geometry mm | with effects mm | expected mm | "
-    "2nd run, geometry mm | with effects mm | chi2/dof |"
+    "nothing concealed: bar mm | clouds applied mm | 2nd run, geometry mm | with effects mm | chi2/dof |"
 )
 
 
@@ -130,7 +143,7 @@ def main() -> None:
     parser.add_argument("--protocols", action="store_true")
     parser.add_argument("--write", action="store_true", help="put the table into benchmarks/effects_loop.md")
     given = parser.parse_args()
-    rows = [HEADER, "|---" * 10 + "|"]
+    rows = [HEADER, "|---" * 12 + "|"]
     print(*rows, sep="\n", flush=True)
     for seed in range(1, given.seeds + 1):
         rows.append("| " + " | ".join(study(given.plan, seed, given.protocols)) + " |")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from math import floor, isfinite, log10
 from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
 
-BETTER = 0.9  # of the error before: above that a channel counts as unchanged in the text
+RUNS, TORQUES, POSES = "runs", "torques", "poses"  # what a recording is compared with
+AT_NOISE = 1.2  # times the noise, which is itself an estimate to some per cent: up to that a held-out channel is explained
+BETTER = 0.9  # of the error before: up to that a channel that is not at the noise is explained in part
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,16 @@ class ModelParameter:
     std: float
     p_value: float
     named: bool
+
+    @property
+    def given(self) -> str:
+        """The value before in digits, without the rounding errors of the model's arithmetic."""
+        return f"{float(to_precision(self.before, self.std)):.6g}"
+
+    @property
+    def found(self) -> str:
+        """The value after in digits, to the second one of its standard deviation."""
+        return to_precision(self.after, self.std)
 
 
 @dataclass(frozen=True)
@@ -93,6 +106,21 @@ class ModelMatch:
         return cls(**known, **lists)
 
     @property
+    def verdict(self) -> str | None:
+        """What the model found leaves of held-out channels, as a verdict of a diagnosis; None where MuJoCo was not run by the set points.
+
+        These runs decide, and not the torque along the recorded motion by which the mismatch was located: that is linear, and has the
+        error of angles that were differentiated twice.
+        """
+        if self.compared != RUNS:
+            return None
+        errors = [e for check in self.checks for e in check.errors] or list(self.errors)
+        if all(e.after <= AT_NOISE * e.noise for e in errors):
+            return "explained" if self.parameters else "none"
+        better = any(e.before > AT_NOISE * e.noise and e.after < BETTER * e.before for e in errors)
+        return "partly_explained" if better else "unexplained"
+
+    @property
     def text(self) -> str:
         """In plain lines, as the command line prints it."""
         lines = [
@@ -101,18 +129,25 @@ class ModelMatch:
         ]
         for p in self.parameters:
             std = "" if p.std != p.std else f" +- {p.std:.2g}"
-            lines.append(f"  {p.where:<12} {p.parameter:<24} {p.before:.6g} -> {p.after:.6g}{std}")
+            lines.append(f"  {p.where:<12} {p.parameter:<24} {p.given} -> {p.found}{std}")
         lines += [f"  ({remark})" for remark in self.remarks]
-        if self.compared != "poses":
-            what = (
-                "new runs of MuJoCo by the recorded set points" if self.compared == "runs" else "MuJoCo's torque along the recorded motion"
-            )
+        if self.compared != POSES:
+            what = "new runs of MuJoCo by the recorded set points" if self.compared == RUNS else "MuJoCo's torque along the recorded motion"
             lines += ["", f"Recorded against {what}, on held-out parts (rms before, after, noise):", *_rows(self.errors)]
         else:
             lines += ["", *(f"  {e.channel}: {e.after:.2g} {e.unit}" for e in self.errors)]
         for check in self.checks:
             lines += ["", f"In {check.recording}, held out:", *_rows(check.errors)]
         return "\n".join(lines)
+
+
+def to_precision(value: float, std: float) -> str:
+    """A value to the second digit of its standard deviation."""
+    if not (isfinite(value) and isfinite(std) and std > 0):
+        return f"{value:.6g}"
+    decimals = 1 - floor(log10(std))
+    rounded = round(value, decimals) + 0.0  # no minus before a zero
+    return f"{rounded:.{max(decimals, 0)}f}" if rounded else "0"
 
 
 def _rows(errors: tuple[ChannelError, ...]) -> list[str]:

@@ -13,7 +13,7 @@ from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect
 from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation import parameters
-from mbcacq.simulation.model_match import ModelMatch
+from mbcacq.simulation.model_match import RUNS, TORQUES, ModelMatch
 from mbcacq.simulation.model_residual import along, runs_by_servos
 from mbcacq.simulation.mujoco_arm import (
     JOINT_SIDE,
@@ -31,7 +31,6 @@ from mbcacq.simulation.parameters import Block, pseudo_inertia
 from mbcacq.simulation.refinement import ROUNDS, RollOutFit
 from mbcacq.simulation.write_model import T_body_link, as_xml
 
-RUNS, TORQUES = "runs", "torques"
 PAYLOAD_SIGMA = 1.0  # prior of an undescribed tool, in logarithms: a factor of e^2 of the mass
 WRITABLE = ("friction", "payload", "joint_compliance", "channel_latency")
 

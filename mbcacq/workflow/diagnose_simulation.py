@@ -76,7 +76,7 @@ def _motion_against_model(recorded: Sequence[Data], model: Path, how: Question) 
             raise ConfigError(f"{other}: what was learnt from trajectories is tried on trajectories; give a trajectory set to --check")
         how.progress(f"MuJoCo runs {_name(other)}")
         match = check_model(match, arm, _trajectories([other]), _name(other))
-    return DiagnosisResult(motion=found, simulation=match)
+    return DiagnosisResult(motion=replace(found, verdict=match.verdict or found.verdict), simulation=match)
 
 
 def _motion_against_sets(recorded: Sequence[Data], simulated: Sequence[Data], how: Question) -> DiagnosisResult:

@@ -17,6 +17,8 @@ from mbcacq.model.json_text import damage, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 
+HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
+
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult:
@@ -73,9 +75,11 @@ class DiagnosisResult:
     def text(self) -> str:
         """The diagnosis in plain sentences, as the command line prints it."""
         from mbcacq.diagnosis.motion.combine import combined_text
-        from mbcacq.diagnosis.motion.text import motion_text
+        from mbcacq.diagnosis.motion.text import headline, motion_details, motion_text
         from mbcacq.diagnosis.output.text import words
 
+        if self.motion is not None and self.simulation is not None and self.simulation.verdict is not None:
+            return "\n".join([headline(self.motion), self.simulation.text, "", HOW_LOCATED, "", motion_details(self.motion)])
         written = [] if self.simulation is None else [self.simulation.text]
         if self.poses is None:
             return "\n".join([motion_text(self.motion), *written]) if self.motion else ""

@@ -109,6 +109,7 @@ def test_concealed_friction_tool_and_delay_are_found_in_the_model(found):
 
 
 def test_the_first_model_then_runs_as_recorded_where_nothing_was_learnt(found):
+    assert found.verdict == "explained"
     (check,) = found.simulation.checks
     for e in check.errors:
         assert e.after < 1.15 * e.noise, e
@@ -132,6 +133,8 @@ def test_a_model_that_agrees_is_left_as_it_is(given):
     found = diagnose([trajectory(given, arm(), 4)], simulation=given)
     assert found.simulation is not None
     assert found.simulation.parameters == ()
+    assert found.verdict == "none"
+    assert found.text.startswith("No effect")
     assert all(e.after < 1.2 * e.noise for e in found.simulation.errors)
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect
-from mbcacq.diagnosis.output.text import VERDICTS, number
+import numpy as np
+
+from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.output.text import NOT_DETERMINED, VERDICTS, number, phase_is_undetermined
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
 CHANNELS = {
@@ -20,8 +22,17 @@ MOST_ROWS = 12  # of the mismatch
 
 def motion_text(diagnosis: MotionDiagnosis) -> str:
     """Verdict, mismatch, effects with their parameters, and residuals on held-out data, in lines."""
-    lines = [CANNOT_TELL if diagnosis.verdict == "cannot_tell" else VERDICTS[diagnosis.verdict], ""]
-    lines += [f"The description of the data looks wrong: {s}" for s in diagnosis.suspicions]
+    return "\n".join([headline(diagnosis), "", motion_details(diagnosis)])
+
+
+def headline(diagnosis: MotionDiagnosis) -> str:
+    """The verdict as a sentence."""
+    return CANNOT_TELL if diagnosis.verdict == "cannot_tell" else VERDICTS[diagnosis.verdict]
+
+
+def motion_details(diagnosis: MotionDiagnosis) -> str:
+    """What the verdict rests on: mismatch, effects with their parameters, and residuals on held-out data, in lines."""
+    lines = [f"The description of the data looks wrong: {s}" for s in diagnosis.suspicions]
     lines += [""] if diagnosis.suspicions else []
     if diagnosis.mismatch:
         lines.append("Where model and data disagree:")
@@ -32,7 +43,8 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
         gain = effect.held_out_gain_here if isinstance(effect, MotionEffect) else effect.held_out_gain
         where = ", ".join(effect.where)
         lines.append(f"{effect_in_words(effect.name)} at {where} (removes {gain:.1%} of the excess there, on held-out data)")
-        lines += [f"  {name} = {_values(p)}" for name, p in effect.parameters.items()]
+        lines += [f"  {name} {_values(name, p)}" for name, p in effect.parameters.items()]
+        lines += [f"  {_rms_of_shape(effect)}"] if isinstance(effect, UnmodelledMotionEffect) else []
         lines += [f"  {note}" for note in (effect.notes if isinstance(effect, MotionEffect) else ())]
     for pair in diagnosis.not_separable:
         both = " and ".join(map(effect_in_words, pair.effects))
@@ -45,9 +57,19 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
     return "\n".join(lines)
 
 
-def _values(parameter: Mapping[str, Any]) -> str:
+def _values(name: str, parameter: Mapping[str, Any]) -> str:
     values, stds = (x if isinstance(x, list) else [x] for x in (parameter["value"], parameter["std"]))
-    return ", ".join(f"{number(v)} +- {number(s)}" for v, s in zip(values, stds, strict=True))
+    if all(phase_is_undetermined(name, s) for s in stds):
+        return NOT_DETERMINED
+    return "= " + ", ".join(f"{number(v)} +- {number(s)}" for v, s in zip(values, stds, strict=True))
+
+
+def _rms_of_shape(effect: UnmodelledMotionEffect) -> str:
+    """Its size. The bins hold equally many samples, so that the mean square over them is that over the recording."""
+    torque = effect.channel == "tau"
+    rms = float(np.sqrt(np.mean(np.square(effect.y))))
+    size = f"{number(rms)} N m" if torque else f"{number(float(np.degrees(rms)))} deg"
+    return f"rms {size}, as a function of {effect.depends_on} ({CHANNELS[effect.channel]})"
 
 
 def _held_out(c: ChannelFit) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from mbcacq.diagnosis.geometry_alone import GeometryAlone
 from mbcacq.diagnosis.result import Alternative, BetweenRecordings, Diagnosis, EffectFound, ExclusionLimit, NotSeparable, Proposal
-from mbcacq.effects.effect import in_digits
+from mbcacq.effects.effect import ParameterEstimate, in_digits
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
 VERDICTS = {
@@ -18,6 +18,8 @@ VERDICTS = {
 }
 DIFFERENT = 0.01  # p-value below which recordings are said to differ
 MOST_LIMITS = 3  # effects that could still hide, in the text
+NOT_DETERMINED = "is not determined"
+LARGEST_PHASE_STD_DEG = 90.0
 MOST_PARAMETERS = 24  # of one effect in the text
 STANDS_IN = "A smooth model stands in its place."
 SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
@@ -110,13 +112,24 @@ def describe(effect: EffectFound) -> list[str]:
         f"{effect_in_words(effect.name)} at {', '.join(effect.where)} (p = {effect.p_value:.1g}, "
         f"removes {effect.held_out_gain:.0%} of the excess over noise)"
     ]
-    out += [f"  {name} = {estimate}" for name, estimate in list(effect.parameters.items())[:MOST_PARAMETERS]]
+    out += [f"  {name} {_reported(name, estimate)}" for name, estimate in list(effect.parameters.items())[:MOST_PARAMETERS]]
     if effect.alternatives:
         out.append(
             "  could also be: "
             + "; ".join(f"{effect_in_words(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives)
         )
     return [*out, ""]
+
+
+def phase_is_undetermined(name: str, std: float) -> bool:
+    """A standard deviation of more than a quarter of a period: the value says nothing, and it would be read as if it did."""
+    return name.endswith("phase_deg") and std > LARGEST_PHASE_STD_DEG
+
+
+def _reported(name: str, estimate: ParameterEstimate) -> str:
+    """A parameter with its standard deviation; a phase that has no value as such, where it has one in no harmonic."""
+    stds = estimate.std if isinstance(estimate.std, tuple) else (estimate.std,)
+    return NOT_DETERMINED if all(phase_is_undetermined(name, s) for s in stds) else f"= {estimate}"
 
 
 def likelihood(a: Alternative) -> str:

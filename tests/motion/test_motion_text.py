@@ -1,0 +1,37 @@
+"""What the diagnosis of motion says of a size that has no value, and of an effect without a model."""
+
+import numpy as np
+import pytest
+
+from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.motion.text import motion_text
+from mbcacq.diagnosis.output.text import describe
+from mbcacq.diagnosis.result import EffectFound
+from mbcacq.effects.effect import ParameterEstimate
+
+
+def text_of(*effects):
+    return motion_text(MotionDiagnosis("partly_explained", (), effects, (), "trajectory"))
+
+
+@pytest.mark.parametrize(("std", "said"), [(125.3, "A2.phase_deg is not determined"), (20.0, "A2.phase_deg = -83.65 +- 20")])
+def test_a_phase_that_may_be_anywhere_is_not_given_as_a_number(std, said):
+    parameters = {"A2.order": {"value": 829.2, "std": 1.93}, "A2.phase_deg": {"value": -83.65, "std": std}}
+    effect = MotionEffect("gear_transmission_error", ("A2",), "q2", "q_joint", parameters, 1e-9, 0.1, 0.1, (), ())
+    text = text_of(effect)
+    assert said in text
+    assert "A2.order = 829.2 +- 1.93" in text
+
+
+def test_the_same_of_poses():
+    parameters = {"A2.phase_deg": ParameterEstimate((10.0, 20.0), (120.0, 200.0)), "A2.amplitude_deg": ParameterEstimate(0.01, 0.001)}
+    lines = describe(EffectFound("gear_transmission_error", ("A2",), parameters, 1e-9, 0.1))
+    assert "  A2.phase_deg is not determined" in lines
+    assert "  A2.amplitude_deg = 0.01 +- 0.001" in lines
+
+
+def test_an_unmodelled_effect_has_a_size():
+    x, y = (0.0, 1.0), (3.0, -4.0)
+    assert "rms 3.536 N m, as a function of q2" in text_of(UnmodelledMotionEffect(("A2",), "tau", "q2", 1e-9, 0.1, x, y))
+    angle = tuple(np.radians(y).tolist())
+    assert "rms 3.536 deg, as a function of q2" in text_of(UnmodelledMotionEffect(("A2",), "q_set", "q2", 1e-9, 0.1, x, angle))
