@@ -23,6 +23,7 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 
@@ -33,8 +34,8 @@ MOST_JUDGED = 1500  # centres at which the normalised error is computed: its mea
 
 @dataclass(frozen=True)
 class TransferFigures:
-    """rms_mm: 3D, over the centres that are no outliers; median_mm; chi2_dof: per degree of freedom, under the noise that the learnt cell
-    states; the parameters that were fitted there are no degrees of freedom."""
+    """rms_mm: 3D, over the centres that are no outliers; median_mm; chi2_dof: chi square per degree of freedom, under the noise of centres
+    and joints that the learnt cell states; what was fitted there is no degree of freedom."""
 
     rms_mm: float
     median_mm: float
@@ -116,7 +117,6 @@ class Transfer:
         n = self.normalised_error
         out.append(f"  error over stated uncertainty: {n.rms:.2f} rms, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
-
 
     def _compared(self, figure: str, digits: str, unit: str = "") -> str:
         """One figure of the geometry, of the effects where there are any, and of a geometry fitted there."""
@@ -248,14 +248,11 @@ class _Trial:
         return replace(obs, cell=replace(obs.cell, stations=found, T_flange_scanner=self.cell.state.T_flange_scanner))
 
     def figures(self, fitted: _PlacedFit, used: np.ndarray) -> TransferFigures:
-        r = fitted.residual[used, :3]
-        distance = np.linalg.norm(r, axis=1)
-        noise = self.cell.noise
-        J = Lineariser(fitted.observations, fitted.layout, fitted.options)(Estimate(fitted.state))
-        sigma = _sigma(J.J, fitted, noise.point, noise.joint)[used]
-        # Where orientations are measured too, they determine their share of what was fitted.
-        dof = max(r.size - fitted.rank * r.shape[1] / fitted.residual.shape[1], 1.0)
-        chi2 = float(np.sum((r / sigma) ** 2) / dof)
+        distance = np.linalg.norm(fitted.residual[used, :3], axis=1)
+        lineariser = Lineariser(fitted.observations, fitted.layout, fitted.options)
+        weights = Weights(used.astype(float), np.ones(fitted.observations.n_poses))
+        whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
+        chi2 = float(np.sum(whitened**2) / max(whitened.size - fitted.rank, 1))
         return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
@@ -267,16 +264,6 @@ class _Trial:
         except CalibrationError:
             return None
         return self.figures(_PlacedFit.of(own), used) if self.place == "fitted" else None
-
-
-def _sigma(J: np.ndarray, fitted: _PlacedFit, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
-    """(M, 3) mm: standard deviation of each coordinate of a centre by scanner noise and joint repeatability."""
-    from mbcacq.estimation.whitening import PoseRows
-
-    rows = PoseRows(fitted.observations, fitted.residual.shape[1])
-    spread = np.sqrt(np.sum((J * joint) ** 2, axis=-1))
-    own = rows.unpad(spread[..., None])[..., 0][:, :3]
-    return np.sqrt(own**2 + point**2)
 
 
 def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
