@@ -114,7 +114,7 @@ def state_from_dict(result: dict[str, Any], cell: Cell | None = None, *, other: 
         ) from error
     if cell is None:
         return CellState(chain, T, np.array(list(placed.values())).reshape(-1, 4, 4), np.array(list(balls.values())).reshape(-1, 3))
-    refuse_other_arm("the result was", name, nominal, cell.robot, other)
+    refuse_other_arm("the result is of", name, nominal, cell.robot, other)
     stations = np.array([placed.get(s.id, np.eye(4)) for s in cell.stations])
     centres = np.array([balls.get(b, c) for b, c in zip(cell.ball_ids, cell.ball_centres, strict=True)])
     return CellState(chain, T, stations, centres)

@@ -115,7 +115,7 @@ def verify(
     obs = verification_poses(observations)
     fitted = None if isinstance(calibration, CellState) else calibration
     if fitted is not None:
-        refuse_other_arm("the result was", fitted.robot, fitted.preliminary.chain, obs.cell.robot, "the recording")
+        refuse_other_arm("the result is of", fitted.robot, fitted.preliminary.chain, obs.cell.robot, "the recording")
     state = calibration if isinstance(calibration, CellState) else calibration.state
     first = (before or state) if fitted is None else fitted.preliminary
     places = []

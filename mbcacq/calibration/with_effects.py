@@ -156,7 +156,7 @@ def _beside(alone: Calibration, fitted: Calibration) -> Calibration:
 
 def refuse_effects_of_other_arm(obs: Observations, model: EffectModel, recording: str = "the recording") -> None:
     """Raises ConfigError where effects were learnt on another arm than that of a recording."""
-    refuse_other_arm("these effects were", model.robot.name, model.robot.chain, obs.cell.robot, recording)
+    refuse_other_arm("these effects were learnt on", model.robot.name, model.robot.chain, obs.cell.robot, recording)
 
 
 def with_estimates(model: EffectModel, fitted: Calibration) -> EffectModel:

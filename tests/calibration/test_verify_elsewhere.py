@@ -69,18 +69,18 @@ def test_a_result_of_another_arm_is_refused_and_both_arms_are_named(result, othe
 
     assert isinstance(done.exception, ConfigError)
     assert str(done.exception) == (
-        f"the result was learnt on 'test arm' (6 axes), and {tmp_path / 'day'} is {described}; give what was learnt on the same arm"
+        f"the result is of 'test arm' (6 axes), and {tmp_path / 'day'} is {described}; give what was learnt on the same arm"
     )
 
 
 def test_sphere_spacing_is_not_verified_with_another_arm(calibrated, other):
     for arm in list(other_arms(other).values())[:2]:
-        with pytest.raises(ConfigError, match="learnt on 'test arm'"):
+        with pytest.raises(ConfigError, match="the result is of 'test arm'"):
             mbcacq.verify(of_arm(other, arm), calibrated)
 
 
 def test_the_plan_that_is_simulated_is_of_the_arm_of_the_result(result):
-    with pytest.raises(ConfigError, match=r"learnt on 'test arm' \(6 axes\), and the plan is of 'KUKA KR 10"):
+    with pytest.raises(ConfigError, match=r"the result is of 'test arm' \(6 axes\), and the plan is of 'KUKA KR 10"):
         mbcacq.simulate("plans/kuka.yaml", result)
 
 
