@@ -17,7 +17,7 @@ from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import ConfigError
+from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
@@ -256,14 +256,14 @@ class _Trial:
         return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
-        """The recording's own geometric calibration."""
-        from mbcacq.errors import CalibrationError
-
+        """The recording's own geometric calibration; None with known places, to which a geometry fitted there is no comparison."""
+        if self.place == "known":
+            return None
         try:
             own = calibrate(self.obs, CalibrationOptions(refuse=False, phases=_all_phases(self.obs)))
         except CalibrationError:
             return None
-        return self.figures(_PlacedFit.of(own), used) if self.place == "fitted" else None
+        return self.figures(_PlacedFit.of(own), used)
 
 
 def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
