@@ -76,6 +76,11 @@ class CalibratedCell(CalibratedCellMethods):
         """Names of the free parameters, in the order of the covariance."""
         return self.layout.names
 
+    @property
+    def station_places(self) -> dict[str, np.ndarray]:
+        """T_base_station (4, 4) by id, of the stations that took part."""
+        return dict(zip(self.stations, self.state.T_base_station, strict=True))
+
     def took_part(self, observations: Observations) -> bool | None:
         """False where none of these stations belongs to the calibration; else None: result.json does not list poses."""
         measured = {observations.cell.stations[s].id for s in np.unique(observations.station)}

@@ -145,6 +145,17 @@ class CalibrationFit:
         return (self.weights.centre > 0) & (self.weights.pose[self.observations.pose] > 0)
 
     @property
+    def robot(self) -> str:
+        """Name of the arm."""
+        return self.cell.robot.name
+
+    @property
+    def station_places(self) -> dict[str, np.ndarray]:
+        """T_base_station (4, 4) by id, of the stations that took part; ``state`` has a first guess, or nothing, for the others."""
+        used = np.unique(self.observations.station[self.observations.pose[self.used]])
+        return {self.cell.stations[s].id: self.state.T_base_station[s] for s in used}
+
+    @property
     def used_poses(self) -> int:
         """Number of poses of which a centre took part."""
         return len(np.unique(self.observations.pose[self.used]))

@@ -17,6 +17,7 @@ from mbcacq.calibration.calibration_fit import CalibrationFit
 from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.calibration.observability import of_calibration
 from mbcacq.calibration.result_schema import check_result
+from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
@@ -36,7 +37,7 @@ FORMAT = "mbcacq-result/1"
 def to_dict(c: CalibrationFit) -> dict[str, Any]:
     """JSON content of a calibration."""
     cell, state, nominal = c.cell, c.state, c.cell.robot.chain
-    used_poses = np.unique(c.observations.pose[c.used])
+    places = c.station_places
     return {
         "format": FORMAT,
         "method": c.options.method,
@@ -55,11 +56,11 @@ def to_dict(c: CalibrationFit) -> dict[str, Any]:
             {
                 "id": s.id,
                 "artefact": s.artefact,
-                "T_base_station": state.T_base_station[i].tolist(),
+                "T_base_station": places[s.id].tolist(),
                 "std": np.sqrt(np.diag(c.station_covariance[i])).tolist(),
             }
             for i, s in enumerate(cell.stations)
-            if np.any(c.observations.station[used_poses] == i)
+            if s.id in places
         ],
         "balls": [{"id": b, "centre_mm": state.balls[i].tolist()} for i, b in enumerate(cell.ball_ids)],
         "preliminary": {"T_flange_scanner": c.preliminary.T_flange_scanner.tolist()},
@@ -98,13 +99,13 @@ def effects_of(result: Mapping[str, Any]) -> EffectModel | None:
     return EffectModel.from_dict(result["effects"]) if result.get("effects") else None
 
 
-def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellState:
+def state_from_dict(result: dict[str, Any], cell: Cell | None = None, *, other: str = "the recording") -> CellState:
     """The calibrated cell of a result. With ``cell``, its stations and balls are filled in that cell's order (identity where unknown);
-    without, in the result's. Raises ConfigError if this is no such result."""
+    without, in the result's. other: what has that cell. Raises ConfigError if this is no such result, or the cell has another arm."""
     if not isinstance(result, dict) or result.get("format") != FORMAT:
         raise ConfigError(f"this is not a calibration result of format '{FORMAT}'; give the result.json of a calibration")
     try:
-        chain = chain_of(result, "calibrated")
+        name, nominal, chain = str(result["robot"]["name"]), chain_of(result, "nominal"), chain_of(result, "calibrated")
         T = transform(result["T_flange_scanner"])
         placed = {s["id"]: transform(s["T_base_station"]) for s in result["stations"]}
         balls = {b["id"]: np.array(b["centre_mm"], dtype=float).reshape(3) for b in result["balls"]}
@@ -112,8 +113,7 @@ def state_from_dict(result: dict[str, Any], cell: Cell | None = None) -> CellSta
         raise ConfigError(f"the calibration result is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
     if cell is None:
         return CellState(chain, T, np.array(list(placed.values())).reshape(-1, 4, 4), np.array(list(balls.values())).reshape(-1, 3))
-    if cell.robot.n != chain.n:
-        raise ConfigError(f"the calibration result is of an arm with {chain.n} axes, the cell has {cell.robot.n}; give the matching result")
+    refuse_other_arm("the result is of", name, nominal, cell.robot, other)
     stations = np.array([placed.get(s.id, np.eye(4)) for s in cell.stations])
     centres = np.array([balls.get(b, c) for b, c in zip(cell.ball_ids, cell.ball_centres, strict=True)])
     return CellState(chain, T, stations, centres)

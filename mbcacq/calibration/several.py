@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.calibration.maximum_likelihood import refuse_unusable
 from mbcacq.calibration.result import Calibration
-from mbcacq.calibration.with_effects import fitted_with_effects, refuse_other_arm
+from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_of_other_arm
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import learnt_ranges
@@ -66,9 +66,9 @@ def calibrate_together(
     options = options or CalibrationOptions()
     if options.method != "ml":
         raise ConfigError("several recordings are calibrated together by --method ml; give one recording to the staged method")
-    for one in recordings if effects else ():
+    for number, one in enumerate(recordings if effects else (), 1):
         assert effects is not None, "there are some"
-        refuse_other_arm(one, effects)
+        refuse_effects_of_other_arm(one, effects, f"recording {number}")
     try:
         problem = joint_problem(recordings, options)
         return _together(problem, options, effects, hold)

@@ -15,14 +15,15 @@ import numpy as np
 from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.result import Calibration
-from mbcacq.calibration.with_effects import refuse_other_arm
+from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import ConfigError
+from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 
@@ -33,7 +34,8 @@ MOST_JUDGED = 1500  # centres at which the normalised error is computed: its mea
 
 @dataclass(frozen=True)
 class TransferFigures:
-    """rms_mm: 3D, over the centres that are no outliers; median_mm; chi2_dof: under the noise that the learnt cell states."""
+    """rms_mm: 3D, over the centres that are no outliers; median_mm; chi2_dof: chi square per degree of freedom, under the noise of centres
+    and joints that the learnt cell states; what was fitted there is no degree of freedom."""
 
     rms_mm: float
     median_mm: float
@@ -105,10 +107,8 @@ class Transfer:
         """The figures in plain sentences."""
         how = "base, tool and stations fitted" if self.place == "fitted" else "nothing fitted"
         out = [
-            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): "
-            f"{self.geometry_alone.rms_mm:.4f} mm with the learnt geometry alone, {self.with_effects.rms_mm:.4f} mm with its effects"
-            + (f"; {self.own_geometry.rms_mm:.4f} mm with a geometry fitted there" if self.own_geometry else "")
-            + "."
+            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', '.4f', ' mm')}.",
+            f"  chi2 per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', '.2f')}",
         ]
         out += [
             f"  {e.name} at {', '.join(e.where)}: without it {e.without_mm:.4f} mm ({e.gain:+.0%} of the geometry's mean square)"
@@ -118,26 +118,40 @@ class Transfer:
         out.append(f"  error over stated uncertainty: {n.rms:.2f} rms, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
+    def _compared(self, figure: str, digits: str, unit: str = "") -> str:
+        """One figure of the geometry, of the effects where there are any, and of a geometry fitted there."""
+        learnt, effects = getattr(self.geometry_alone, figure), getattr(self.with_effects, figure)
+        text = f"{learnt:{digits}}{unit} with the learnt geometry"
+        if self.with_effects != self.geometry_alone:
+            text += f" alone, {effects:{digits}}{unit} with its effects"
+        if self.own_geometry:
+            text += f"; {getattr(self.own_geometry, figure):{digits}}{unit} with a geometry fitted there"
+        return text
+
 
 def check_transfer(
     observations: Observations, cell: Calibrated, alone: Chain | None = None, *, place: str = "fitted", recording: str = ""
 ) -> Transfer:
     """Try a calibrated cell on a recording. alone: the arm that geometry alone gave on the recording learnt from; by default the
-    cell's own without its effects.
+    cell's own without its effects. With known places, poses at stations that the calibrated cell does not have are left out.
 
-    Raises ConfigError where the recording is of another arm, CalibrationError where it does not determine its own places.
+    Raises ConfigError where the recording is of another arm or none of its stations is known, CalibrationError where it does not
+    determine its own places.
     """
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
+    refuse_other_arm("the result is of", cell.robot, cell.preliminary.chain, observations.cell.robot, recording or "the recording")
+    left_out: tuple[str, ...] = ()
+    if place == "known":
+        observations, left_out = at_known_stations(observations, cell)
     model = cell.effects
     if model is None:
         model = EffectModel(observations.cell.robot)
-    refuse_other_arm(observations, model)
     tried = _Trial(observations, cell, place)
     best = tried.fit(cell.state.chain, model)
     used = best.used
     whole = tried.figures(best, used)
-    plain = tried.figures(tried.fit(alone or cell.state.chain, None), used)
+    plain = tried.figures(tried.fit(alone or cell.state.chain, None), used) if model else whole
     gains = []
     grouped: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for t in model.terms:
@@ -156,14 +170,37 @@ def check_transfer(
         tried.own_geometry(used),
         tuple(sorted(gains, key=lambda e: -e.gain)),
         normalised_error(best, cell, model, used),
-        (*(str(d) for d in departures), *model.absent(observations)),
+        (*left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording,
     )
 
 
+def at_known_stations(obs: Observations, cell: Calibrated) -> tuple[Observations, tuple[str, ...]]:
+    """The poses at stations whose places a calibrated cell has, and a sentence that names the other stations, if there are any.
+
+    Raises ConfigError where there is no pose at a known station.
+    """
+    places = cell.station_places
+    known = np.array([s.id in places for s in obs.cell.stations])[obs.station]
+    if known.all():
+        return obs, ()
+    missing = [obs.cell.stations[s].id for s in np.unique(obs.station[~known])]
+    if not known.any():
+        raise ConfigError(
+            f"no station of the recording ({', '.join(missing)}) has a known place in the calibrated cell; try it with --place fitted"
+        )
+    stations, have, are = ("station", "has", "is") if len(missing) == 1 else ("stations", "have", "are")
+    sentence = (
+        f"{stations} {', '.join(missing)} {have} no known place in the calibrated cell and {are} left out, with {np.sum(~known)} of "
+        f"{obs.n_poses} poses; --place fitted judges them too"
+    )
+    return obs.select(known), (sentence,)
+
+
 @dataclass(frozen=True)
 class _PlacedFit:
-    """What is asked of a fit of a recording's own places; see ``mbcacq.calibration.calibration_fit.CalibrationFit``."""
+    """What is asked of a fit of a recording's own places; see ``mbcacq.calibration.calibration_fit.CalibrationFit``. rank: of all that was
+    fitted."""
 
     observations: Observations
     options: CalibrationOptions
@@ -171,10 +208,11 @@ class _PlacedFit:
     state: CellState
     residual: np.ndarray
     used: np.ndarray
+    rank: int = 0
 
     @classmethod
     def of(cls, c: Calibration) -> _PlacedFit:
-        return cls(c.observations, c.options, c.layout, c.state, c.residual, c.used)
+        return cls(c.observations, c.options, c.layout, c.state, c.residual, c.used, c.rank)
 
 
 @dataclass(frozen=True)
@@ -204,44 +242,28 @@ class _Trial:
         return _PlacedFit(known, options, layout, start, residual, distance <= GROSS * np.median(distance))
 
     def _known(self, obs: Observations) -> Observations:
-        """The recording with tool and stations where the calibrated cell has them. Raises ConfigError where it has none of these."""
-        stations = getattr(self.cell, "stations", None)
-        ids = list(stations) if stations is not None else [s.id for s in self.cell.observations.cell.stations]  # type: ignore[attr-defined]
-        placed = dict(zip(ids, self.cell.state.T_base_station, strict=False))
-        missing = [obs.cell.stations[s].id for s in np.unique(obs.station) if obs.cell.stations[s].id not in placed]
-        if missing:
-            raise ConfigError(f"station {', '.join(missing)} has no known place in the calibrated cell; try it with --place fitted")
-        found = tuple(replace(s, T_base_station=placed[s.id], sigma_mm=1e-6) if s.id in placed else s for s in obs.cell.stations)
+        """The recording with tool and stations where the calibrated cell has them."""
+        places = self.cell.station_places
+        found = tuple(replace(s, T_base_station=places[s.id], sigma_mm=1e-6) if s.id in places else s for s in obs.cell.stations)
         return replace(obs, cell=replace(obs.cell, stations=found, T_flange_scanner=self.cell.state.T_flange_scanner))
 
     def figures(self, fitted: _PlacedFit, used: np.ndarray) -> TransferFigures:
-        r = fitted.residual[used, :3]
-        distance = np.linalg.norm(r, axis=1)
-        noise = self.cell.noise
-        J = Lineariser(fitted.observations, fitted.layout, fitted.options)(Estimate(fitted.state))
-        sigma = _sigma(J.J, fitted, noise.point, noise.joint)[used]
-        chi2 = float(np.sum((r / sigma) ** 2) / r.size)
+        distance = np.linalg.norm(fitted.residual[used, :3], axis=1)
+        lineariser = Lineariser(fitted.observations, fitted.layout, fitted.options)
+        weights = Weights(used.astype(float), np.ones(fitted.observations.n_poses))
+        whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
+        chi2 = float(np.sum(whitened**2) / max(whitened.size - fitted.rank, 1))
         return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
-        """The recording's own geometric calibration."""
-        from mbcacq.errors import CalibrationError
-
+        """The recording's own geometric calibration; None with known places, to which a geometry fitted there is no comparison."""
+        if self.place == "known":
+            return None
         try:
             own = calibrate(self.obs, CalibrationOptions(refuse=False, phases=_all_phases(self.obs)))
         except CalibrationError:
             return None
-        return self.figures(_PlacedFit.of(own), used) if self.place == "fitted" else None
-
-
-def _sigma(J: np.ndarray, fitted: _PlacedFit, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
-    """(M, 3) mm: standard deviation of each coordinate of a centre by scanner noise and joint repeatability."""
-    from mbcacq.estimation.whitening import PoseRows
-
-    rows = PoseRows(fitted.observations, fitted.residual.shape[1])
-    spread = np.sqrt(np.sum((J * joint) ** 2, axis=-1))
-    own = rows.unpad(spread[..., None])[..., 0][:, :3]
-    return np.sqrt(own**2 + point**2)
+        return self.figures(_PlacedFit.of(own), used)
 
 
 def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:

@@ -17,6 +17,7 @@ import numpy as np
 
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.uncertainty import common_distance_uncertainty, distance_uncertainty
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
@@ -109,10 +110,12 @@ def verify(
     """Evaluate every pair of balls of the verification poses (where no phases are recorded: of all two-ball artefacts).
 
     With a ``CellState`` instead of a calibration, ``before`` is the state to compare with (default: the same), and there is no
-    expected uncertainty.
+    expected uncertainty. Raises ConfigError where the calibration is of another arm.
     """
     obs = verification_poses(observations)
     fitted = None if isinstance(calibration, CellState) else calibration
+    if fitted is not None:
+        refuse_other_arm("the result is of", fitted.robot, fitted.preliminary.chain, obs.cell.robot, "the recording")
     state = calibration if isinstance(calibration, CellState) else calibration.state
     first = (before or state) if fitted is None else fitted.preliminary
     places = []

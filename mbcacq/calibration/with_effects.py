@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.result import REFIT, Calibration
+from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
 from mbcacq.effects.common_pattern import LEAST_JOINTS, CommonPattern, OwnErrors, find_common_pattern
 from mbcacq.effects.covariates import Covariates
@@ -63,7 +64,7 @@ def calibrate_with_effects(
     options = options or CalibrationOptions()
     if options.method != "ml":
         raise ConfigError("effects are fitted by --method ml; the staged method knows geometry alone")
-    refuse_other_arm(observations, model)
+    refuse_effects_of_other_arm(observations, model)
     obs = select_phases(observations, options)
     if obs.n_poses > OPTIONS.most_learnt and not hold and any(t.name == UNKNOWN for t in model.terms):
         obs = obs.select(some_poses(obs, OPTIONS.most_learnt))
@@ -153,14 +154,9 @@ def _beside(alone: Calibration, fitted: Calibration) -> Calibration:
     return replace(fitted, extra={**fitted.extra, "geometry_alone": {"calibrated": rows, **figures}})
 
 
-def refuse_other_arm(obs: Observations, model: EffectModel) -> None:
-    """Raises ConfigError where effects were learnt on an arm of another type or number of axes."""
-    robot = obs.cell.robot
-    if robot.n != model.robot.n or robot.name != model.robot.name:
-        raise ConfigError(
-            f"these effects were learnt on '{model.robot.name}' ({model.robot.n} axes), and the recording is of '{robot.name}' "
-            f"({robot.n} axes); give effects of the same arm"
-        )
+def refuse_effects_of_other_arm(obs: Observations, model: EffectModel, recording: str = "the recording") -> None:
+    """Raises ConfigError where effects were learnt on another arm than that of a recording."""
+    refuse_other_arm("these effects were learnt on", model.robot.name, model.robot.chain, obs.cell.robot, recording)
 
 
 def with_estimates(model: EffectModel, fitted: Calibration) -> EffectModel:

@@ -20,14 +20,16 @@ from mbcacq.cli.terminal import echo
     type=click.Choice(["fitted", "known"]),
     default="fitted",
     show_default=True,
-    help="fitted: base, tool and stations of OTHER are fitted to it; known: they stand where RESULT has them, nothing is fitted.",
+    help="fitted: base, tool and stations of OTHER are fitted to it; known: they stand where RESULT has them, nothing is fitted, and poses "
+    "at other stations are left out.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) -> None:
     """Try the arm of RESULT (a result.json, or a run folder that holds one), with its effects, on each recording OTHER.
 
-    The arm and its effects stay as they were learnt. Says what geometry alone leaves there and what is left with the effects, what each
-    effect gains, how the errors compare with their stated uncertainty, and where OTHER leaves the range in which an effect was learnt.
+    The arm and its effects stay as they were learnt. Says what geometry alone leaves there and what is left with the effects (in mm, and
+    as chi2 per degree of freedom), what each effect gains, how the errors compare with their stated uncertainty, and where OTHER leaves
+    the range in which an effect was learnt. OTHER must be of the same arm as RESULT: of the same name and nominal links.
 
     Example: mbcacq verify result.json another-day --place fitted
     """

@@ -136,14 +136,10 @@ def _refuse_different_arms(recordings: Sequence[Observations]) -> None:
     first = recordings[0].cell
     for number, one in enumerate(recordings[1:], 2):
         arm = one.cell.robot
-        if not _same_links(arm.chain, first.robot.chain):
+        if not arm.chain.same_links(first.robot.chain):
             raise ConfigError(f"recording 1 is of '{first.robot.name}', recording {number} of '{arm.name}': other links; give one arm's")
         if one.cell.measurement != first.measurement or (one.rotation is None) != (recordings[0].rotation is None):
             raise ConfigError(f"recording {number} was measured in another way than recording 1; give recordings of one kind together")
-
-
-def _same_links(a: Chain, b: Chain) -> bool:
-    return a.n == b.n and np.allclose(a.rows, b.rows) and bool(np.all(a.sign == b.sign))
 
 
 def _offsets(counts: Sequence[int]) -> np.ndarray:

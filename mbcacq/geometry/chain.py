@@ -41,6 +41,10 @@ class Chain:
         """The chain whose parameters are these plus errors (n, 5)."""
         return Chain(self.sign, *(self.rows + errors).T)
 
+    def same_links(self, other: Chain) -> bool:
+        """Whether another chain has as many axes, which turn the same way, and the same rows but for rounding."""
+        return self.n == other.n and np.allclose(self.rows, other.rows) and bool(np.all(self.sign == other.sign))
+
     def parallel_next(self, tolerance: float = 1e-6) -> np.ndarray:
         """(n,) bool: axis i+1 is nominally parallel to axis i, so that d_i is redundant and beta_i is needed."""
         direction = np.abs(np.cos(self.alpha) * np.cos(self.beta))

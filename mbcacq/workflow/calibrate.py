@@ -91,8 +91,9 @@ def verify(
 def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | Path | str, *, place: str = "fitted") -> Transfer:
     """A calibrated arm, with its effects, on a recording that it was not fitted to: both stay as they were learnt.
 
-    place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is). Raises ConfigError where the
-    recording is of another arm, CalibrationError where it does not determine its own places.
+    place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is; poses at stations that the
+    calibrated cell does not have are left out). Raises ConfigError where the recording is of another arm (name or nominal links), or
+    none of its stations is known, CalibrationError where it does not determine its own places.
     """
     from mbcacq.calibration.result_io import chain_of
 

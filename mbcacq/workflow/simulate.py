@@ -12,7 +12,6 @@ import numpy as np
 from mbcacq.calibration import CalibratedCell, Calibration
 from mbcacq.calibration.result_io import effects_of, state_from_dict
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
@@ -84,10 +83,7 @@ def cell_state(loaded: LoadedPlan, result: dict[str, Any] | None) -> CellState:
     planned = planned_state(loaded)
     if result is None:
         return planned
-    state = state_from_dict(result, loaded.cell)
-    name = result["robot"].get("name")
-    if name != loaded.cell.robot.name:
-        raise ConfigError(f"the result is of a '{name}', the plan uses a '{loaded.cell.robot.name}'; give the matching result")
+    state = state_from_dict(result, loaded.cell, other="the plan")
     known = {str(s["id"]): s.get("artefact") for s in result["stations"]}
     same = np.array([known.get(s.id) == s.artefact for s in loaded.cell.stations])
     return replace(state, T_base_station=np.where(same[:, None, None], state.T_base_station, planned.T_base_station))

@@ -116,9 +116,9 @@ def test_with_known_places_nothing_is_fitted(recording, fitted):
     tried = check_transfer(recording, fitted, place="known")
     assert tried.with_effects.rms_mm == pytest.approx(fitted.rms_mm, rel=0.05)  # balls as certified
     assert tried.geometry_alone.rms_mm > 2 * tried.with_effects.rms_mm
-    elsewhere = replace(fitted.observations.cell.stations[0], id="elsewhere")
-    moved = replace(recording, cell=replace(recording.cell, stations=(elsewhere, *recording.cell.stations[1:])))
-    with pytest.raises(ConfigError, match="has no known place"):
+    elsewhere = tuple(replace(s, id=f"elsewhere {s.id}") for s in recording.cell.stations)
+    moved = replace(recording, cell=replace(recording.cell, stations=elsewhere))
+    with pytest.raises(ConfigError, match="no station of the recording .* has a known place"):
         check_transfer(moved, fitted, place="known")
 
 

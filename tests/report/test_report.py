@@ -295,7 +295,8 @@ def test_text_from_files_stays_text(tmp_path):
     obs = make_observations()
     phase = obs.phase.astype(object)
     phase[:3] = evil
-    report = page(tmp_path, result, run_info=info, observations=replace(obs, phase=phase))
+    named = replace(obs.cell, robot=replace(obs.cell.robot, name=evil))
+    report = page(tmp_path, result, run_info=info, observations=replace(obs, cell=named, phase=phase))
     clean = page(
         tmp_path,
         make_result(),

@@ -61,6 +61,18 @@ def test_same_seed_same_world_and_other_seed_another(cell_facts, deviations):
     assert np.all(np.abs(one.stations[:, :3, 3] - other.stations[:, :3, 3]).max(axis=1) > 1e-3)
 
 
+def test_another_noise_seed_is_another_run_of_the_same_cell(cell_facts):
+    fake = {"seed": 4, "errors": "random", "hidden": [{"name": "joint_compliance", "where": "A2"}]}
+    one, same, other = (make_world(cell_facts, parse({**fake, **more}), 0) for more in ({}, {"noise_seed": 4}, {"noise_seed": 5}))
+    frames = [make_camera(w, Arm(poses_q()[0]), FakeOptions(), poses_q(), POSE_STATION)().xyz for w in (one, same, other)]
+    for world in (same, other):
+        assert repr(world.truth()) == repr(one.truth())
+    np.testing.assert_array_equal(same.repeatability(np.arange(5)), one.repeatability(np.arange(5)))
+    np.testing.assert_array_equal(frames[1], frames[0])
+    assert not np.any(other.repeatability(np.arange(5)) == one.repeatability(np.arange(5)))
+    assert not np.array_equal(frames[2], frames[0], equal_nan=True)
+
+
 def test_true_places_lie_near_the_plan_but_not_on_it(cell_facts, deviations):
     shifts, turns = [], []
     for seed in range(60):

@@ -28,7 +28,7 @@ def make_world(facts: CellFacts, options: FakeOptions, seed: int) -> World:
         station_mm=options.station_error.mm,
         station_rad=np.radians(options.station_error.deg),
     )
-    return World(facts, deviations, _effects(options), Environment(**options.climate.model_dump()), seed)
+    return World(facts, deviations, _effects(options), Environment(**options.climate.model_dump()), seed, options.noise_seed)
 
 
 def make_camera(

@@ -62,7 +62,7 @@ def observe(
     facts = dataclasses.replace(facts, planned_q=q, pace_s=pace_s)
     options: FakeOptions = parse({**(fake or {}), "hidden": list(hidden)})
     world = make_world(facts, options, seed)
-    rng = np.random.default_rng([world.seed, OBSERVED])
+    rng = world.noise(OBSERVED)
     station = np.array([facts.station_ids.index(str(p.station)) for p in poses])
     q = q + 1e-5 * rng.standard_normal(q.shape)  # a controller stops near its target and says exactly where
     time_s = np.cumsum(rng.uniform(0.6, 1.4, len(q)) * pace_s)

@@ -56,7 +56,7 @@ class Camera:
         moved = self.world.displaced(at)
         covered, bump = self.operator.covered, self.operator.bumps.get(int(at.station[0]))
         scene = self.world.scene(at, moved, covered, bump, self._options.furniture)
-        rng = np.random.default_rng([self.world.seed, SCAN, *self._draw(reading)])
+        rng = self.world.noise(SCAN, *self._draw(reading))
         if self._surfaces is None or not self._surfaces.scene.equals(scene):
             self._surfaces = self.scanner.surfaces(scene)
         points = self.scanner.expose(self._surfaces, rng, self._brightness(exposure_us))

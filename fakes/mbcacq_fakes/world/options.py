@@ -86,6 +86,7 @@ class FakeOptions(StrictOptions):
     robot: dict[str, Any] = {}
     scanner: dict[str, Any] = {}
     seed: int | None = None
+    noise_seed: int | None = None  # of what differs between two runs of one cell; by default the seed of the cell
 
 
 def parse(options: Mapping[str, Any]) -> FakeOptions:

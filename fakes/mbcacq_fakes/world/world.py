@@ -44,13 +44,15 @@ class Deviations:
 
 @dataclass
 class World:
-    """Everything true. ``seed`` decides every draw; two worlds of equal arguments are equal."""
+    """Everything true. ``seed`` decides every draw; two worlds of equal arguments are equal. noise_seed: where it is given, it decides
+    what differs between two runs of one cell (where joints come to rest, what the scanner scatters)."""
 
     facts: CellFacts
     deviations: Deviations
     effects: Sequence[WorldEffect] = ()
     environment: Environment = field(default_factory=Environment)
     seed: int = 0
+    noise_seed: int | None = None
 
     def __post_init__(self) -> None:
         self.arm = TrueArm.from_rows(self.facts.sign, self.facts.rows + self.deviations.errors)
@@ -91,9 +93,13 @@ class World:
             effect.displace(at, moved)
         return moved
 
+    def noise(self, *stream: int) -> np.random.Generator:
+        """The draws of one independent stream of a run's noise."""
+        return np.random.default_rng([self.seed if self.noise_seed is None else self.noise_seed, *stream])
+
     def repeatability(self, arrival: np.ndarray) -> np.ndarray:
         """(P, n) rad: where the joints really came to rest, a fresh draw for each number of arrivals."""
-        draws = {int(a): np.random.default_rng([self.seed, ARRIVAL, int(a)]).standard_normal(self.facts.n) for a in np.unique(arrival)}
+        draws = {int(a): self.noise(ARRIVAL, int(a)).standard_normal(self.facts.n) for a in np.unique(arrival)}
         return np.array([draws[int(a)] for a in arrival]).reshape(-1, self.facts.n) * self.deviations.repeatability
 
     def scanner_pose(self, at: Moments, moved: Moved) -> np.ndarray:

@@ -1,0 +1,136 @@
+"""A calibrated arm tried on another recording: of the same arm alone, at its known stations, with figures that noise alone explains."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import iiwa, measure, robot, scanner_cell
+from click.testing import CliRunner
+
+import mbcacq
+from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.transfer import check_transfer
+from mbcacq.cli.verify import command
+from mbcacq.errors import ConfigError
+from mbcacq.recording import write_observation_set
+
+NOISE, JOINT_NOISE = (0.005, 0.005, 0.009), 8e-6
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return scanner_cell(np.random.default_rng(17), stations=8, per_station=12, bars=3)
+
+
+@pytest.fixture(scope="module")
+def other(cell):
+    """The same poses again, under other numbers, with other noise."""
+    obs = measure(cell.observations, cell.truth, np.random.default_rng(18), NOISE, JOINT_NOISE)
+    return replace(obs, pose_id=obs.pose_id + 1000)
+
+
+@pytest.fixture(scope="module")
+def calibrated(cell):
+    return calibrate(cell.observations, CalibrationOptions(refuse=False))
+
+
+@pytest.fixture(scope="module")
+def result(calibrated, tmp_path_factory):
+    file = tmp_path_factory.mktemp("learnt") / "result.json"
+    file.write_text(calibrated.to_json(), encoding="utf-8")
+    return file
+
+
+def of_arm(obs, arm):
+    return replace(obs, cell=replace(obs.cell, robot=arm), cell_yaml="")
+
+
+def other_arms(obs):
+    arm = obs.cell.robot
+    longer = arm.chain.with_errors(np.eye(6, 5, -1) * 60.0 * np.array([0, 1, 0, 0, 0]))
+    return {
+        "of 'another arm' (6 axes)": replace(arm, name="another arm"),
+        "of 'test arm' (6 axes, other nominal links)": replace(arm, chain=longer),
+        "of 'test arm' (7 axes)": robot(iiwa()),
+    }
+
+
+@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("place", ["fitted", "known"])
+def test_a_result_of_another_arm_is_refused_and_both_arms_are_named(result, other, number, place, tmp_path):
+    described, arm = list(other_arms(other).items())[number]
+    obs = of_arm(other, arm)
+    if arm.n != obs.q.shape[1]:
+        obs = replace(obs, q=np.pad(obs.q, ((0, 0), (0, 1))))
+    write_observation_set(obs, tmp_path / "day")
+
+    done = CliRunner().invoke(command, [str(result), str(tmp_path / "day"), "--place", place])
+
+    assert isinstance(done.exception, ConfigError)
+    assert str(done.exception) == (
+        f"the result is of 'test arm' (6 axes), and {tmp_path / 'day'} is {described}; give what was learnt on the same arm"
+    )
+
+
+def test_sphere_spacing_is_not_verified_with_another_arm(calibrated, other):
+    for arm in list(other_arms(other).values())[:2]:
+        with pytest.raises(ConfigError, match="the result is of 'test arm'"):
+            mbcacq.verify(of_arm(other, arm), calibrated)
+
+
+def test_the_plan_that_is_simulated_is_of_the_arm_of_the_result(result):
+    with pytest.raises(ConfigError, match=r"the result is of 'test arm' \(6 axes\), and the plan is of 'KUKA KR 10"):
+        mbcacq.simulate("plans/kuka.yaml", result)
+
+
+def test_with_known_places_stations_that_the_result_lacks_are_left_out_and_named(calibrated, result, other):
+    bars = int(np.sum(other.phase == "verification"))
+
+    written, computed = (mbcacq.verify_elsewhere(other, one, place="known") for one in (result, calibrated))
+
+    assert written.poses == computed.poses == other.n_poses - bars
+    for found in (written, computed):
+        assert found.warnings == (
+            f"stations 9, 10, 11 have no known place in the calibrated cell and are left out, with {bars} of {other.n_poses} poses; "
+            "--place fitted judges them too",
+        )
+        assert found.with_effects.chi2_dof == pytest.approx(written.with_effects.chi2_dof)
+
+
+def test_one_station_is_left_out_in_the_singular(calibrated, other):
+    obs = other.select((other.phase != "verification") | (other.station == 8))
+
+    (sentence,) = check_transfer(obs, calibrated, place="known").warnings
+
+    assert sentence.startswith("station 9 has no known place in the calibrated cell and is left out, with 4 of")
+
+
+def test_without_any_known_station_nothing_can_be_judged(calibrated, other):
+    with pytest.raises(ConfigError, match=r"no station of the recording \(9, 10, 11\) has a known place .*; try it with --place fitted"):
+        check_transfer(other.select(other.phase == "verification"), calibrated, place="known")
+
+
+def test_another_recording_of_the_same_cell_is_predicted_within_its_noise(calibrated, other):
+    few = other.select(np.arange(other.n_poses) % 3 == 0)
+    for obs, place in ((other, "fitted"), (few, "fitted"), (other, "known")):
+        found = check_transfer(obs, calibrated, place=place)
+        # Of a few centres each station takes a large part: what was fitted there is no degree of freedom.
+        assert found.with_effects.chi2_dof == pytest.approx(1.0, abs=0.12), (obs.n_poses, place)
+
+
+def test_figures_are_said_once_where_there_are_no_effects_and_chi2_with_them(result, other, tmp_path):
+    write_observation_set(other, tmp_path / "day")
+
+    done, as_json = (CliRunner().invoke(command, [str(result), str(tmp_path / "day"), *more]) for more in ([], ["--json"]))
+
+    assert done.exit_code == 0, done.output
+    (found,) = json.loads(as_json.stdout)["transfers"]
+    learnt, own = found["geometry_alone"], found["own_geometry"]
+    assert found["with_effects"] == learnt
+    assert f": {learnt['rms_mm']:.4f} mm with the learnt geometry; {own['rms_mm']:.4f} mm with a geometry fitted there." in done.stdout
+    assert (
+        f"chi2 per degree of freedom, under the noise that was learnt: {learnt['chi2_dof']:.2f} with the learnt geometry; "
+        f"{own['chi2_dof']:.2f} with a geometry fitted there\n" in done.stdout
+    )
+    assert "effects" not in done.stdout
