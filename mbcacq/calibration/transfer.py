@@ -67,7 +67,8 @@ class NormalisedError:
 @dataclass(frozen=True)
 class Transfer:
     """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
-    recording itself leaves, the best that geometry alone can do there; None where it cannot be had. warnings: sentences.
+    recording itself leaves, the best that geometry alone can do there; None where it cannot be had. normalised_error: None with known
+    places, since a result does not hold how the errors of its arm and of its places go together. warnings: sentences.
     """
 
     place: str
@@ -77,7 +78,7 @@ class Transfer:
     with_effects: TransferFigures
     own_geometry: TransferFigures | None
     effects: tuple[EffectGain, ...]
-    normalised_error: NormalisedError
+    normalised_error: NormalisedError | None
     warnings: tuple[str, ...] = ()
     recording: str = ""
 
@@ -88,7 +89,7 @@ class Transfer:
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Transfer:
         """The transfer that ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
-        own = content["own_geometry"]
+        own, normalised = content["own_geometry"], content["normalised_error"]
         return cls(
             content["place"],
             content["poses"],
@@ -97,7 +98,7 @@ class Transfer:
             TransferFigures(**content["with_effects"]),
             None if own is None else TransferFigures(**own),
             tuple(EffectGain(**{**e, "where": tuple(e["where"])}) for e in content["effects"]),
-            NormalisedError(**content["normalised_error"]),
+            None if normalised is None else NormalisedError(**normalised),
             tuple(content["warnings"]),
             content["recording"],
         )
@@ -114,8 +115,8 @@ class Transfer:
             f"  {e.name} at {', '.join(e.where)}: without it {e.without_mm:.4f} mm ({e.gain:+.0%} of the geometry's mean square)"
             for e in self.effects
         ]
-        n = self.normalised_error
-        out.append(f"  error over stated uncertainty: {n.rms:.2f} rms, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
+        if n := self.normalised_error:
+            out.append(f"  error over stated uncertainty: {n.rms:.2f} rms, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
     def _compared(self, figure: str, digits: str, unit: str = "") -> str:
@@ -169,7 +170,7 @@ def check_transfer(
         whole,
         tried.own_geometry(used),
         tuple(sorted(gains, key=lambda e: -e.gain)),
-        normalised_error(best, cell, model, used),
+        normalised_error(best, cell, model, used) if place == "fitted" else None,
         (*left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording,
     )
@@ -296,10 +297,9 @@ def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, u
     index = [learnt[names[j]] for j in shared]
     own = [j for j, name in enumerate(names) if name.startswith("hand_eye.")]
     A = X[:, [*shared, *drawn]]
-    if fitted.options.hold == ():
-        station = np.repeat(some.station[some.pose], 3)
-        A, N = _without_stations(np.concatenate([A, X[:, own]], axis=1), X[:, -7:-1], station, A.shape[1])
-        A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
+    station = np.repeat(some.station[some.pose], 3)
+    A, N = _without_stations(np.concatenate([A, X[:, own]], axis=1), X[:, -7:-1], station, A.shape[1])
+    A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
     C = np.diag([0.0] * len(shared) + [variance[names[j]] for j in drawn])
     C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
     A = A.reshape(len(A) // 3, 3, len(C))  # of a hand-eye transform alone C is empty

@@ -68,7 +68,7 @@ def _evaluated(recording: FleetRecording, task: FleetTask, row: dict[str, Any]) 
         row |= {
             "transfer_rms_mm": transfer["with_effects"]["rms_mm"],
             "transfer_own_rms_mm": (transfer["own_geometry"] or {}).get("rms_mm"),
-            "transfer_normalised_error": transfer["normalised_error"]["rms"],
+            "transfer_normalised_error": (transfer["normalised_error"] or {}).get("rms"),
         }
     return content
 

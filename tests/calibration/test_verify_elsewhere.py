@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import mbcacq
 from mbcacq.calibration import CalibrationOptions, calibrate
-from mbcacq.calibration.transfer import check_transfer
+from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.cli.verify import command
 from mbcacq.errors import ConfigError
 from mbcacq.recording import write_observation_set
@@ -101,7 +101,10 @@ def test_with_known_places_stations_that_the_result_lacks_are_left_out_and_named
 def test_one_station_is_left_out_in_the_singular(calibrated, other):
     obs = other.select((other.phase != "verification") | (other.station == 8))
 
-    (sentence,) = check_transfer(obs, calibrated, place="known").warnings
+    tried = check_transfer(obs, calibrated, place="known")
+    assert tried.normalised_error is None  # the result does not hold how the errors of its arm and of its places go together
+    assert Transfer.from_dict(tried.to_dict()) == tried
+    (sentence,) = tried.warnings
 
     assert sentence.startswith("station 9 has no known place in the calibrated cell and is left out, with 4 of")
 
