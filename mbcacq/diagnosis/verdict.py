@@ -156,22 +156,16 @@ class Findings:
 
 def by_prediction(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> Findings:
     """What is reported of a long recording, whose evidence grows without limit: effects that predict data left out."""
-    # Groups that act at every location could do what parametric effects do: they are left out of the contributions then.
-    contributions = Contributions(full if full.cells else full.without_random_effects())
+    # Groups that act at every location could do what parametric effects do: they are left out of the contributions.
+    contributions = Contributions(full.without_random_effects())
     verdict, mismatch = verdict_of_long_recording(full), mismatch_table(full, contributions, before)
     geometry_alone, with_effects = proof.decisive
-    predictive = bool(predicts_better(with_effects, geometry_alone))
-    if not predictive and verdict != "none":  # effects that predict nothing are not reported; that something is there may be, if not weak
-        verdict = "unexplained"
-    if (with_effects if predictive else geometry_alone).chi2_dof > OPTIONS.noise_like_chi2:
-        verdict = {"explained": "partly_explained", "none": "unexplained"}.get(verdict, verdict)
-    if verdict == "unexplained" and not mismatch:
-        mismatch = mismatch_table(full, contributions, before, anything=True)
+    predictive = predicts_better(with_effects, geometry_alone)
     effects = []
     if predictive:
         effects = reportable(parametric_effects(full, contributions, proof), verdict) + unmodelled_effects(full, contributions, proof)
-    if verdict == "unexplained" and not effects:
-        effects = suspected_effect(mismatch)
+    elif verdict != "none":  # effects that predict nothing are not reported; that something is there is
+        verdict, effects = "unexplained", suspected_effect(mismatch)
     compared = with_other_locations(full.residual_tests, with_alternatives(full.evidence, effects))
     return Findings(verdict, mismatch, list(compared), predictive)
 
@@ -204,27 +198,14 @@ def verdict_of(full: ModelFit) -> str:
 
 
 def verdict_of_long_recording(full: ModelFit) -> str:
-    """The verdict on the data of the fit: parametric effects that are selected although unmodelled ones are there explain partly, if they
-    explain more than the unmodelled ones do.
+    """The verdict on the data of the fit: parametric effects, which were selected first, explain partly where they gain more than half of
+    what they and unmodelled effects at all locations gain together.
     """
-    structure = bool(full.random) or (full.residual_tests is not None and full.residual_tests.structure and not full.cells)
     if not full.model.effects:
-        return "unexplained" if structure else "none"
-    if not structure:
-        return "explained"
-    return "partly_explained" if _mostly_parametric(full) else "unexplained"
-
-
-def _mostly_parametric(full: ModelFit) -> bool:
-    contributions = Contributions(full)
+        return "unexplained" if full.random else "none"
     if not full.random:
-        assert full.residual_tests is not None, "without unmodelled effects only the residual tests can find structure"
-        rest = full.residual_tests.evidence.best()
-        return full.model.gain > max(rest.gain - rest.used, 0.0)
-    count = contributions.effects
-    if not full.cells:  # a long recording: groups act everywhere and could do what parametric effects do, which were selected first
-        return full.model.gain > 0.5 * contributions.total
-    return contributions.of(list(range(count))) > contributions.of(list(range(count, len(contributions.parts))))
+        return "explained"
+    return "partly_explained" if full.model.gain > 0.5 * Contributions(full).total else "unexplained"
 
 
 def confounded_pauses(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:

@@ -179,14 +179,11 @@ def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[
     return {f"{at}({on}).rms_mm": ParameterEstimate(size[at, on].value, size[at, on].std) for at, on in keys}
 
 
-def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore, anything: bool = False) -> list[MismatchEntry]:
-    """Where simulation and recording differ: each location and covariate with its share of the excess chi2, largest first.
-
-    anything: with the most suspicious locations even where none is significant.
-    """
+def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore) -> list[MismatchEntry]:
+    """Where simulation and recording differ: each location and covariate with its share of the excess chi2, largest first."""
     excess = max(before.chi2 - before.dof, full.model.gain, 1e-9)
     entries = [*_of_parametric(full, contributions), *_of_groups(full, contributions)]
-    if not full.cells and full.residual_tests is not None and (full.residual_tests.structure or anything):
+    if full.residual_tests is not None and full.residual_tests.structure:
         # Neighbouring locations explain each other's mismatch: the most significant one carries the largest share.
         suspects = full.residual_tests.significant_cells[:MOST_LOCATIONS]
         scale = full.geometry_only.linear.keep.sum() / max(full.residual_tests.centres, 1)
