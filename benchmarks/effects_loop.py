@@ -21,12 +21,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import mbcacq
-from mbcacq.calibration.transfer import check_transfer
+from mbcacq.calibration.transfer import TransferFigures, check_transfer
 from mbcacq.calibration.verification import verification_poses
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.exports import clouds
 from mbcacq.exports.scan_correction import place_scan
+from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 from mbcacq.plan import expand
 from mbcacq.recording.rrd.scan_export import write_scans
@@ -41,16 +42,17 @@ HIDDEN = [
 
 
 def recorded(plan: Path, seed: int, folder: Path | None, shifted: bool = False, hidden: list[dict] = HIDDEN) -> Observations:
-    """One run of the concealed cell, through its servers into a folder or by arrays; shifted: at other joint angles, up to 3 deg away."""
+    """One run of the concealed cell, through its servers into a folder or by arrays; shifted: at other joint angles, up to 3 deg away, with
+    other noise."""
     loaded = mbcacq.load_plan(plan)
-    poses = expand(loaded)
+    poses, noise_seed = expand(loaded), seed + 1000 if shifted else None
     if shifted:
         rng = np.random.default_rng(seed + 1000)
         poses = [replace(p, q=np.clip(p.q + rng.uniform(-0.05, 0.05, len(p.q)), *loaded.cell.robot.limits.T)) for p in poses]
     scenario = Scenario(seed, "two", seed, tuple(h["name"] for h in hidden), seed, 1.0)
     if folder is None:
-        return simulated_cells.observe(loaded, poses, scenario, hidden)[0]
-    return simulated_cells.run(loaded, poses, scenario, hidden, folder)[0]
+        return simulated_cells.observe(loaded, poses, scenario, hidden, noise_seed=noise_seed)[0]
+    return simulated_cells.run(loaded, poses, scenario, hidden, folder, noise_seed)[0]
 
 
 def spacing_of_scans(run: Path, bars: Observations, cell: mbcacq.Calibration, folder: Path) -> float:
@@ -87,14 +89,14 @@ def study(plan: Path, seed: int, protocols: bool) -> list[str]:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         run = folder / "run" if protocols else None
-        first, second = recorded(plan, seed, run), recorded(plan, seed, None, shifted=True)
+        first, second = recorded(plan, seed, run), recorded(plan, seed, folder / "second" if protocols else None, shifted=True)
         fit = first.select(first.phase != "verification")
         options = mbcacq.CalibrationOptions(refuse=False)
         alone = mbcacq.calibrate(first, options)
         found = mbcacq.diagnose(fit, workers=1)
         names = "; ".join(f"{e.name} {'+'.join(e.where)}" for e in found.effects) or "none"
         if found.model is None:
-            return [str(seed), names, *[""] * 10]
+            return [str(seed), names, *[""] * 11]
         cell = mbcacq.calibrate(first, options, effects=found)
         bars = verification_poses(first)
         spacing = [float(np.abs(mbcacq.verify(bars, c).errors("after")).mean()) for c in (alone, cell)]
@@ -103,9 +105,7 @@ def study(plan: Path, seed: int, protocols: bool) -> list[str]:
             scans = [f"{spacing_of_scans(run, bars, c, folder):.4f}" for c in (alone, cell)]
         expected = mbcacq.verify(bars, cell).to_dict() or {}
         noise = by_noise_alone(plan, seed, folder / "noise" if protocols else None, options)
-        other = second.select(second.phase != "verification")
-        other = replace(other, pose_id=other.pose_id + 10_000)
-        known = check_transfer(other, cell, alone.state.chain, place="known")
+        geometry, with_effects = predicted(second, cell, alone.state.chain)
     return [
         str(seed),
         names,
@@ -113,26 +113,38 @@ def study(plan: Path, seed: int, protocols: bool) -> list[str]:
         f"{spacing[1]:.4f}",
         *scans,
         f"{expected.get('expected_mean_mm', float('nan')):.4f}",
-        *noise,
-        f"{known.geometry_alone.rms_mm:.4f}",
-        f"{known.with_effects.rms_mm:.4f}",
-        f"{known.with_effects.chi2_dof:.2f}",
+        *noise[:2],
+        f"{geometry.rms_mm:.4f}",
+        f"{with_effects.rms_mm:.4f}",
+        f"{with_effects.chi2_dof:.2f}",
+        noise[2],
     ]
 
 
 def by_noise_alone(plan: Path, seed: int, folder: Path | None, options: mbcacq.CalibrationOptions) -> list[str]:
-    """What noise leaves of the bar in a run that conceals nothing, calibrated as geometry: from centres, and from clouds."""
+    """What noise leaves where nothing is concealed and geometry is calibrated: of the bar, from centres and from clouds; and chi2 per
+    degree of freedom of a second run, which the uncertainty of the calibration is in as well.
+    """
     calm = recorded(plan, seed, folder, hidden=[])
     cell = mbcacq.calibrate(calm, options)
     bars = verification_poses(calm)
     centres = float(np.abs(mbcacq.verify(bars, cell).errors("after")).mean())
     scans = "" if folder is None else f"{spacing_of_scans(folder, bars, cell, folder / 'scans'):.4f}"
-    return [f"{centres:.4f}", scans]
+    second = recorded(plan, seed, None if folder is None else folder / "second", shifted=True, hidden=[])
+    return [f"{centres:.4f}", scans, f"{predicted(second, cell, cell.state.chain)[1].chi2_dof:.2f}"]
+
+
+def predicted(second: Observations, cell: mbcacq.Calibration, alone: Chain) -> tuple[TransferFigures, TransferFigures]:
+    """What a calibrated cell leaves of a second run with nothing fitted: by the geometry ``alone``, and with its effects."""
+    other = second.select(second.phase != "verification")
+    known = check_transfer(replace(other, pose_id=other.pose_id + 10_000), cell, alone, place="known")
+    return known.geometry_alone, known.with_effects
 
 
 HEADER = (
     "| seed | found | bar, geometry mm | with effects mm | clouds applied, geometry mm | with effects mm | expected mm | "
-    "nothing concealed: bar mm | clouds applied mm | 2nd run, geometry mm | with effects mm | chi2/dof |"
+    "nothing concealed: bar mm | clouds applied mm | 2nd run, geometry mm | with effects mm | chi2/dof | "
+    "nothing concealed: chi2/dof |"
 )
 
 
@@ -143,7 +155,7 @@ def main() -> None:
     parser.add_argument("--protocols", action="store_true")
     parser.add_argument("--write", action="store_true", help="put the table into benchmarks/effects_loop.md")
     given = parser.parse_args()
-    rows = [HEADER, "|---" * 12 + "|"]
+    rows = [HEADER, "|---" * 13 + "|"]
     print(*rows, sep="\n", flush=True)
     for seed in range(1, given.seeds + 1):
         rows.append("| " + " | ".join(study(given.plan, seed, given.protocols)) + " |")

@@ -18,12 +18,19 @@ Injected = list[dict[str, Any]]
 
 
 def observe(
-    loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected, climate: Mapping[str, float] | None = None
+    loaded: LoadedPlan,
+    poses: Sequence[PlannedPose],
+    scenario: Scenario,
+    injected: Injected,
+    climate: Mapping[str, float] | None = None,
+    noise_seed: int | None = None,
 ) -> tuple[Observations, dict[str, Any]]:
-    """What the run would record, as observations, and the truth. injected, climate: as ``hidden`` and ``climate`` of a plan's ``fake``."""
+    """What the run would record, as observations, and the truth. injected, climate, noise_seed: as ``hidden`` and the like of a plan's
+    ``fake``.
+    """
     from mbcacq.workflow.acquire import solver_cell
 
-    fake = {"climate": dict(climate)} if climate else {}
+    fake = {"climate": dict(climate or {}), "noise_seed": noise_seed}
     recorded = load_driver("fakes", "recorded")(loaded.cell, poses, injected, scenario.seed, outliers=scenario.outliers, fake=fake)
     observations = Observations(
         cell=solver_cell(loaded),
@@ -42,7 +49,7 @@ def observe(
 
 
 def run(
-    loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected, folder: Path
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], scenario: Scenario, injected: Injected, folder: Path, noise_seed: int | None = None
 ) -> tuple[Observations, dict[str, Any]]:
     """The plan executed against the fake cell's servers, in lock-step, recorded into ``folder`` and read back; and the truth."""
     from mbcacq.plan import path
@@ -50,7 +57,9 @@ def run(
     from mbcacq.recording import load_observations
     from mbcacq.workflow.acquire import Acquisition
 
-    secret = replace(loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": injected}}))
+    secret = replace(
+        loaded, plan=loaded.plan.model_copy(update={"fake": {**loaded.plan.fake, "hidden": injected, "noise_seed": noise_seed}})
+    )
     folder.mkdir(parents=True, exist_ok=True)
     with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=scenario.seed) as cell:
         Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder, simulated=True).execute(cell.overrides())
