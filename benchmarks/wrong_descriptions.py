@@ -8,7 +8,7 @@ named when the first change offered, or one said to fit as well, undoes it; a re
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -101,7 +101,9 @@ CASES: tuple[tuple[str, str, Mistake, str], ...] = (
 
 
 def main() -> None:
-    folder = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, help="folder of the measured recordings")
+    folder = parser.parse_args().data
     recordings = {name: load_observations(folder / name) for name in (FIRST, SECOND, THIRD)}
     print("# Wrong descriptions\n\n    python benchmarks/wrong_descriptions.py ../shared/data > benchmarks/wrong_descriptions.md\n")
     print("| recording | mistake | found | named | s |\n|---|---|---|---|--:|")
