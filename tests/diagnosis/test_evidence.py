@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
-from scipy.integrate import quad
-from scipy.stats import norm
+from scipy.integrate import dblquad, quad
+from scipy.stats import multivariate_normal, norm
 
 from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
@@ -56,6 +56,32 @@ def test_independent_effects_multiply_their_evidence():
     together, _ = log_set_bayes_factor(A, a, [slice(0, 1), slice(1, 2)], [SIZES, SIZES], [False, False])
     each = [log_bayes_factors(A[None, j : j + 1, j : j + 1], a[None, j : j + 1], SIZES)[0] for j in (0, 1)]
     assert together == pytest.approx(sum(each))
+
+
+def test_the_evidence_of_effects_that_share_data_is_the_density_of_the_data():
+    """With coefficients integrated out, residuals are normal with X S X' + I: by the density itself, for effects of one to three columns."""
+    rng = np.random.default_rng(6)
+    X, sizes = rng.normal(size=(9, 6)), [0.7, 2.0, 0.3]
+    r = rng.normal(size=9) + X @ rng.normal(size=6)
+    slices = [slice(0, 2), slice(2, 3), slice(3, 6)]
+    sigma = np.repeat(sizes, [2, 1, 3])
+    found, _ = log_set_bayes_factor(X.T @ X, X.T @ r, slices, [np.array([s]) for s in sizes], [False] * 3)
+    there, nothing = (multivariate_normal(cov=cov).logpdf(r) for cov in (np.eye(9) + (X * sigma**2) @ X.T, np.eye(9)))
+    assert found == pytest.approx(there - nothing)
+
+
+@pytest.mark.parametrize("bounded", [0, 1])
+def test_an_effect_of_known_sign_beside_another_is_integrated_over_one_half(bounded):
+    A, a, sizes = np.array([[4.0, 1.5], [1.5, 3.0]]), np.array([1.0, -2.0]), [0.7, 2.0]
+
+    def density(y, x):
+        c = np.array([x, y])
+        return 2 * np.prod(norm.pdf(c, 0, sizes)) * np.exp(a @ c - 0.5 * c @ A @ c)
+
+    low = [0.0 if j == bounded else -12.0 for j in (0, 1)]
+    value, _ = dblquad(density, low[0], 12.0, low[1], 12.0)
+    found, _ = log_set_bayes_factor(A, a, [slice(0, 1), slice(1, 2)], [np.array([s]) for s in sizes], [bounded == 0, bounded == 1])
+    assert found == pytest.approx(np.log(value), abs=1e-6)
 
 
 def beside_geometry(linear, columns):
