@@ -347,7 +347,7 @@ def page(found, match, cost, peer, others, cost_of_peer=None) -> str:
 def conclusion(errors: float, times: float) -> str:
     """In words; errors, times: of this program over those of the peer."""
     accuracy = "Both are equally accurate" if abs(errors - 1) < 0.01 else f"This program leaves {errors:.2g} times the mean square"
-    return f"{accuracy}. This program is not told which parameters to fit, and takes {times:.2g} times the processor time of the peer."
+    return f"{accuracy}. This program finds by itself which parameters to fit, and takes {times:.2g} times the processor time of the peer."
 
 
 def excess(errors) -> float:
