@@ -12,7 +12,6 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis, undecided
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.result import TOGETHER, Alternative, EffectFound, NotSeparable
@@ -28,16 +27,16 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     if not fit.significant:
         return "none"
     reported = reported_hypothesis(fit)
-    if alternatives_to(fit, reported):
+    others = alternatives_to(fit, reported)
+    if full.everywhere:  # then the location of the unmodelled effect is only the one where most is left
+        others = [other for other in others if named_labels(other) != named_labels(reported)]
+    if others:
         return "cannot_tell"
     if not full.random:
         return "explained"
     contributions = Contributions(full)
-    count = contributions.effects
-    if not count:
-        return "unexplained"
-    named, rest = list(range(count)), list(range(count, len(contributions.parts)))
-    return "partly_explained" if contributions.of(named) > contributions.of(rest) else "unexplained"
+    rest = contributions.of(contributions.unmodelled)
+    return "partly_explained" if full.model.gain > rest else "unexplained"
 
 
 def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[EffectFound, ...]:
@@ -56,18 +55,8 @@ def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple
     return tuple(out)
 
 
-def with_other_locations(tests: ResidualTests | None, effects: Sequence[EffectFound]) -> tuple[EffectFound, ...]:
-    """The effects of a long recording, the unmodelled one with the strongest other locations of what the named effects leave."""
-    logs = dict(tests.evidence.locations) if tests is not None else {}
-    out = []
-    for effect in effects:
-        if effect.name == UNMODELLED and effect.where[0] in logs:
-            own = logs[effect.where[0]]
-            others = sorted((at for at in logs if at not in effect.where), key=lambda at: -logs[at])[:MOST_ALTERNATIVES]
-            odds = (float(np.exp(min(logs[at] - own, 0.0))) for at in others)
-            effect = replace(effect, alternatives=tuple(Alternative(UNMODELLED, (at,), 0.0, o) for at, o in zip(others, odds, strict=True)))
-        out.append(effect)
-    return tuple(out)
+def named_labels(hypothesis: Hypothesis) -> set[str]:
+    return {m.label for m in hypothesis.catalogued}
 
 
 def alternative(label: str, odds: float) -> Alternative:

@@ -9,7 +9,6 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.nonparametric.evidence_map import MapCell
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
-from mbcacq.diagnosis.nonparametric.residual_tests import ResidualTests
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.estimation.options import Noise
@@ -19,11 +18,10 @@ from mbcacq.estimation.options import Noise
 class ModelFit:
     """What one pass has found.
 
-    model: parametric effects. random: random effects, their priors known. cells: where the evidence map put them; empty where they stand
-    at all locations. noise: estimated with both in place. geometry_only, conditioned: the projected problem under that noise, with
-    geometry alone and conditioned on the parametric effects. evidence: the hypotheses that were compared, of a long recording on a part
-    of it. residual_tests: of what parametric effects leave, of a long recording. estimated: the random effects with the coefficients that
-    the evidence gives them, of a short one.
+    model: parametric effects. random: random effects, their priors known. cells: where the evidence put unmodelled effects. noise:
+    estimated with both in place. geometry_only, conditioned: the projected problem under that noise, with geometry alone and conditioned
+    on the parametric effects. evidence: the hypotheses that were compared, of a long recording on a part of it. estimated: the random
+    effects with the coefficients that the evidence gives them; None where they stand at all locations.
     """
 
     model: EffectSet
@@ -33,7 +31,6 @@ class ModelFit:
     geometry_only: CandidateScoring
     conditioned: CandidateScoring
     evidence: EvidenceFit
-    residual_tests: ResidualTests | None = None
     estimated: RandomEffectsModel | None = None
 
     @cached_property
@@ -45,6 +42,11 @@ class ModelFit:
     def random_effects(self) -> RandomEffectsModel | None:
         """The random effects with their coefficients; None where there are none."""
         return self.estimated or (self.joint.random_effects if self.random else None)
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether there are random effects at all locations, which could do what parametric effects do."""
+        return bool(self.random) and self.estimated is None
 
     def without_random_effects(self) -> ModelFit:
         return replace(self, random=(), estimated=None)

@@ -6,9 +6,8 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, first_order
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, first_order
 from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
-from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.evidence.unmodelled import cell_of
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.evidence_map import MapCell
@@ -19,12 +18,14 @@ from mbcacq.diagnosis.search import payload_coupling
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects.pose import payload
+from mbcacq.estimation.linear_problem import LinearProblem
 
 
-def model_of(problem: DiagnosisProblem, fit: EvidenceFit) -> ModelFit:
-    """Parametric effects with their coefficients, unmodelled ones as random effects, and the noise with both in place."""
-    best = reported_hypothesis(fit)
-    projected = CandidateScoring.of(fit.linear, best.point.noise)
+def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, linear: LinearProblem) -> ModelFit:
+    """Parametric effects with their coefficients, unmodelled ones as random effects, and the noise with both in place. best: the set that
+    is reported; linear: its linearisation, without discrepancy.
+    """
+    projected = CandidateScoring.of(linear, best.point.noise)
     found = coefficients(best)
     chosen = [j for j, m in enumerate(best.members) if m in best.catalogued]
     index = np.concatenate([np.zeros(0, int), *(np.arange(found.slices[j].start, found.slices[j].stop) for j in chosen)])
@@ -34,10 +35,9 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit) -> ModelFit:
         model = payload_coupling.coupled(problem.candidates, problem.context, projected, model)
     conditioned = conditioned_on_effects(projected, model)
     model = EffectSet(model.effects, projected.chi2 - conditioned.chi2, model.coefficients, model.covariance)
-    cells = tuple(cell_at(best, m) for m in best.unmodelled)
     estimated = random_effects(best)
     groups = estimated.groups if estimated else ()
-    return ModelFit(model, groups, cells, best.point.noise, projected, conditioned, fit, estimated=estimated)
+    return ModelFit(model, groups, cells_of(best), best.point.noise, projected, conditioned, fit, estimated=estimated)
 
 
 def random_effects(best: Hypothesis) -> RandomEffectsModel | None:
@@ -59,8 +59,10 @@ def random_effects(best: Hypothesis) -> RandomEffectsModel | None:
     return RandomEffectsModel(groups, values, used, covariance)
 
 
-def cell_at(best: Hypothesis, member: Member) -> MapCell:
-    """The unmodelled effect as a cell of the evidence map, with the evidence that the hypothesis loses without it."""
-    rest = tuple(m for m in best.members if m is not member)
-    lost = best.log_evidence - first_order(rest, best.point, 0.0).log_evidence
-    return cell_of(member, lost)
+def cells_of(best: Hypothesis) -> tuple[MapCell, ...]:
+    """The unmodelled effects as cells of the evidence map, each with the evidence that the hypothesis loses without it."""
+    cells = []
+    for member in best.unmodelled:
+        rest = tuple(m for m in best.members if m is not member)
+        cells.append(cell_of(member, best.log_evidence - first_order(rest, best.point, 0.0).log_evidence))
+    return tuple(cells)

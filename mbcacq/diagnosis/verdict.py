@@ -9,14 +9,14 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
-from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_alternatives, with_other_locations
+from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_alternatives
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output import interruptions, next_measurements
 from mbcacq.diagnosis.output.aliased_orders import aliased
 from mbcacq.diagnosis.output.between_recordings import between_recordings
 from mbcacq.diagnosis.output.contributions import Contributions
-from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, suspected_effect, unmodelled_effects
+from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, unmodelled_effects
 from mbcacq.diagnosis.output.exclusion_limits import LimitedEffect, exclusion_limits, limited_effects
 from mbcacq.diagnosis.output.kept_model import kept_model, partly_covered
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
@@ -29,17 +29,12 @@ from mbcacq.diagnosis.output.sufficient_poses import MOST_POSES, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Advice, Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
-from mbcacq.diagnosis.search.solution import solved
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
-from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, predicts_better, training_score
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.pose import gear_transmission_error, warm_up
 from mbcacq.estimation.variance_components import first_noise
-
-# Share of the held-out excess that a parametric effect must remove to be reported although an unmodelled effect is there: where the
-# unmodelled one is the larger of the two, and where it is the smaller.
-LEAST = {"unexplained": 0.05, "partly_explained": 0.005}
 
 
 @dataclass(frozen=True)
@@ -58,11 +53,8 @@ class JudgedFit:
 
 def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> JudgedFit:
     """What is reported of a fit whose cross-validation is ``proof``."""
-    if proof.not_predictive:
-        kept = full.model.without(proof.not_predictive)
-        full = replace(full, model=solved(full.geometry_only, kept.effects))
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
-    findings = by_evidence(full, full.evidence, proof, before) if full.residual_tests is None else by_prediction(full, proof, before)
+    findings = by_evidence(full, full.evidence, proof, before)
     return JudgedFit(full, proof, before, residual, findings, kept_model(setup, full, findings.effects) or None)
 
 
@@ -70,8 +62,6 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
     """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found."""
     full, proof, before, judged = fit.full, fit.proof, fit.before, fit.findings
     after, residual_after = training_score(full.joint)
-    if not judged.predictive:
-        after, proof = before, replace(proof, after=proof.before)
     advice = next_measurements.separating(setup.context, judged.pairs)
     there = next_measurements.elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
@@ -139,40 +129,18 @@ def by_evidence(full: ModelFit, fit: EvidenceFit, proof: CrossValidation, before
     effects = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     mismatch = mismatch_table(full, contributions, before)
-    return Findings(verdict_by_evidence(full, fit), mismatch, list(with_alternatives(fit, effects)), True, not_separable, pairs)
+    return Findings(verdict_by_evidence(full, fit), mismatch, list(with_alternatives(fit, effects)), not_separable, pairs)
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What is reported of a fit. predictive: whether the model predicts held-out data better than the geometry alone does."""
+    """What is reported of a fit."""
 
     verdict: str
     mismatch: list[MismatchEntry]
     effects: list[EffectFound]
-    predictive: bool
     not_separable: tuple[NotSeparable, ...] = ()
     pairs: tuple[tuple[SizedEffect, SizedEffect], ...] = ()
-
-
-def by_prediction(full: ModelFit, proof: CrossValidation, before: PredictiveScore) -> Findings:
-    """What is reported of a long recording, whose evidence grows without limit: effects that predict data left out."""
-    # Groups that act at every location could do what parametric effects do: they are left out of the contributions.
-    contributions = Contributions(full.without_random_effects())
-    verdict, mismatch = verdict_of_long_recording(full), mismatch_table(full, contributions, before)
-    geometry_alone, with_effects = proof.decisive
-    predictive = predicts_better(with_effects, geometry_alone)
-    effects = []
-    if predictive:
-        effects = reportable(parametric_effects(full, contributions, proof), verdict) + unmodelled_effects(full, contributions, proof)
-    elif verdict != "none":  # effects that predict nothing are not reported; that something is there is
-        verdict, effects = "unexplained", suspected_effect(mismatch)
-    compared = with_other_locations(full.residual_tests, with_alternatives(full.evidence, effects))
-    return Findings(verdict, mismatch, list(compared), predictive)
-
-
-def reportable(effects: list[EffectFound], verdict: str) -> list[EffectFound]:
-    """The parametric effects without those that remove next to nothing of a mismatch that is not explained."""
-    return [e for e in effects if e.held_out_gain >= LEAST.get(verdict, -np.inf)]
 
 
 def _absorbed(missed: Unobservable) -> NotSeparable:
@@ -194,18 +162,7 @@ def expected_rms(full: ModelFit, fallback: float) -> float:
 
 def verdict_of(full: ModelFit) -> str:
     """The verdict on the data of the fit."""
-    return verdict_by_evidence(full, full.evidence) if full.residual_tests is None else verdict_of_long_recording(full)
-
-
-def verdict_of_long_recording(full: ModelFit) -> str:
-    """The verdict on the data of the fit: parametric effects, which were selected first, explain partly where they gain more than half of
-    what they and unmodelled effects at all locations gain together.
-    """
-    if not full.model.effects:
-        return "unexplained" if full.random else "none"
-    if not full.random:
-        return "explained"
-    return "partly_explained" if full.model.gain > 0.5 * Contributions(full).total else "unexplained"
+    return verdict_by_evidence(full, full.evidence)
 
 
 def confounded_pauses(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
@@ -261,7 +218,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
 
 def not_carried_over(verdict: str, proof: CrossValidation) -> list[str]:
     """A sentence where a recording is explained and yet what is learnt from a part of it does not predict the rest down to noise."""
-    left_out = proof.decisive[1]
+    left_out = proof.after
     if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noise_like_chi2:
         return []
     part = "a place" if proof.split == "station" else "a part of the poses"

@@ -37,16 +37,18 @@ MOST_ROUNDS = 12  # of the estimation of the noise without any effect
 class EvidenceSearch:
     """The candidates of a recording, and every hypothesis that was estimated, by the keys of its effects.
 
-    alternatives: whether sets with another effect in the place of one of the best set's are compared as well.
+    alternatives: whether sets with another effect in the place of one of the best set's are compared as well. narrow: one set is followed
+    instead of a beam. staged: elastic joints first, since every arm has them and what they explain is not to be given to slow periodic
+    errors, then the catalogue, and an unmodelled effect at last, which in a recording of very many poses there always is.
     """
 
     candidates: list[Candidate]
-    unmodelled: UnmodelledEffects | None
+    unmodelled: UnmodelledEffects
     prior: SetPrior
-    context: Context | None = None
-    beam: int = OPTIONS.beam
-    estimated: int = OPTIONS.estimated
-    alternatives: bool = True
+    context: Context
+    alternatives: bool = False
+    narrow: bool = False
+    staged: bool = False
     known: dict[tuple, Hypothesis] = field(default_factory=dict)
 
     def run(self, start: NoisePoint, begin: Hypothesis | None = None) -> list[Hypothesis]:
@@ -54,19 +56,20 @@ class EvidenceSearch:
 
         begin: a set, of another linearisation, from which the search goes on.
         """
-        none = estimated((), start, 0.0, MOST_ROUNDS)
-        self.known = {none.key: none}
-        best, beam = none, [none]
+        best = estimated((), start, 0.0, MOST_ROUNDS)
+        self.known = {best.key: best}
         if begin is not None and begin.members:
             best = estimated(begin.members, replace(start, theta=begin.point.theta), self.log_prior(begin.members))
             self.known[best.key] = best
             best = self.relieved(best)
-            beam = [best]
-        while len(beam[0].members) < OPTIONS.most_effects:
-            beam = self.grown(beam)
-            if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
-                break
-            best = beam[0] = self.enriched(self.relieved(self.polished(beam[0])))
+        if self.staged:
+            self.climbed(best, [c for c in self.candidates if c.name == joint_compliance.NAME])
+            best = self.climbed(self.ranked()[0], self.candidates)
+            if self.alternatives:
+                self.exchange(best)
+            self.extend_by_unmodelled(best)
+            return self.ranked()
+        best = self.climbed(best, self.candidates)
         for _ in range(EXCHANGES if self.alternatives else 0):
             self.exchange(best)
             if self.ranked()[0].key == best.key:
@@ -74,34 +77,56 @@ class EvidenceSearch:
             best = self.ranked()[0]  # what stands in for an effect of it is asked as well
         return self.ranked()
 
+    def climbed(self, best: Hypothesis, candidates: list[Candidate]) -> Hypothesis:
+        """The most probable set that is reached from one by further effects."""
+        beam = [best]
+        while len(beam[0].members) < OPTIONS.most_effects:
+            beam = self.grown(beam, candidates)
+            if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
+                break
+            best = beam[0] = self.enriched(self.relieved(self.polished(beam[0])))
+        return best
+
+    def extend_by_unmodelled(self, best: Hypothesis) -> None:
+        """The set with an unmodelled effect at each of the most probable locations."""
+        for _, member in self.unmodelled.evidence(best.conditioned):
+            members = (*best.members, member)
+            self.known[key_of(members)] = first_order(members, best.point, self.log_prior(members))
+
     def ranked(self) -> list[Hypothesis]:
         return sorted(self.known.values(), key=lambda h: -h.log_posterior)
 
-    def grown(self, beam: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def grown(self, beam: Sequence[Hypothesis], candidates: list[Candidate]) -> list[Hypothesis]:
         """The most probable sets with one effect more, best first.
 
         Sets are proposed under the noise of the best one of the beam; those that may matter get a noise of their own.
         """
         point, proposed = beam[0].point, list[tuple[float, tuple[Member, ...]]]()
+        width, most = (1, 2) if self.narrow else (OPTIONS.beam, OPTIONS.estimated)
         least = max(h.log_posterior for h in self.known.values()) - OPTIONS.reach
         for node in beam:
             there = under(point, node.members, node.log_prior)
-            further = self.extensions(there, least - there.log_posterior)
+            further = self.extensions(there, candidates, least - there.log_posterior)
             proposed += [(there.log_posterior + log, (*node.members, member)) for log, member in further]
         new: dict[tuple, Hypothesis] = {}
         for log, members in sorted(proposed, key=lambda one: -one[0]):
             key = key_of(members)
-            if log > least and key not in new and len(new) < self.estimated:
+            if log > least and key not in new and len(new) < most:
                 new[key] = self.known.get(key) or estimated(members, point, self.log_prior(members))
         self.known.update(new)
-        ranked = sorted(new.values(), key=lambda h: -h.log_posterior)[: self.beam]
+        ranked = sorted(new.values(), key=lambda h: -h.log_posterior)[:width]
         return [h for h in ranked if h.log_posterior > ranked[0].log_posterior - OPTIONS.reach]
 
     def log_prior(self, members: Sequence[Member]) -> float:
         return self.prior.log_probability_of_set([m.candidate for m in members])
 
     def extensions(
-        self, node: Hypothesis, least: float = -np.inf, catalogued: int = OPTIONS.compared, unmodelled: int = OPTIONS.compared
+        self,
+        node: Hypothesis,
+        candidates: list[Candidate],
+        least: float = -np.inf,
+        catalogued: int = OPTIONS.compared,
+        unmodelled: int = OPTIONS.compared,
     ) -> list[tuple[float, Member]]:
         """The candidates that are most probable beyond a set, and their log posterior odds: at most so many of the catalogue, and
         unmodelled ones. least: log posterior odds below which an effect does not matter.
@@ -109,21 +134,21 @@ class EvidenceSearch:
         present = [m.candidate for m in node.members]
         possible = [
             self.weighted(scored, present)
-            for scored in evidence_of_candidates(node.conditioned, self.candidates)
+            for scored in evidence_of_candidates(node.conditioned, candidates)
             if self.allowed(scored.candidate, present)
         ]
         for candidate in self.dependent(node):
             if not any(c.name == candidate.name for c in present):
                 possible.append(self.weighted(evidence_of_one(node.conditioned, candidate), present))
         others: list[tuple[float, Member]] = []
-        if self.unmodelled is not None:
+        if not self.staged:
             found = self.unmodelled.evidence(node.conditioned, least)
             others = [(log + self.prior.log_probability(m.candidate, present), m) for log, m in found]
         return sorted(possible, key=lambda one: -one[0])[:catalogued] + others[:unmodelled]
 
     def dependent(self, node: Hypothesis) -> list[Candidate]:
         """Candidates that depend on the coefficients of a set: a wrong payload shows through elastic joints."""
-        if self.context is None or not any(m.candidate.name == "joint_compliance" for m in node.members):
+        if not any(m.candidate.name == "joint_compliance" for m in node.members):
             return []
         found = coefficients(node)
         elastic = {
@@ -164,7 +189,7 @@ class EvidenceSearch:
         beforehand than to say that the payload is wrong.
         """
         rest = tuple(m for m in best.members if m.candidate.name != payload.NAME)
-        if self.context is None or len(rest) == len(best.members):
+        if len(rest) == len(best.members):
             return best
         loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(self.context)}
         elastic = [c for c in self.candidates if c.name == joint_compliance.NAME and c.where in loaded]
@@ -188,7 +213,7 @@ class EvidenceSearch:
         """
         last = best.members[-1]
         there = log_e_value(self.ranked()) > log_e_value_at_false_alarm_rate(best.point.linear.obs.n_poses)
-        if self.unmodelled is None or last.candidate.name != UNMODELLED or not there:
+        if last.candidate.name != UNMODELLED or not there:
             return best
         rest = tuple(m for m in best.members if m.label != last.label)
         if any(m.candidate.name == UNMODELLED for m in rest):
@@ -206,7 +231,7 @@ class EvidenceSearch:
         for rest in without_each(best.members):
             node = first_order(rest, best.point, self.log_prior(rest))
             self.known.setdefault(node.key, node)
-            for _, member in self.extensions(node, -np.inf, OPTIONS.alternatives, OPTIONS.unmodelled_alternatives):
+            for _, member in self.extensions(node, self.candidates, -np.inf, OPTIONS.alternatives, OPTIONS.unmodelled_alternatives):
                 members = (*rest, member)
                 if key_of(members) not in self.known:
                     other = first_order(members, best.point, self.log_prior(members))

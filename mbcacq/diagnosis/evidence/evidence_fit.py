@@ -23,7 +23,6 @@ from mbcacq.estimation.variance_components import pack
 class EvidenceFit:
     """hypotheses: all that were compared, most probable first, the empty set (``none``) among them. linear: the linearisation of the best
     one, without discrepancy. log_e_value: of all effects together against none; above ``least`` there is an effect.
-    found: the set that the search ended with, where only its alternatives were compared afterwards; it stays the best one.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -31,7 +30,6 @@ class EvidenceFit:
     linear: LinearProblem
     log_e_value: float
     least: float
-    found: Hypothesis | None = None
 
     @property
     def significant(self) -> bool:
@@ -40,42 +38,14 @@ class EvidenceFit:
     @property
     def best(self) -> Hypothesis:
         """The most probable set where there is an effect at all, else the empty one."""
-        return (self.found or next(h for h in self.hypotheses if h.members)) if self.significant else self.none
+        return next(h for h in self.hypotheses if h.members) if self.significant else self.none
 
 
-def fit_evidence(
-    problem: DiagnosisProblem,
-    keep: np.ndarray | None = None,
-    unmodelled: bool = True,
-    begin: Hypothesis | None = None,
-    alternatives: bool = False,
-) -> EvidenceFit:
-    """The hypotheses of a recording. keep: (M,) bool of the centres to be used as they are; without it, outliers are judged. unmodelled:
-    whether unmodelled effects are candidates. begin: a set from which the search goes on. alternatives: whether it is asked what else each
-    effect of the set so found could be; where outliers are judged it always is.
-    """
-    linear = problem.linear if keep is None else problem.linear.restricted(keep)
-    prior = problem.prior_noise
-    blocks = UnmodelledEffects(problem.design_blocks) if unmodelled else None
-    effects = SetPrior.of(problem.candidates, blocks.locations if blocks else 1)
-
-    least = log_e_value_at_false_alarm_rate(linear.obs.n_poses)
-    effort = (OPTIONS.beam, OPTIONS.estimated) if keep is None else (1, 2)
-
-    def searched(linear: LinearProblem, none: np.ndarray, from_set: Hypothesis | None = None) -> EvidenceFit:
-        """none: a noise, to begin with, of the empty set. What else each effect could be is asked about the last linearisation only."""
-        search = EvidenceSearch(
-            problem.candidates, blocks, effects, problem.context, *effort, alternatives=keep is None and from_set is not None
-        )
-        ranked, found = search.run(NoisePoint(linear, prior, none), from_set), None
-        if alternatives and ranked[0].members:
-            found = ranked[0]
-            search.exchange(found)
-            ranked = search.ranked()
-        return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), least, found)
-
-    fit = searched(linear, pack(problem.noise), begin)
-    for _ in range(OPTIONS.relinearizations if keep is None else 0):
+def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
+    """The hypotheses of a recording, outliers judged with the best of them in place; what else each effect could be is asked at the end."""
+    linear = problem.linear
+    fit = compared(problem, linear, pack(problem.noise))
+    for _ in range(OPTIONS.relinearizations):
         before = fit.best.key
         kept = judged_centres(fit)
         if not fit.best.members and np.array_equal(kept, linear.keep):
@@ -83,10 +53,29 @@ def fit_evidence(
         displaced = displacements(fit.best)
         linear = relinearized(linear, fit.best).restricted(kept) if fit.best.members else linear.restricted(kept)
         wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
-        fit = replace(searched(wide, fit.none.point.theta, fit.best), linear=linear)
+        fit = replace(compared(problem, wide, fit.none.point.theta, fit.best, alternatives=True), linear=linear)
         if fit.best.key == before:
             break
     return fit
+
+
+def compared(
+    problem: DiagnosisProblem,
+    linear: LinearProblem,
+    theta: np.ndarray,
+    begin: Hypothesis | None = None,
+    alternatives: bool = False,
+    narrow: bool = False,
+    staged: bool = False,
+) -> EvidenceFit:
+    """The hypotheses of a linearisation as it is. theta: noise of the empty set, to begin with. begin: a set from which the search goes on;
+    alternatives, narrow, staged: of the search (see there).
+    """
+    blocks = UnmodelledEffects(problem.design_blocks)
+    prior = SetPrior.of(problem.candidates, blocks.locations)
+    search = EvidenceSearch(problem.candidates, blocks, prior, problem.context, alternatives, narrow, staged)
+    ranked = search.run(NoisePoint(linear, problem.prior_noise, theta), begin)
+    return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), log_e_value_at_false_alarm_rate(linear.obs.n_poses))
 
 
 def judged_centres(fit: EvidenceFit) -> np.ndarray:

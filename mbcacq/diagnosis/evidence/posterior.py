@@ -56,11 +56,13 @@ def payload_instead(fit: EvidenceFit, reported: Hypothesis) -> float | None:
 
 
 def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[RankedAlternative]:
-    """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, or beside those of the
-    most probable set.
+    """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, beside those of the
+    catalogue alone, or beside those of the most probable set.
     """
     best: dict[str, RankedAlternative] = {}
-    for base in (reported, fit.best):
+    named = {m.label for m in reported.catalogued} if label not in {m.label for m in reported.unmodelled} else reported.labels
+    catalogued = next((h for h in fit.hypotheses if h.labels == named), reported)
+    for base in (reported, fit.best, catalogued) if named != reported.labels else (reported, fit.best):
         for h in fit.hypotheses:
             rest = base.labels - {label}
             others = h.labels - rest

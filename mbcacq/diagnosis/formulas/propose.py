@@ -96,7 +96,7 @@ def different(formulas: Sequence[Formula]) -> list[Formula]:
 
 def setting(problem: DiagnosisProblem, full: ModelFit) -> Setting:
     """The parametric effects in place, and no unmodelled one. Of a long recording, some of its poses."""
-    if full.residual_tests is not None:
+    if full.everywhere:
         small = thinned(problem, full.geometry_only.linear.keep, DIAGNOSIS.many_poses)
         model = transferred(problem, small, full.model)
         others = tuple(Member(c, h) for c, h in model.effects)

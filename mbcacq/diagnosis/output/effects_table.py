@@ -18,7 +18,6 @@ from mbcacq.effects.pose import joint_compliance, lost_motion, payload
 from mbcacq.estimation.random_effect_sizes import joined
 
 ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
-MOST_LOCATIONS = 6  # entries of the mismatch where no model of it was fitted
 STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at least
 SMALLEST_LOG10_P, LARGEST_LOG_RATIO = -300.0, 690.0  # of what a floating point number can hold
 
@@ -111,12 +110,10 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
         return []
     size = displacements(full)
     ranked = sorted(size, key=lambda key: -size[key].value)
-    if not full.cells:
-        modelled = {at for at, _ in size}
-        first = next((c for c in full.residual_tests.significant_cells if c.location in modelled), None) if full.residual_tests else None
-        at, on = (first.location, first.depends_on) if first else ranked[0]
-        p_value = float(np.exp(-first.log_bayes_factor)) if first and first.log_bayes_factor < LARGEST_LOG_RATIO else 0.0
-        return [EffectFound("unknown", (at,), _rms_parameters(size, ranked[:12]), min(p_value, 1.0), proof.unmodelled_gain, depends_on=on)]
+    if full.everywhere:
+        first = full.cells[0]
+        parameters, p_value = _rms_parameters(size, ranked[:12]), _bayes_p(first.log_bayes_factor)
+        return [EffectFound("unknown", (first.location,), parameters, p_value, proof.unmodelled_gain, depends_on=first.depends_on)]
     out = []
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
@@ -125,11 +122,6 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
         effect = EffectFound("unknown", (at,), _rms_parameters(size, mine), _bayes_p(evidence), gain, depends_on=mine[0][1])
         out.append((contributions.of(contributions.groups_at(full, at)), effect))
     return [effect for _, effect in sorted(out, key=lambda item: -item[0])]
-
-
-def suspected_effect(mismatch: list[MismatchEntry]) -> list[EffectFound]:
-    """An unmodelled effect at the first location of the mismatch, where no model of it predicts anything: its gain is zero."""
-    return [EffectFound("unknown", (m.at,), {}, m.p_value, 0.0, depends_on=m.depends_on) for m in mismatch[:1]]
 
 
 def _bayes_p(log_bayes_factor: float) -> float:
@@ -183,12 +175,6 @@ def mismatch_table(full: ModelFit, contributions: Contributions, before: Predict
     """Where simulation and recording differ: each location and covariate with its share of the excess chi2, largest first."""
     excess = max(before.chi2 - before.dof, full.model.gain, 1e-9)
     entries = [*_of_parametric(full, contributions), *_of_groups(full, contributions)]
-    if full.residual_tests is not None and full.residual_tests.structure:
-        # Neighbouring locations explain each other's mismatch: the most significant one carries the largest share.
-        suspects = full.residual_tests.significant_cells[:MOST_LOCATIONS]
-        scale = full.geometry_only.linear.keep.sum() / max(full.residual_tests.centres, 1)
-        gains = sorted((scale * (c.gain - c.used) for c in suspects), reverse=True)
-        entries += [(c.location, c.depends_on, gain, _bayes_p(c.log_bayes_factor)) for c, gain in zip(suspects, gains, strict=True)]
     largest: dict[tuple[str, str], MismatchEntry] = {}
     for at, on, gain, p_value in entries:
         entry = MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), float(np.clip(p_value, 1e-300, 1.0)))

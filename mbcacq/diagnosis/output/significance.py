@@ -20,8 +20,6 @@ def with_significance(effects: Sequence[EffectFound], setup: DiagnosisProblem, f
     """
     tried = sum(c.hyper.independent if c.hyper is not None else 1.0 for c in setup.candidates)
     evidence: dict[str, float] = {}
-    if full.residual_tests is not None:
-        evidence = {str(at): float(log) for at, log in full.residual_tests.evidence.locations.items()}
     for cell in full.cells:
         evidence[cell.location] = max(evidence.get(cell.location, -np.inf), float(cell.log_bayes_factor))
     out = []

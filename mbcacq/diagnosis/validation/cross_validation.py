@@ -1,7 +1,4 @@
-"""Cross-validation: whole stations (of one station: blocks of poses) are left out of every choice and fit, and predicted.
-
-What happens to a single station alone no other station can know of: whether such a model is good is decided on the other stations.
-"""
+"""Cross-validation: whole stations (of one station: blocks of poses) are left out of every choice and fit, and predicted."""
 
 from __future__ import annotations
 
@@ -11,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, located_name
-from mbcacq.diagnosis.validation.folds import Fold, FoldResult, evaluated_fold, split
-from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score, predicts_better
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.validation.folds import FoldResult, evaluated_fold, split
+from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
 from mbcacq.diagnosis.validation.workers import WorkerPool
-from mbcacq.effects.pose import payload
 
 
 @dataclass(frozen=True)
@@ -25,18 +20,14 @@ class CrossValidation:
     """Scores on data left out.
 
     before, after: with geometry alone and with the model. split: how the data were left out. without: the model without one effect, by its
-    name, or 'name:location' of one at several; without random effects at a location, by 'unknown:LOCATION'. not_predictive:
-    names, and locations of a name, that predict nothing better next to others; they are not in ``after``. decisive: before and after where
-    the model may be judged. parametric: of a long recording, whose random effects could explain what parametric ones do, the model without
-    these; each effect's gain is then measured against it.
+    name, or 'name:location' of one at several; without random effects at a location, by 'unknown:LOCATION'. parametric: where random
+    effects at all locations could explain what parametric ones do, the model without these; each effect's gain is then measured against it.
     """
 
     before: PredictiveScore
     after: PredictiveScore
     split: str
     without: dict[str, PredictiveScore]
-    not_predictive: tuple[str, ...] = ()
-    decisive: tuple[PredictiveScore, PredictiveScore] = (NO_CENTRES, NO_CENTRES)
     parametric: PredictiveScore | None = None
 
     def gain(self, key: str) -> float:
@@ -67,46 +58,30 @@ def cross_validate(
     linear = full.geometry_only.linear
     fold, how = split(linear, folds)
     left_out = [fold == k for k in range(int(fold.max()) + 1)]
-    everywhere = bool(full.random) and not full.cells
     keys = effect_keys(full)
-    if not keys and not everywhere:  # nothing is claimed, there is nothing to validate
+    if not keys and not full.random:  # nothing is claimed, there is nothing to validate
         plain = geometry_scores(full, left_out)
-        return CrossValidation(plain, plain, how, {}, (), (plain, plain))
-    expected, elsewhere = bool(full.random), centres_elsewhere(full)
+        return CrossValidation(plain, plain, how, {})
     problem = problem.with_linearization(linear)
-    dropped: tuple[str, ...] = ()
 
     def begun(done: int) -> None:
         if done < len(left_out):
             progress(f"searching again without each part of the data: part {done + 1} of {len(left_out)}")
 
     begun(0)
-    again = [(problem, full.noise, test, expected, keys, elsewhere, everywhere) for test in left_out]
+    again = [(problem, full.noise, test, bool(full.random), keys, full.everywhere) for test in left_out]
     results: list[FoldResult] = (pool or WorkerPool()).map(evaluated_fold, *zip(*again, strict=True), answered=begun)
-    parametric = summed(a.parametric for a in results) if everywhere else None
-    before, after, without = totals(results, keys)
-    if full.residual_tests is not None and (dropped := not_predictive(full, without, parametric or after)):
-        each = zip(left_out, results, strict=True)
-        after = summed(Fold(linear, full.noise, test).held_out(a.model.without(dropped), a.random).score() for test, a in each)
-    there = summed(a.before_there for a in results), summed(a.after_there for a in results)
-    decisive = there if there[0].count > OPTIONS.deciding_share * before.count else (before, after)
-    return CrossValidation(before, after, how, without, dropped, decisive, parametric)
-
-
-def totals(results: list[FoldResult], keys: tuple[str, ...]) -> tuple[PredictiveScore, PredictiveScore, dict[str, PredictiveScore]]:
-    """Sums over the folds: before, after, and without each effect."""
     without = {key: summed(a.without[key] for a in results) for key in keys}
-    return summed(a.before for a in results), summed(a.after for a in results), without
+    parametric = summed(a.parametric for a in results) if full.everywhere else None
+    return CrossValidation(summed(a.before for a in results), summed(a.after for a in results), how, without, parametric)
 
 
 def effect_keys(full: ModelFit) -> tuple[str, ...]:
     """Keys of what is left out of the model in turn."""
-    if full.cells and full.random:
-        locations = dict.fromkeys(g.location for g in full.random)
-        return (*full.model.names, *full.model.located_names, *(f"unknown:{location}" for location in locations))
-    if full.random:
-        return full.model.names
-    return (*full.model.names, *full.model.located_names)
+    names = full.model.names
+    if full.everywhere:
+        return names
+    return (*names, *full.model.located_names, *dict.fromkeys(f"unknown:{g.location}" for g in full.random))
 
 
 def geometry_scores(full: ModelFit, left_out: list[np.ndarray]) -> PredictiveScore:
@@ -116,35 +91,5 @@ def geometry_scores(full: ModelFit, left_out: list[np.ndarray]) -> PredictiveSco
     return summed(held_out_score(linear, keep & ~test[pose], keep & test[pose], NO_EFFECTS, (), full.noise) for test in left_out)
 
 
-def not_predictive(full: ModelFit, without: dict[str, PredictiveScore], whole: PredictiveScore) -> tuple[str, ...]:
-    """Names, and locations of a name, without which the left-out data are predicted as well; the best one of several stays."""
-    if payload.NAME in full.model.names:
-        return ()
-    several = full.model.names if len(full.model.names) > 1 else ()
-    located = tuple(key for key in full.model.located_names if key in without)
-    candidates = (*several, *all_but_the_best(located, without))
-    return tuple(key for key in candidates if not acts_on_single_stations(full, key) and not predicts_better(whole, without[key]))
-
-
 def summed(scores: Iterable[PredictiveScore]) -> PredictiveScore:
     return sum(scores, NO_CENTRES)
-
-
-def all_but_the_best(located: tuple[str, ...], without: dict[str, PredictiveScore]) -> tuple[str, ...]:
-    """The locations of each name, but for the one that predicts most."""
-    best: dict[str, str] = {}
-    for key in sorted(located, key=lambda s: without[s].chi2):
-        best[key.split(":")[0]] = key
-    return tuple(s for s in located if s not in best.values())
-
-
-def acts_on_single_stations(full: ModelFit, key: str) -> bool:
-    """Whether an effect ('name' or 'name:location') happens to single stations alone."""
-    return all(w.startswith("station") for c, _ in full.model.effects if key in (c.name, located_name(c)) for w in c.where)
-
-
-def centres_elsewhere(full: ModelFit) -> np.ndarray:
-    """(M,) bool of the centres at stations to which nothing of the model happens alone."""
-    obs = full.geometry_only.linear.obs
-    alone = {w for c, _ in full.model.effects if acts_on_single_stations(full, c.name) for w in c.where}
-    return ~np.isin(obs.station, [j for j, s in enumerate(obs.cell.stations) if f"station{s.id}" in alone])[obs.pose]

@@ -11,80 +11,43 @@ from mbcacq.diagnosis.model_fit import fit_part
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import EffectSet, located_name
-from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, HeldOutPrediction, PredictiveScore
+from mbcacq.diagnosis.validation.predictive_score import HeldOutPrediction, PredictiveScore
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 
 
 @dataclass(frozen=True)
 class FoldResult:
-    """before, after: score on the fold with geometry alone and with the model found without it; the same where the model may be judged
-    (``there``). without: the same without one effect, by its key. parametric: without random effects. model, random: what was found.
+    """before, after: score on the fold with geometry alone and with the model found without it. without: the same without one effect, by
+    its key. parametric: without random effects.
     """
 
     before: PredictiveScore
     after: PredictiveScore
-    before_there: PredictiveScore
-    after_there: PredictiveScore
     without: dict[str, PredictiveScore]
     parametric: PredictiveScore
-    model: EffectSet
-    random: tuple[RandomEffect, ...]
-
-
-@dataclass(frozen=True)
-class Fold:
-    """One fold. linear: of the fit of all data, noise: of that fit; test: (P,) bool, the poses left out."""
-
-    linear: LinearProblem
-    noise: Noise
-    test: np.ndarray
-
-    @property
-    def train(self) -> np.ndarray:
-        """(M,) bool of the centres of the other poses."""
-        return self.linear.keep & ~self.test[self.linear.obs.pose]
-
-    @property
-    def left_out(self) -> np.ndarray:
-        """(M,) bool of the centres of the poses left out."""
-        return self.linear.keep & self.test[self.linear.obs.pose]
-
-    def held_out(self, model: EffectSet, random: Sequence[RandomEffect], test: np.ndarray | None = None) -> HeldOutPrediction:
-        """test: (M,) bool, those of the centres left out that are predicted."""
-        return HeldOutPrediction(self.linear, self.train, self.left_out if test is None else test, model, random, self.noise)
 
 
 def evaluated_fold(
-    problem: DiagnosisProblem,
-    noise: Noise,
-    test: np.ndarray,
-    structure_expected: bool,
-    keys: tuple[str, ...],
-    elsewhere: np.ndarray,
-    everywhere: bool,
+    problem: DiagnosisProblem, noise: Noise, test: np.ndarray, unmodelled: bool, keys: tuple[str, ...], everywhere: bool
 ) -> FoldResult:
     """The model found without a fold, and its scores on it, in one call, which a worker process can do.
 
-    problem: linearised at the fit of all data; noise: of that fit; test: (P,) bool, the poses left out. keys: effects to be left out in
-    turn; elsewhere: (M,) bool of the centres by which the model may be judged; everywhere: random effects stand at all locations.
+    problem: linearised at the fit of all data; noise: of that fit; test: (P,) bool, the poses left out. unmodelled: whether there is more
+    than effects of the catalogue. keys: effects to be left out in turn; everywhere: random effects stand at all locations.
     """
-    fold = Fold(problem.linear, noise, test)
-    model, random = fit_part(problem, fold.train, structure_expected)
-    held = fold.held_out(model, random)
-    before, after = held.score((), ()), held.score()
-    there = fold.left_out & elsewhere
-    before_there, after_there = NO_CENTRES, NO_CENTRES
-    if there.any() and not elsewhere.all():
-        at = fold.held_out(model, random, there)
-        before_there, after_there = at.score((), ()), at.score()
+    linear, left_out = problem.linear, test[problem.linear.obs.pose]
+    train = linear.keep & ~left_out
+    model, random = fit_part(problem, train, unmodelled)
+    held = HeldOutPrediction(linear, train, linear.keep & left_out, model, random, noise)
+    after = held.score()
     whole = held.score(groups=()) if everywhere else after
     without = {}
     for key in keys:
         effects, groups = all_but(model, () if everywhere else random, key)
         same = len(effects) == len(model.effects) and (everywhere or len(groups) == len(random))
         without[key] = whole if same else held.score(effects, groups)
-    return FoldResult(before, after, before_there, after_there, without, whole if everywhere else NO_CENTRES, model, random)
+    return FoldResult(held.score((), ()), after, without, whole)
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:

@@ -13,7 +13,6 @@ import numpy as np
 
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
-from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
 from mbcacq.effects.pose import steps
@@ -48,15 +47,6 @@ class PredictiveScore:
 
 
 NO_CENTRES = PredictiveScore(0.0, 0, 0.0, 0.0)
-
-
-def predicts_better(one: PredictiveScore, other: PredictiveScore) -> bool:
-    """Whether one model does better on data left out than another: makes them more probable, or, where it leaves more than noise and so
-    its density means nothing, predicts them more closely.
-    """
-    if one.chi2_dof <= OPTIONS.noise_like_chi2:
-        return one.negative_log_predictive_density < other.negative_log_predictive_density
-    return one.chi2 < other.chi2
 
 
 class HeldOutPrediction:
