@@ -22,7 +22,6 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
-from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.result import plain
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -98,7 +97,7 @@ def try_cell(challenger: Challenger, name: str, seed: int, multiples: Sequence[f
 
 def evidence_of(observations: Observations) -> EvidenceFit:
     """The hypotheses that the diagnosis of a recording compares."""
-    return fit_model(readmit_outliers(prepare(observations))).evidence
+    return fit_model(prepare(observations)).evidence
 
 
 def most_probable(fit: EvidenceFit, truth: dict[str, Any]) -> bool:

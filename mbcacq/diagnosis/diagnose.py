@@ -13,7 +13,6 @@ from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.problem import prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
@@ -70,7 +69,7 @@ def _diagnose(
     refit: Refit | None,
 ) -> Diagnosis:
     progress("fitting the geometry")
-    problem = readmit_outliers(prepare(recordings, options))
+    problem = prepare(recordings, options)
     obs, notes = problem.linear.obs, []
     if obs.n_poses > OPTIONS.most_poses:
         problem = thinned(problem, problem.linear.keep, OPTIONS.most_poses)

@@ -7,10 +7,12 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.evidence.evidence_fit import compared
+from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.output.effects_table import data_sheet_stiffnesses
 from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.estimation.forward_model import Displacements
+from mbcacq.estimation.variance_components import pack
 
 BREAKPOINTS = np.array([25.0, 80.0])  # N m, of 159 that act at most
 STIFFNESS = np.array([0.15e6, 0.3e6, 1.0e6])  # N m/rad, below, between and beyond them
@@ -40,7 +42,8 @@ def test_as_many_branches_are_found_as_the_gearbox_has(plan, branches):
     problem = model_fit.prepare(observed)
     gears = [c for c in problem.candidates if c.name in ("joint_compliance", "lost_motion", "backlash", "hysteresis")]
     problem = replace(problem, candidates=gears)
-    found = model_of(problem, fit_evidence(problem, np.ones(len(observed.xyz), dtype=bool), unmodelled=False))
+    fit = compared(problem, problem.linear.restricted(np.ones(len(observed.xyz), dtype=bool)), pack(problem.noise), staged=True)
+    found = model_of(problem, fit, reported_hypothesis(fit), fit.linear)
     stated = data_sheet_stiffnesses(found, "A3")
 
     assert set(found.model.names) == {"joint_compliance", "lost_motion"}

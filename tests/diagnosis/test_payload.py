@@ -12,7 +12,6 @@ from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
-from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
 from mbcacq.effects.pose import payload
@@ -57,7 +56,7 @@ def test_a_far_too_heavy_tool_on_soft_joints_is_measured(seeing):
     """Far from where both were begun: what is left of compliance times weight is no further effect."""
     hidden = {"name": "payload", "mass_kg": 12.0, "com_mm": [20.0, 0.0, 130.0], "compliance_rad_per_Nm": 2.5e-5}
 
-    found = model_fit.fit_model(readmit_outliers(model_fit.prepare(observed(seeing, 104, hidden))))
+    found = model_fit.fit_model(model_fit.prepare(observed(seeing, 104, hidden)))
 
     assert set(found.model.names) == {"payload", "joint_compliance"}
     candidate, hyper = found.model.effects[-1]

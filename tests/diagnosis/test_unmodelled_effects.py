@@ -9,7 +9,6 @@ from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
-from mbcacq.diagnosis.outlier_readmission import readmit_outliers
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
 from mbcacq.effects.functions import evaluate
@@ -149,7 +148,7 @@ def test_instrument_noise_stays_near_its_stated_value(plan):
     """A ball off by half a millimetre is no noise of an instrument of ten micrometres."""
     observed = simulated.observe(plan, 124, [("ball_shift", ("ball3",), [0.3, 0.2, -0.3], None)])
 
-    found = model_fit.fit_model(readmit_outliers(model_fit.prepare(observed)))
+    found = model_fit.fit_model(model_fit.prepare(observed))
 
     assert np.all(found.noise.point < 1.3 * simulated.POINT_NOISE)
     assert [c.name for c, _ in found.model.effects] == ["ball_shift"]

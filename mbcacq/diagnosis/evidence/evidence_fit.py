@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch, log_e_value, log_e_value_at_false_alarm_rate
+from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.outliers import kept_centres, log_density_of_outlier
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
-from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.variance_components import pack
@@ -43,7 +44,7 @@ class EvidenceFit:
 
 def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
     """The hypotheses of a recording, outliers judged with the best of them in place; what else each effect could be is asked at the end."""
-    linear = problem.linear
+    linear = problem.linear.restricted(readmitted(problem))
     fit = compared(problem, linear, pack(problem.noise))
     for _ in range(OPTIONS.relinearizations):
         before = fit.best.key
@@ -78,21 +79,37 @@ def compared(
     return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), log_e_value_at_false_alarm_rate(linear.obs.n_poses))
 
 
+def readmitted(problem: DiagnosisProblem) -> np.ndarray:
+    """(M,) bool of the centres with which a search begins. Those that were rejected before anything was known may be an effect themselves:
+    they take part where one effect alone makes all centres more probable than they are as outliers of no effect.
+    """
+    start = NoisePoint(problem.linear, problem.prior_noise, pack(problem.noise))
+    if problem.linear.keep.all():
+        return problem.linear.keep
+    everything, prior = start.restricted(np.ones(len(problem.linear.keep), dtype=bool)), SetPrior.of(problem.candidates, 1)
+    scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several])
+    tried = [((), problem.linear.keep, log_with_outliers((), start, 0.0))]
+    for one in sorted(scored, key=lambda s: -s.log_evidence)[: OPTIONS.beam]:
+        members, log_prior = (Member.of(one),), prior.log_probability(one.candidate, [])
+        keep = kept_centres(under(everything, members, log_prior))
+        tried.append((members, keep, log_with_outliers(members, everything.restricted(keep), log_prior)))
+    return max(tried, key=lambda one: one[2])[1]
+
+
 def judged_centres(fit: EvidenceFit) -> np.ndarray:
     """(M,) bool of the centres that are no outliers: with the best set in place where it is significant with its own outliers against no
     effect with its own, else with none.
     """
-    linear = fit.none.point.linear
-    own, plain = kept_centres(fit.best), kept_centres(fit.none)
-    if np.mean(~plain) > DIAGNOSIS.most_outliers:
-        plain = linear.keep
-    if not fit.best.members:
+    best, none = fit.best, fit.none
+    plain = kept_centres(none)
+    if not best.members:
         return plain
-    if np.mean(~own) > DIAGNOSIS.most_outliers:
-        own = linear.keep
-    cost = log_density_of_outlier(linear)
-    logs = []
-    for hypothesis, keep in ((fit.best, own), (fit.none, plain)):
-        there = estimated(hypothesis.members, hypothesis.point.restricted(keep), hypothesis.log_prior)
-        logs.append(there.log_posterior + cost * float(np.sum(~keep)))
-    return own if logs[0] - logs[1] > fit.least else plain
+    own = kept_centres(best)
+    gain = log_with_outliers(best.members, best.point.restricted(own), best.log_prior)
+    return own if gain - log_with_outliers((), none.point.restricted(plain), 0.0) > fit.least else plain
+
+
+def log_with_outliers(members: Sequence[Member], point: NoisePoint, log_prior: float) -> float:
+    """Log posterior of a set, the centres that its point leaves out being outliers."""
+    outliers = float(np.sum(~point.linear.keep))
+    return estimated(members, point, log_prior).log_posterior + log_density_of_outlier(point.linear) * outliers

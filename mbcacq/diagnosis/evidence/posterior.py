@@ -60,9 +60,9 @@ def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[
     catalogue alone, or beside those of the most probable set.
     """
     best: dict[str, RankedAlternative] = {}
-    named = {m.label for m in reported.catalogued} if label not in {m.label for m in reported.unmodelled} else reported.labels
-    catalogued = next((h for h in fit.hypotheses if h.labels == named), reported)
-    for base in (reported, fit.best, catalogued) if named != reported.labels else (reported, fit.best):
+    named = frozenset(m.label for m in reported.catalogued)
+    alone = [h for h in fit.hypotheses if h.labels == named and label in named != reported.labels]
+    for base in (reported, fit.best, *alone[:1]):
         for h in fit.hypotheses:
             rest = base.labels - {label}
             others = h.labels - rest
