@@ -22,7 +22,7 @@ import simulated  # noqa: E402
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors  # noqa: E402
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior  # noqa: E402
-from mbcacq.diagnosis.evidence.options import OPTIONS  # noqa: E402
+from mbcacq.diagnosis.options import OPTIONS  # noqa: E402
 from mbcacq.diagnosis.problem import prepare  # noqa: E402
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring  # noqa: E402
 

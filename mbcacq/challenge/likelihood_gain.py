@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.projected_solve import eigenvalues, prior_weight
 from mbcacq.effects.effect import Candidate, Hyperparameter

@@ -76,7 +76,8 @@ def _diagnose(
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
     full = fit_model(problem)
-    validation = cross_validate(problem, full, folds or usual_folds(obs), pool, progress)
+    usual = OPTIONS.folds if obs.n_poses < OPTIONS.longest_from else OPTIONS.longest_folds
+    validation = cross_validate(problem, full, folds or usual, pool, progress)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     judged = judge(problem, full, validation)
     # What is concluded does not depend on the refit, which takes seconds: another process makes it meanwhile.
@@ -90,11 +91,3 @@ def _diagnose(
     progress("fitting the cell with its effects")
     model, further = refitted()
     return replace(result, model=model, notes=(*result.notes, *further))
-
-
-def usual_folds(obs: Observations) -> int:
-    """Number of folds, by the length of the recording."""
-    if obs.n_poses >= OPTIONS.many_poses:
-        return OPTIONS.long_folds if obs.n_poses < OPTIONS.longest_from else OPTIONS.longest_folds
-    stations = len(np.unique(obs.station))
-    return stations if OPTIONS.usual_folds < stations <= OPTIONS.few_stations else OPTIONS.usual_folds

@@ -17,7 +17,7 @@ from mbcacq.diagnosis.nonparametric import joint_model
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel, noise_with
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.problem import DiagnosisProblem, prepare, thinned, transferred
+from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare, thinned, transferred
 from mbcacq.diagnosis.reported_model import cells_of, model_of
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import unmodelled
@@ -30,7 +30,7 @@ __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "fit_part", "prepare"]
 
 def fit_model(problem: DiagnosisProblem) -> ModelFit:
     """The model of all centres; outliers are judged with it in place."""
-    if problem.linear.obs.n_poses <= OPTIONS.many_poses:
+    if not is_long(problem.linear.obs):
         fit = fit_evidence(problem)
         return model_of(problem, fit, reported_hypothesis(fit), fit.linear)
     return fit_long_recording(problem)
@@ -41,7 +41,7 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
 
     unmodelled: of a long recording, whether there is anything but effects of the catalogue.
     """
-    if problem.linear.obs.n_poses <= OPTIONS.many_poses:
+    if not is_long(problem.linear.obs):
         linear = problem.linear.restricted(keep)
         fit = compared(problem, linear, pack(problem.noise), narrow=True)
         found = model_of(problem, fit, reported_hypothesis(fit), linear)
@@ -95,7 +95,7 @@ def random_effects_everywhere(
     whole, chosen = problem.linear.obs, np.isin(problem.linear.obs.pose_id, small.linear.obs.pose_id)
     everywhere = [RandomEffect.of(problem.context, group) for group in unmodelled.everywhere(problem.context)]
     groups = [g.of_poses(chosen, whole.pose).of_unit_size(linear) for g in everywhere]
-    sizes = np.full(len(groups), OPTIONS.initial_size_mm)
+    sizes = np.full(len(groups), np.mean(noise.point))
     for _ in range(2):
         alive = np.flatnonzero(sizes > 0)
         sizes[alive] = JointModel(linear, there, [groups[g] for g in alive], linear.whitener(noise)).group_sizes(sizes[alive])

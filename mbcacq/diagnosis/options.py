@@ -1,7 +1,4 @@
-"""The numbers that tune the diagnosis, each with its reason and, where there was one, the study that set it.
-
-The numbers of the selection criteria, of the beam search and of the comparison of models stand in their own files.
-"""
+"""The numbers that tune the diagnosis of poses, each with its reason and, where there was one, the study that set it."""
 
 from __future__ import annotations
 
@@ -14,17 +11,43 @@ class DiagnosisOptions:
 
     # Size of the recording
     fewest_poses: int = 12  # fewer determine geometry and stations but no effect
-    many_poses: int = 350  # a longer recording is searched with a narrower beam, and is modelled at all locations (time: diagnosis.md)
+    searched_poses: int = 600  # poses of a long recording in which effects are searched: bounds time and memory (diagnosis.md)
     most_poses: int = 20000  # a longer recording is thinned, so that memory stays below 3 GiB (benchmarks/diagnosis.md)
-    searched_poses: int = 600  # poses of a long recording in which parametric effects are searched: bounds time and memory (diagnosis.md)
+    folds: int = 4  # of whole stations, or of blocks of one
+    longest_folds: int = 2  # of a recording of at least ``longest_from`` poses: each fold costs a whole fit (diagnosis.md)
+    longest_from: int = 2000
+
+    # Prior of effects
+    sizes: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of a coefficient's prior sigma, in typical sizes, equally probable
+    further: float = 0.1  # prior probability of one more effect
+    same_kind: float = 0.5  # share of that for more of a kind that is there already: many joints of an arm are of one make
+    unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
+    preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
+
+    # Verdict. Noise alone is above e in at most 1/e of the recordings (Markov's inequality), and in fact in far fewer: above two in 4 of
+    # 1000 with 50 poses and more, above ten in 2 of 1000 with fewer (benchmarks/recording_sizes.md).
+    least_e_value: float = 2.0  # of all effects together, for an effect to be there
+    short_recording: int = 50  # poses, below which few joint angles decide what is the joints' noise
+    least_e_value_of_short: float = 10.0
+    undecided: float = 0.05  # a set that has more than this share of the best one's probability is an alternative to it
+    discrepancy: float = 0.02  # of its own displacement that an effect is wrong by, at each pose: no model is exact
 
     # Outliers
     gross_medians: float = 8.0  # distance, in medians, up to which a centre takes part in a search although geometry alone rejects it
-    gross_quantiles: float = 1.5  # or in distances that 97 % are within: more than 3 % are structure
-    most_outliers: float = 0.05  # share of outliers beyond which they are structure, and stay
+    outlier_prior: float = 0.01  # share of grossly wrong centres
+    outlier_mm: float = 1.0  # standard deviation of a grossly wrong centre
+    outlier_rad: float = 0.01  # and of a grossly wrong orientation
 
-    # Candidates
-    typical_multiple: float = 30.0  # prior sigma of a coefficient in typical sizes: an effect thirty times as large is not believed
+    # Search
+    beam: int = 3  # sets kept
+    estimated: int = 5  # sets of a round that get a noise of their own, and effects that are tried in the place of one of the best set
+    reach: float = 10.0  # log posterior odds to first order, against the best set, up to which a set is looked at more closely
+    most_effects: int = 18  # of a set
+    rounds: int = 12  # at most, of what is repeated until nothing changes within a linearisation
+    passes: int = 2  # at most, of linearisations, and of exchanges of the best set's effects for others
+    steady: float = 0.05  # change of a logarithm of the noise, or of a coefficient in standard deviations, below which an estimation ends
+    fine: int = 33  # values of a hyper-parameter between two of its grid
+    resolved: float = 1.0  # log Bayes factor by which a peak may be above its neighbours on a grid that resolves it
 
     # Basis functions of unmodelled effects
     harmonics: int = 4  # periods a turn, of any joint's angle at any location
@@ -38,19 +61,6 @@ class DiagnosisOptions:
     most_harmonics: int = 16  # of periodic errors over the width of the field
     harmonic_weight: float = 0.3  # prior sigma of a harmonic relative to a polynomial of the same group
 
-    # Random effects
-    initial_size_mm: float = 0.02  # size of a group of coefficients at the start of the fixed-point iteration
-    smallest_size: float = 0.03  # of the instrument noise: a group that moves less is dropped
-    largest_size_mm: float = 10.0  # of a group: more is a wrong recording
-    size_rounds: int = 25  # of that iteration at most
-
-    # Search and validation
-    few_stations: int = 6  # up to which each is left out alone
-    usual_folds: int = 4  # of a recording of more stations
-    long_folds: int = 3  # of a recording of many poses: each fold costs a whole fit
-    longest_folds: int = 2  # and of one of at least ``longest_from`` poses (two minutes are allowed, diagnosis.md)
-    longest_from: int = 2000
-    deciding_share: float = 0.8  # share of the centres that must be at other stations for these alone to decide about a model
     noise_like_chi2: float = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
     most_workers: int = 8  # processes at most: each holds a problem of its own in memory
 

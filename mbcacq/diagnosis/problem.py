@@ -11,8 +11,9 @@ from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.several import shares
 from mbcacq.diagnosis.geometry_alone import GeometryAlone
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.effects import catalogue
+from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, ParameterEstimate, Parameters, Part
 from mbcacq.estimation import parameters
@@ -70,7 +71,8 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
         together = adjust_together(recordings, options)
         obs, adjusted = together.observations, together.adjusted
         calibrated = shares(Calibration.adjusted(obs, options, adjusted), together.parts, options)
-    linear = LinearProblem.of(obs, adjusted.state, adjusted.used, layout=parameters.build(obs, options))
+    keep = adjusted.used | not_grossly_off(adjusted.solution.linear.residual)
+    linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options))
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
     candidates = [*candidates, *differing(candidates, obs)]
@@ -117,6 +119,20 @@ def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
 
 def _first(value: float | tuple[float, ...]) -> float:
     return float(np.atleast_1d(value)[0])
+
+
+def is_long(obs: Observations) -> bool:
+    """Whether a recording has so many poses that it is searched in part, and what is unmodelled stands at all locations."""
+    return obs.n_poses > unmodelled.OPTIONS.many_poses
+
+
+def not_grossly_off(residual: np.ndarray) -> np.ndarray:
+    """(M,) bool of the centres with which a search begins although the geometry alone rejects them: an effect may be what puts them off.
+
+    residual (M, R): of the adjusted geometry.
+    """
+    distance = np.linalg.norm(residual[:, :3], axis=1)
+    return distance < OPTIONS.gross_medians * np.median(distance)
 
 
 def thinned(problem: DiagnosisProblem, keep: np.ndarray, most: int) -> DiagnosisProblem:

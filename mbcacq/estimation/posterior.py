@@ -1,4 +1,4 @@
-"""Posterior of the coefficients of everything, given some centres, and the predictive density of other centres."""
+"""Posterior of the coefficients of everything, given some centres, and how well other centres agree with it."""
 
 from __future__ import annotations
 
@@ -44,14 +44,11 @@ class Posterior:
         half = inverse_of_lower(self.root)
         return float(len(self.sigma) - np.sum(half * half))
 
-    def predicted(self, other: ColumnProducts) -> tuple[float, float]:
-        """chi2 of other centres about their prediction, under the covariance of noise and prediction together, and its log determinant
-        relative to that of the noise.
-        """
+    def predicted(self, other: ColumnProducts) -> float:
+        """chi2 of other centres about their prediction, under the covariance of noise and prediction together."""
         both = root_of(self.sigma, self.seen.information + other.information)
         right = self.sigma * (self.seen.right + other.right)
-        chi2 = other.square - right @ cho_solve((both, True), right, check_finite=False) + self.seen.right @ self.solution
-        return float(chi2), 2 * float(np.log(np.diag(both)).sum() - np.log(np.diag(self.root)).sum())
+        return float(other.square - right @ cho_solve((both, True), right, check_finite=False) + self.seen.right @ self.solution)
 
 
 def root_of(sigma: np.ndarray, information: np.ndarray) -> np.ndarray:

@@ -118,7 +118,7 @@ def test_too_few_poses_are_refused(plan):
 def test_what_parts_of_a_recording_do_not_bear_out_is_said_to_be_unproven_beyond_it():
     def scores(chi2):
         one = PredictiveScore(1.0, 100, chi2, 300.0)
-        return CrossValidation(one, one, "station", {}, decisive=(one, one))
+        return CrossValidation(one, one, "station", {})
 
     (note,) = not_carried_over("explained", scores(900.0))
     assert "3.0 times the variance" in note

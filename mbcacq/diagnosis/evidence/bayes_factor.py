@@ -11,8 +11,6 @@ from scipy.special import log_ndtr
 
 from mbcacq.diagnosis.search.projected_solve import eigenvalues
 
-LN2 = float(np.log(2.0))
-
 
 def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray, positive: bool = False) -> np.ndarray:
     """(H,) of many blocks A (H, k, k), a (H, k). positive: where k is 1, the coefficient cannot be negative."""
@@ -25,7 +23,7 @@ def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray, positive:
     grown = 1.0 + square[:, None] * value[:, None, :]
     terms = 0.5 * (square * np.sum(along[:, None, :] ** 2 / grown, axis=2) - np.sum(np.log(grown), axis=2))
     if positive and a.shape[1] == 1:
-        terms = terms + LN2 + log_ndtr(np.sqrt(square) * a / np.sqrt(grown[:, :, 0]))
+        terms = terms + log_twice_normal(np.sqrt(square) * a / np.sqrt(grown[:, :, 0]))
     return np.logaddexp.reduce(terms, axis=1) - np.log(len(square))
 
 
@@ -70,7 +68,7 @@ def _log_factors(
     constant = 0.5 * float(beyond @ beyond) - float(np.log(np.diag(root)).sum())
     logs = constant + 0.5 * np.sum(square * along**2 / grown - np.log(grown), axis=1)
     if positive[j]:
-        logs = logs + LN2 + log_ndtr(own * along[0] / np.sqrt(grown[:, 0]))
+        logs = logs + log_twice_normal(own * along[0] / np.sqrt(grown[:, 0]))
     others = [p.start for i, p in enumerate(slices) if positive[i] and i != j]
     if others:
         # Mean and variance of the others' coefficients, in their sizes, fall and grow with what the effect takes.
@@ -78,5 +76,10 @@ def _log_factors(
         moved, mean = back @ (across @ vectors), back @ beyond
         share = square / grown
         variance = np.sum(back**2, axis=1) + share @ (moved**2).T
-        logs = logs + np.sum(LN2 + log_ndtr((mean - (share * along) @ moved.T) / np.sqrt(variance)), axis=1)
+        logs = logs + np.sum(log_twice_normal((mean - (share * along) @ moved.T) / np.sqrt(variance)), axis=1)
     return logs
+
+
+def log_twice_normal(x: np.ndarray) -> np.ndarray:
+    """Log of twice the standard normal distribution function: what it is worth that a coefficient cannot be negative."""
+    return log_ndtr(x) - log_ndtr(0.0)

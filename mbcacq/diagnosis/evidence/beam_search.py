@@ -22,15 +22,11 @@ from mbcacq.diagnosis.evidence.hypothesis import (
     under,
 )
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import joint_compliance, payload
-
-POLISHING_ROUNDS = 4  # at most
-EXCHANGES = 3  # at most: sets whose effects are exchanged for others
-MOST_ROUNDS = 12  # of the estimation of the noise without any effect
 
 
 @dataclass
@@ -56,7 +52,7 @@ class EvidenceSearch:
 
         begin: a set, of another linearisation, from which the search goes on.
         """
-        best = estimated((), start, 0.0, MOST_ROUNDS)
+        best = estimated((), start, 0.0)
         self.known = {best.key: best}
         if begin is not None and begin.members:
             best = estimated(begin.members, replace(start, theta=begin.point.theta), self.log_prior(begin.members))
@@ -70,7 +66,7 @@ class EvidenceSearch:
             self.extend_by_unmodelled(best)
             return self.ranked()
         best = self.climbed(best, self.candidates)
-        for _ in range(EXCHANGES if self.alternatives else 0):
+        for _ in range(OPTIONS.passes if self.alternatives else 0):
             self.exchange(best)
             if self.ranked()[0].key == best.key:
                 break
@@ -120,16 +116,9 @@ class EvidenceSearch:
     def log_prior(self, members: Sequence[Member]) -> float:
         return self.prior.log_probability_of_set([m.candidate for m in members])
 
-    def extensions(
-        self,
-        node: Hypothesis,
-        candidates: list[Candidate],
-        least: float = -np.inf,
-        catalogued: int = OPTIONS.compared,
-        unmodelled: int = OPTIONS.compared,
-    ) -> list[tuple[float, Member]]:
-        """The candidates that are most probable beyond a set, and their log posterior odds: at most so many of the catalogue, and
-        unmodelled ones. least: log posterior odds below which an effect does not matter.
+    def extensions(self, node: Hypothesis, candidates: list[Candidate], least: float = -np.inf) -> list[tuple[float, Member]]:
+        """The effects that may be beyond a set, and their log posterior odds, most probable first. least: log posterior odds below which an
+        unmodelled effect does not matter.
         """
         present = [m.candidate for m in node.members]
         possible = [
@@ -140,11 +129,10 @@ class EvidenceSearch:
         for candidate in self.dependent(node):
             if not any(c.name == candidate.name for c in present):
                 possible.append(self.weighted(evidence_of_one(node.conditioned, candidate), present))
-        others: list[tuple[float, Member]] = []
         if not self.staged:
             found = self.unmodelled.evidence(node.conditioned, least)
-            others = [(log + self.prior.log_probability(m.candidate, present), m) for log, m in found]
-        return sorted(possible, key=lambda one: -one[0])[:catalogued] + others[:unmodelled]
+            possible += [(log + self.prior.log_probability(m.candidate, present), m) for log, m in found]
+        return sorted(possible, key=lambda one: -one[0])
 
     def dependent(self, node: Hypothesis) -> list[Candidate]:
         """Candidates that depend on the coefficients of a set: a wrong payload shows through elastic joints."""
@@ -171,7 +159,7 @@ class EvidenceSearch:
         members, point, key = best.members, best.point, best.members[-1].candidate.key
         if not members[-1].candidate.separable or sum(m.candidate.key == key for m in members) < 2:
             return best
-        for _ in range(POLISHING_ROUNDS):
+        for _ in range(OPTIONS.rounds):
             before = [m.key for m in members]
             for j in reversed([j for j, m in enumerate(members) if m.candidate.key == key]):
                 rest = members[:j] + members[j + 1 :]
@@ -231,7 +219,7 @@ class EvidenceSearch:
         for rest in without_each(best.members):
             node = first_order(rest, best.point, self.log_prior(rest))
             self.known.setdefault(node.key, node)
-            for _, member in self.extensions(node, self.candidates, -np.inf, OPTIONS.alternatives, OPTIONS.unmodelled_alternatives):
+            for _, member in self.extensions(node, self.candidates)[: OPTIONS.estimated]:
                 members = (*rest, member)
                 if key_of(members) not in self.known:
                     other = first_order(members, best.point, self.log_prior(members))

@@ -7,15 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors
-from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
 
 SIZES = np.array(OPTIONS.sizes)
-WORTH_REFINING = 1.0  # log Bayes factor from which a value between two of the grid is looked for
-FINE = 17  # values of a finer grid
-ROUNDS = 4  # of finer grids at most
-RESOLVED = 1.0  # log Bayes factor by which the neighbours of a resolved peak may be lower
 
 
 @dataclass(frozen=True)
@@ -104,7 +100,7 @@ def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> Scor
     assert hyper is not None, "a separable candidate has a hyper-parameter"
     logs = log_factors(projected, candidate, hyper.values)
     coarse = averaged(candidate, hyper.values, logs)
-    if not hyper.refine or logs.max() < WORTH_REFINING:
+    if not hyper.refine or logs.max() < OPTIONS.resolved:
         return coarse
     grid = np.sort(hyper.values)
     j = int(np.searchsorted(grid, hyper.values[int(logs.argmax())]))
@@ -121,14 +117,14 @@ def refined(projected: CandidateScoring, candidate: Candidate, low: float, high:
     """Log of the integral of the Bayes factor from low to high, in units of half that range, and the best value with its log factor."""
     step = (high - low) / 2
     mass, best = -np.inf, (low, -np.inf)
-    for _ in range(ROUNDS):
-        fine = np.linspace(low, high, FINE)
+    for _ in range(OPTIONS.rounds):
+        fine = np.linspace(low, high, OPTIONS.fine)
         peak = log_factors(projected, candidate, fine)
         j = int(peak.argmax())
-        before, after = max(j - 1, 0), min(j + 1, FINE - 1)
-        mass = float(np.logaddexp.reduce(peak)) + float(np.log((high - low) / (FINE - 1) / step))
+        before, after = max(j - 1, 0), min(j + 1, OPTIONS.fine - 1)
+        mass = float(np.logaddexp.reduce(peak)) + float(np.log((high - low) / (OPTIONS.fine - 1) / step))
         best = float(fine[j]), float(peak[j])
-        if peak[j] - min(peak[before], peak[after]) < RESOLVED:
+        if peak[j] - min(peak[before], peak[after]) < OPTIONS.resolved:
             break
         low, high = float(fine[before]), float(fine[after])
     return mass, best

@@ -12,9 +12,9 @@ from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.evidence.options import OPTIONS
 from mbcacq.diagnosis.evidence.outliers import kept_centres, log_density_of_outlier
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.variance_components import pack
@@ -46,7 +46,7 @@ def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
     """The hypotheses of a recording, outliers judged with the best of them in place; what else each effect could be is asked at the end."""
     linear = problem.linear.restricted(readmitted(problem))
     fit = compared(problem, linear, pack(problem.noise))
-    for _ in range(OPTIONS.relinearizations):
+    for _ in range(OPTIONS.passes):
         before = fit.best.key
         kept = judged_centres(fit)
         if not fit.best.members and np.array_equal(kept, linear.keep):
@@ -84,16 +84,17 @@ def readmitted(problem: DiagnosisProblem) -> np.ndarray:
     they take part where one effect alone makes all centres more probable than they are as outliers of no effect.
     """
     start = NoisePoint(problem.linear, problem.prior_noise, pack(problem.noise))
-    if problem.linear.keep.all():
-        return problem.linear.keep
-    everything, prior = start.restricted(np.ones(len(problem.linear.keep), dtype=bool)), SetPrior.of(problem.candidates, 1)
+    plain = problem.linear.keep
+    if plain.all():
+        return plain
+    everything, prior = start.restricted(np.ones(len(plain), dtype=bool)), SetPrior.of(problem.candidates, 1)
     scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several])
-    tried = [((), problem.linear.keep, log_with_outliers((), start, 0.0))]
+    tried = [(plain, log_with_outliers((), start, 0.0))]
     for one in sorted(scored, key=lambda s: -s.log_evidence)[: OPTIONS.beam]:
         members, log_prior = (Member.of(one),), prior.log_probability(one.candidate, [])
         keep = kept_centres(under(everything, members, log_prior))
-        tried.append((members, keep, log_with_outliers(members, everything.restricted(keep), log_prior)))
-    return max(tried, key=lambda one: one[2])[1]
+        tried.append((keep, log_with_outliers(members, everything.restricted(keep), log_prior)))
+    return max(tried, key=lambda one: one[1])[0]
 
 
 def judged_centres(fit: EvidenceFit) -> np.ndarray:

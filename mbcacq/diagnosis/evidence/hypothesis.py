@@ -12,13 +12,12 @@ import numpy as np
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect
 from mbcacq.diagnosis.evidence.noise_model import LARGEST_STEP, NoisePoint
-from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 
 UNMODELLED = "unknown"
-STEADY = 0.05  # change of a logarithm of the noise below which its estimation ends
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def estimated(members: Sequence[Member], start: NoisePoint, log_prior: float, ro
     sized, log_density, gradient, information = at_noise(point, members, extended)
     for _ in range(rounds):
         new, change = point.moved(gradient, information)
-        if change < STEADY:
+        if change < OPTIONS.steady:
             break
         point = new
         sized, log_density, gradient, information = at_noise(point, members, extended)

@@ -11,14 +11,11 @@ import numpy as np
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import Candidate, ParameterEstimate, Parameters
 from mbcacq.effects.pose import lost_motion, steps, warm_up
 
-BETWEEN_POSES = 0.5  # poses
-FINE = 61  # torques about the found one, from a third to three times as much
 SLOWER = 5.0  # times the longest time constant that is sought: what fades more slowly is a straight line in any recording
-TIMES = 41  # time constants up to there
-LEAST = 1e-3  # probability below which a time constant does not count
 
 
 def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate:
@@ -28,9 +25,10 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
         return candidate
     name = candidate.hyper.name
     if name == steps.NAME:
-        std = float(np.hypot(BETWEEN_POSES, spread(hypothesis, member, candidate.hyper.values)))
+        between = 1 / np.sqrt(12)  # it happened anywhere between two poses
+        std = float(np.hypot(between, spread(hypothesis, member, candidate.hyper.values)))
     elif name == lost_motion.BREAKPOINT:
-        std = spread(hypothesis, member, member.hyper * np.geomspace(1 / 3, 3, FINE))
+        std = spread(hypothesis, member, member.hyper * np.geomspace(1 / 3, 3, OPTIONS.fine))
     elif name == warm_up.TIME_CONSTANT:
         return with_uncertain_fading(hypothesis, member)
     else:
@@ -50,14 +48,13 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
     candidate, found = member.candidate, member.hyper
     assert candidate.hyper is not None, "only asked of effects with a time constant"
     assert found is not None, "only asked of effects with a time constant"
-    values = np.geomspace(candidate.hyper.values.min(), SLOWER * candidate.hyper.values.max(), TIMES)
+    values = np.geomspace(candidate.hyper.values.min(), SLOWER * candidate.hyper.values.max(), OPTIONS.fine)
     probability = likelihood(hypothesis, member, values)
-    possible = probability > LEAST
     std = float(np.sqrt(probability @ (values - found) ** 2))
     there = coefficients(hypothesis)
     reported = there.mean[there.slices[hypothesis.members.index(member)]]
-    away = np.array([size_with(hypothesis, member, float(v)) for v in values[possible]]) - reported
-    along = (away * probability[possible, None]).T @ away
+    away = np.array([size_with(hypothesis, member, float(v)) for v in values]) - reported
+    along = (away * probability[:, None]).T @ away
 
     def report(c: np.ndarray, v: np.ndarray, tau: float | None) -> Parameters:
         whole = candidate.report(c, v + along, tau)

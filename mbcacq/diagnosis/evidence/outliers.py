@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import solution
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.estimation.linear_problem import LinearProblem
 
 

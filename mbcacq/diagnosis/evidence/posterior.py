@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.options import OPTIONS
 
 PAYLOAD, COMPLIANCE = "payload:", "joint_compliance:"
 
@@ -56,15 +57,23 @@ def payload_instead(fit: EvidenceFit, reported: Hypothesis) -> float | None:
 
 
 def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[RankedAlternative]:
-    """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, beside those of the
-    catalogue alone, or beside those of the most probable set.
+    """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, or beside those of the
+    most probable set; where nothing was compared beside these, beside the reported ones of the catalogue.
     """
-    best: dict[str, RankedAlternative] = {}
+    found = alternatives_beside(fit, (reported, fit.best), label)
+    if found:
+        return found
     named = frozenset(m.label for m in reported.catalogued)
-    alone = [h for h in fit.hypotheses if h.labels == named and label in named != reported.labels]
-    for base in (reported, fit.best, *alone[:1]):
+    alone = next((h for h in fit.hypotheses if h.labels == named and label in named), None)
+    return alternatives_beside(fit, (alone,), label) if alone is not None else []
+
+
+def alternatives_beside(fit: EvidenceFit, bases: Sequence[Hypothesis], label: str) -> list[RankedAlternative]:
+    """Other effects in the place of one, beside the others of these sets."""
+    best: dict[str, RankedAlternative] = {}
+    for base in bases:
+        rest = base.labels - {label}
         for h in fit.hypotheses:
-            rest = base.labels - {label}
             others = h.labels - rest
             if label in h.labels or len(others) != 1 or not rest <= h.labels:
                 continue

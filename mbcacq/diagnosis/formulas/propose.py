@@ -25,6 +25,7 @@ from mbcacq.diagnosis.result import EffectFound, Proposal
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.folds import split
 from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
+from mbcacq.effects import unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -97,7 +98,7 @@ def different(formulas: Sequence[Formula]) -> list[Formula]:
 def setting(problem: DiagnosisProblem, full: ModelFit) -> Setting:
     """The parametric effects in place, and no unmodelled one. Of a long recording, some of its poses."""
     if full.everywhere:
-        small = thinned(problem, full.geometry_only.linear.keep, DIAGNOSIS.many_poses)
+        small = thinned(problem, full.geometry_only.linear.keep, unmodelled.OPTIONS.many_poses)
         model = transferred(problem, small, full.model)
         others = tuple(Member(c, h) for c, h in model.effects)
         point = NoisePoint(small.linear, problem.prior_noise, pack(full.noise))
@@ -146,7 +147,7 @@ class Validation:
         """Fitted without each part and evaluated on it."""
         here = self.here
         sigma = sigma_of(formula)
-        one = candidate(here.context, formula.placed, sigma / DIAGNOSIS.typical_multiple)
+        one = candidate(here.context, formula.placed, sigma / DIAGNOSIS.sizes[-1])
         return self.total(EffectSet((*here.model.effects, (one, None))), ())
 
     def found_in(self, formula: Formula) -> int:

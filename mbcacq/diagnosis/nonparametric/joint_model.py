@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from mbcacq.calibration.with_effects import OPTIONS as GROUPS
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel, slices_of
-from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_sigma, prior_weight
@@ -105,9 +105,8 @@ class JointModel:
         start: (G,) to begin with.
         """
         known = self.index(range(len(self.effects)), ())
-        smallest = OPTIONS.smallest_size * float(np.mean(self.whiten.noise.point))
-        limits = smallest, OPTIONS.largest_size_mm
-        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, OPTIONS.size_rounds)
+        limits = GROUPS.smallest, GROUPS.largest
+        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, GROUPS.rounds)
 
 
 def effect_columns(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:

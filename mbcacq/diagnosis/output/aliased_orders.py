@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
-from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.pose import gear_transmission_error

@@ -7,7 +7,6 @@ import numpy as np
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.model_fit import ModelFit
-from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import EffectFound
 from mbcacq.diagnosis.search.projected_solve import prior_sigma
@@ -73,7 +72,7 @@ def groups(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound],
     location.
     """
     here = Covariates(full.geometry_only.linear.obs)
-    if here.obs.n_poses > OPTIONS.many_poses:
+    if full.everywhere:
         # A second description of one error takes it away from the first.
         elastic = {t.where for t in named if t.name == joint_compliance.NAME}
         turned = any(t.name == orientation_bias.NAME for t in named)

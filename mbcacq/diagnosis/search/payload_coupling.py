@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.solution import solved
@@ -18,9 +19,7 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part
 from mbcacq.effects.pose import joint_compliance, payload
 
-ROUNDS = 20
 LEAST_COMPLIANCE = 0.02  # of the softest joint: no loaded joint is stiffer than that
-CONVERGED = 0.05  # standard deviations by which the payload may still change
 
 
 def coupled(candidates: list[Candidate], context: Context, projected: CandidateScoring, model: EffectSet) -> EffectSet:
@@ -38,7 +37,7 @@ def coupled(candidates: list[Candidate], context: Context, projected: CandidateS
     declared = tuple((c, None) for c in soft)
     elastic = compliances(solved(projected, (*others, *declared)))
     unit, correction, covariance = payload.unit_torques(context), np.zeros(4), None
-    for number in range(ROUNDS):
+    for number in range(OPTIONS.rounds):
         torque = context.gravity_torque + unit @ correction
         loaded_joints = tuple((under_torque(c, torque, number), None) for c in soft)
         tool = payload.correction_for(context, elastic, complete=True)[0]
@@ -47,7 +46,7 @@ def coupled(candidates: list[Candidate], context: Context, projected: CandidateS
         step, covariance = new.coefficients[last], new.covariance[last, last]
         correction = correction + step
         elastic = compliances(new)
-        if np.all(np.abs(step) < CONVERGED * np.sqrt(np.diag(covariance))):
+        if np.all(np.abs(step) < OPTIONS.steady * np.sqrt(np.diag(covariance))):
             break
     tool = payload.correction_for(context, elastic, covariance, complete=True)[0]
     return solved(projected, (*others, *declared, (tool, None)))

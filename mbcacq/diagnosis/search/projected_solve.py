@@ -10,7 +10,7 @@ from mbcacq.effects.effect import Candidate
 
 def prior_sigma(candidate: Candidate) -> np.ndarray:
     """(k,) prior standard deviation of the coefficients: an effect far larger than its typical size is not believed."""
-    return OPTIONS.typical_multiple * candidate.typical
+    return OPTIONS.sizes[-1] * candidate.typical
 
 
 def prior_weight(candidate: Candidate) -> np.ndarray:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.options import OPTIONS
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.estimation.posterior import Posterior
 from mbcacq.estimation.random_effect_sizes import joined
 

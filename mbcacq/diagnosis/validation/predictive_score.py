@@ -1,7 +1,7 @@
 """Predictive score of a model: fitted on some centres, evaluated on others, where only the poses of new stations are free.
 
-Squares are of what the fit predicts; chi2 and ``negative_log_predictive_density`` also know how certain that prediction is. Geometry is
-never known exactly, and its error is common to many centres, so a weak effect shows there first.
+Squares are of what the fit predicts; chi2 also knows how certain that prediction is. Geometry is never known exactly, and its error is
+common to many centres, so a weak effect shows there first.
 """
 
 from __future__ import annotations
@@ -24,15 +24,12 @@ from mbcacq.estimation.whitened_columns import ColumnProducts
 
 @dataclass(frozen=True)
 class PredictiveScore:
-    """Sums over centres: squared 3D distances (mm^2), count, chi2 and its degrees of freedom, and minus twice the log of the probability
-    density of the centres given those fitted, up to a constant.
-    """
+    """Sums over centres: squared 3D distances (mm^2), count, chi2 and its degrees of freedom."""
 
     square: float
     count: int
     chi2: float
     dof: float
-    negative_log_predictive_density: float = 0.0
 
     def __add__(self, other: PredictiveScore) -> PredictiveScore:
         return PredictiveScore(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
@@ -87,9 +84,7 @@ class HeldOutPrediction:
 
     def _scored(self, posterior: Posterior, others: ColumnProducts, left: np.ndarray) -> PredictiveScore:
         """left: (M, R) residual after the solution."""
-        chi2, log_det = posterior.predicted(others)
-        with_stations = score_with_new_stations(self.linear, self.train, self.test, left, self.noise)
-        return replace(with_stations, chi2=chi2, negative_log_predictive_density=chi2 + log_det)
+        return replace(score_with_new_stations(self.linear, self.train, self.test, left, self.noise), chi2=posterior.predicted(others))
 
     def _with_change(self, own: slice, changed: np.ndarray) -> ColumnProducts:
         """The products of the centres left out where the columns of one effect change by these (M, R, k)."""
