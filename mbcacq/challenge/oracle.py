@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from mbcacq.challenge.likelihood_gain import best_hyper, gain_at
-from mbcacq.diagnosis.nonparametric.joint_model import kept_centres, noise_with
+from mbcacq.diagnosis.evidence.hypothesis import Member, under
+from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.diagnosis.evidence.outliers import kept_centres
+from mbcacq.diagnosis.nonparametric.joint_model import noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
@@ -18,6 +21,7 @@ from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import payload
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import pack
 from mbcacq.model.observations import Observations
 
 FOLDS = 4
@@ -54,7 +58,8 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
     model, rest = EffectSet((*companions, *chain.from_iterable(each))), EffectSet(tuple(companions))
     linear = setup.linear
     sigma = noise_with(linear, model, setup.noise, setup.prior_noise)
-    better = kept_centres(CandidateScoring.of(linear, sigma), model)
+    members = tuple(Member(candidate, hyper) for candidate, hyper in model.effects)
+    better = kept_centres(under(NoisePoint(linear, setup.prior_noise, pack(sigma)), members, 0.0))
     if np.mean(~better) < 0.05:
         linear = linear.restricted(better)
         sigma = noise_with(linear, model, sigma, setup.prior_noise)

@@ -76,7 +76,7 @@ def _diagnose(
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
     full = fit_model(problem)
-    usual = OPTIONS.folds if obs.n_poses < OPTIONS.longest_from else OPTIONS.longest_folds
+    usual = OPTIONS.folds if obs.n_poses < 2 * OPTIONS.searched_poses else 2
     validation = cross_validate(problem, full, folds or usual, pool, progress)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     judged = judge(problem, full, validation)

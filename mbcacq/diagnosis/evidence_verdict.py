@@ -12,11 +12,11 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis, undecided
 from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.result import TOGETHER, Alternative, EffectFound, NotSeparable
 
-MOST_ALTERNATIVES = 3  # reported of each effect
 SAME = 0.9999  # correlation of the displacements by two descriptions of one effect
 
 
@@ -49,7 +49,7 @@ def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple
             for label in labels_of(reported, effect.name, where):
                 for other in alternatives_of(fit, reported, label):
                     found[other.label] = max(other.odds, found.get(other.label, 0.0))
-        best = sorted(found.items(), key=lambda item: -item[1])[:MOST_ALTERNATIVES]
+        best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
         ranked = [alternative(label, odds) for label, odds in best]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return tuple(out)

@@ -13,7 +13,6 @@ from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.nonparametric import joint_model
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel, noise_with
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
 from mbcacq.diagnosis.options import OPTIONS
@@ -48,9 +47,8 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
         return found.model, found.random
     small = thinned(problem, keep, OPTIONS.searched_poses)
     best = reported_hypothesis(compared(small, small.linear, pack(small.noise), narrow=True, staged=True))
-    there = effects_of(best)
-    random = random_effects_everywhere(problem, small, there, best.point.noise)[0] if unmodelled else ()
-    return transferred(small, problem, there), random
+    random = random_effects_everywhere(problem, small, best, best.point.noise)[0] if unmodelled else ()
+    return transferred(small, problem, effects_of(best)), random
 
 
 def effects_of(hypothesis: Hypothesis) -> EffectSet:
@@ -67,7 +65,7 @@ def fit_long_recording(problem: DiagnosisProblem) -> ModelFit:
     linear, noise = whole.point.linear, whole.point.noise
     random: tuple[RandomEffect, ...] = ()
     if found.unmodelled:
-        random, noise = random_effects_everywhere(problem, small, effects_of(found), noise)
+        random, noise = random_effects_everywhere(problem, small, found, noise)
         whole = under(replace(whole.point, theta=pack(noise)), whole.members, whole.log_prior)
     model = model_of(problem, fit, whole, linear)
     return replace(model, random=random, cells=cells_of(found))
@@ -79,19 +77,19 @@ def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypo
     members = tuple(replace(m, candidate=c, hyper=h) for m, there in each for c, h in there.effects)
     point = NoisePoint(problem.linear, problem.prior_noise, found.point.theta)
     whole = estimated(members, point, found.log_prior)
-    linear = relinearized(problem.linear, whole).restricted(kept_centres(whole)) if members else problem.linear
+    linear = relinearized(problem.linear, whole).restricted(kept_centres(whole))
     return estimated(members, replace(whole.point, linear=linear), found.log_prior)
 
 
 def random_effects_everywhere(
-    problem: DiagnosisProblem, small: DiagnosisProblem, there: EffectSet, noise: Noise
+    problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis, noise: Noise
 ) -> tuple[tuple[RandomEffect, ...], Noise]:
     """The random effects at all locations that the data ask for beyond the parametric ones, and the noise that they leave.
-    there: the parametric ones, of the thinned recording.
+    found: of the thinned recording.
 
     Sizes and noise are found in a thinned recording, to a few per cent; coefficients take all of it.
     """
-    linear = joint_model.relinearized(small.linear, there, noise)
+    there, linear = effects_of(found), relinearized(small.linear, replace(found, members=found.catalogued))
     whole, chosen = problem.linear.obs, np.isin(problem.linear.obs.pose_id, small.linear.obs.pose_id)
     everywhere = [RandomEffect.of(problem.context, group) for group in unmodelled.everywhere(problem.context)]
     groups = [g.of_poses(chosen, whole.pose).of_unit_size(linear) for g in everywhere]

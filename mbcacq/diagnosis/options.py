@@ -13,9 +13,7 @@ class DiagnosisOptions:
     fewest_poses: int = 12  # fewer determine geometry and stations but no effect
     searched_poses: int = 600  # poses of a long recording in which effects are searched: bounds time and memory (diagnosis.md)
     most_poses: int = 20000  # a longer recording is thinned, so that memory stays below 3 GiB (benchmarks/diagnosis.md)
-    folds: int = 4  # of whole stations, or of blocks of one
-    longest_folds: int = 2  # of a recording of at least ``longest_from`` poses: each fold costs a whole fit (diagnosis.md)
-    longest_from: int = 2000
+    folds: int = 4  # of whole stations, or of blocks of one; two where half of the poses are still as many as are searched
 
     # Prior of effects
     sizes: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of a coefficient's prior sigma, in typical sizes, equally probable
@@ -39,7 +37,7 @@ class DiagnosisOptions:
     outlier_rad: float = 0.01  # and of a grossly wrong orientation
 
     # Search
-    beam: int = 3  # sets kept
+    beam: int = 3  # sets kept, and alternatives reported of an effect
     estimated: int = 5  # sets of a round that get a noise of their own, and effects that are tried in the place of one of the best set
     reach: float = 10.0  # log posterior odds to first order, against the best set, up to which a set is looked at more closely
     most_effects: int = 18  # of a set

@@ -58,6 +58,8 @@ def relinearized(linear: LinearProblem, hypothesis: Hypothesis) -> LinearProblem
     linear: the problem of the hypothesis without the columns of its discrepancy.
     """
     members = hypothesis.members
+    if not members:
+        return linear
     effects = [term(m.candidate.name, m.candidate.build(m.hyper), sigma=m.size * m.candidate.typical) for m in members]
     return linear.adjusted(effects, hypothesis.point.noise)
 

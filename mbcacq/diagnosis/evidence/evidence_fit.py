@@ -52,7 +52,7 @@ def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
         if not fit.best.members and np.array_equal(kept, linear.keep):
             break
         displaced = displacements(fit.best)
-        linear = relinearized(linear, fit.best).restricted(kept) if fit.best.members else linear.restricted(kept)
+        linear = relinearized(linear, fit.best).restricted(kept)
         wide = with_discrepancy(linear, displaced, OPTIONS.discrepancy)
         fit = replace(compared(problem, wide, fit.none.point.theta, fit.best, alternatives=True), linear=linear)
         if fit.best.key == before:

@@ -15,14 +15,9 @@ from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_sigma, prior_weight
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.outliers import outlier_distances, reject_outliers
-from mbcacq.estimation.own_columns import OwnColumns
-from mbcacq.estimation.pose_columns import PoseColumns
-from mbcacq.estimation.pose_information import PoseInformation
 from mbcacq.estimation.posterior import Posterior, root_of
 from mbcacq.estimation.random_effect_sizes import joined, sizes_by_marginal_likelihood
-from mbcacq.estimation.solver import Weights
-from mbcacq.estimation.terms import Part, term
+from mbcacq.estimation.terms import Part
 from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
 from mbcacq.estimation.whitened_columns import ColumnProducts, WhitenedColumns
 from mbcacq.estimation.whitening import CentreWhitening
@@ -131,36 +126,3 @@ def noise_with(linear: LinearProblem, model: EffectSet, start: Noise, prior: Noi
 def conditioned_on_effects(projected: CandidateScoring, model: EffectSet) -> CandidateScoring:
     """The problem with the parametric effects projected out."""
     return projected.conditioned_on([(projected.block(c, h), prior_weight(c)) for c, h in model.effects])
-
-
-def kept_centres(projected: CandidateScoring, model: EffectSet) -> np.ndarray:
-    """(M,) bool of the centres that are no outliers with the model in place, by the rule of the adjustment."""
-    linear = projected.linear
-    columns, sigma = columns_of(linear, model)
-    Z = projected.whiten(columns) * sigma
-    normal = Z.T @ Z
-    residual = linear.residual - columns @ (sigma * np.linalg.solve(normal + np.eye(len(sigma)), Z.T @ projected.r0))
-    pose = linear.obs.pose
-    whole = np.bincount(pose, linear.keep, linear.obs.n_poses) > 0  # of the others the pose was rejected, not its centres
-    weights = Weights((linear.keep | ~whole[pose]).astype(float), whole.astype(float))
-    judged = outlier_distances(poses_by_joints(linear, residual, projected.noise, weights), residual, projected.noise, weights)
-    found = reject_outliers(judged, weights, pose)
-    return (found.centre > 0) & (found.pose[pose] > 0)
-
-
-def poses_by_joints(linear: LinearProblem, residual: np.ndarray, noise: Noise, weights: Weights) -> PoseInformation:
-    """The poses of a linear problem with no columns but those of the joints; residual: (M, R)."""
-    rows, J = linear.rows, linear.joint
-    n, none = J.shape[2], OwnColumns(np.zeros((len(J), rows.width, 3)), np.zeros((len(J), rows.depth), int), 0, np.zeros((*J.shape[:2], 0)))
-    columns = PoseColumns(
-        J, np.zeros((len(J), n, 0)), np.zeros((len(J), n, 6)), np.broadcast_to(np.eye(n), (len(J), n, n)), none, rows.pad(residual)
-    )
-    return PoseInformation.of(rows, columns, noise, weights.centre, weights.pose)
-
-
-def relinearized(linear: LinearProblem, model: EffectSet, noise: Noise) -> LinearProblem:
-    """Adjusted and linearised anew with the model in place: a fit without it had distorted the derivatives."""
-    if not model.effects:
-        return linear
-    sigmas = ((c.name, c.build(h), prior_sigma(c)) for c, h in model.effects)
-    return linear.adjusted([term(name, parts, sigma=sigma) for name, parts, sigma in sigmas], noise)

@@ -21,7 +21,6 @@ from mbcacq.estimation.whitening import CentreWhitening
 
 UnitKey = tuple[str, int, int]  # location, index, component
 MOST_KEPT = 3000  # candidates whose products are kept
-LARGEST_KEPT = 1e6  # functions of a scan that are kept
 ROUNDING = 1e-11  # share of a squared displacement that is left where two displacements cancel
 
 
@@ -245,6 +244,6 @@ class CandidateScoring:
                 xx[:, :, j, :, i] = block
         xx = xx.reshape(H, c * f, c * f)
         result = flat, xx - xq @ np.swapaxes(xq, 1, 2), xr
-        if key is not None and flat.size < LARGEST_KEPT:
+        if key is not None:
             self.store.scans[key] = result
         return result
