@@ -6,12 +6,20 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.nonparametric.evidence_map import MapCell
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.estimation.options import Noise
+
+
+@dataclass(frozen=True)
+class LocatedMismatch:
+    """Where an unmodelled effect is, the covariate that it depends on, and the log Bayes factor that it adds to all else."""
+
+    location: str
+    depends_on: str
+    log_bayes_factor: float
 
 
 @dataclass(frozen=True)
@@ -26,7 +34,7 @@ class ModelFit:
 
     model: EffectSet
     random: tuple[RandomEffect, ...]
-    cells: tuple[MapCell, ...]
+    cells: tuple[LocatedMismatch, ...]
     noise: Noise
     geometry_only: CandidateScoring
     conditioned: CandidateScoring

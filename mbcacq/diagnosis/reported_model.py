@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, first_order
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, first_order
 from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
-from mbcacq.diagnosis.evidence.unmodelled import cell_of
-from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.nonparametric.evidence_map import MapCell
+from mbcacq.diagnosis.evidence.payload_coupling import coupled
+from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search import payload_coupling
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.effects.pose import payload
 from mbcacq.estimation.linear_problem import LinearProblem
 
 
@@ -26,43 +26,39 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
     is reported; linear: its linearisation, without discrepancy.
     """
     projected = CandidateScoring.of(linear, best.point.noise)
-    found = coefficients(best)
-    chosen = [j for j, m in enumerate(best.members) if m in best.catalogued]
-    index = np.concatenate([np.zeros(0, int), *(np.arange(found.slices[j].start, found.slices[j].stop) for j in chosen)])
-    effects = tuple((with_moment_uncertainty(best, best.members[j]), best.members[j].hyper) for j in chosen)
-    model = EffectSet(effects, coefficients=found.mean[index], covariance=found.covariance[np.ix_(index, index)])
-    if payload.NAME in model.names:
-        model = payload_coupling.coupled(problem.candidates, problem.context, projected, model)
+    agreed = coupled(problem.candidates, problem.context, best)
+    members, values, covariance = part_of(agreed, lambda m: m in agreed.catalogued)
+    model = EffectSet(tuple((with_moment_uncertainty(agreed, m), m.hyper) for m in members), 0.0, values, covariance)
     conditioned = conditioned_on_effects(projected, model)
-    model = EffectSet(model.effects, projected.chi2 - conditioned.chi2, model.coefficients, model.covariance)
-    estimated = random_effects(best)
+    model = replace(model, gain=projected.chi2 - conditioned.chi2)
+    estimated = random_effects(best) if best.unmodelled else None
     groups = estimated.groups if estimated else ()
     return ModelFit(model, groups, cells_of(best), best.point.noise, projected, conditioned, fit, estimated=estimated)
 
 
-def random_effects(best: Hypothesis) -> RandomEffectsModel | None:
+def part_of(hypothesis: Hypothesis, chosen: Callable[[Member], bool]) -> tuple[list[Member], np.ndarray, np.ndarray]:
+    """Some effects of a hypothesis, their coefficients (k,) and the covariance (k, k) of these."""
+    found = coefficients(hypothesis)
+    own = [(m, p) for m, p in zip(hypothesis.members, found.slices, strict=True) if chosen(m)]
+    index = np.concatenate([np.zeros(0, int), *(np.arange(p.start, p.stop) for _, p in own)])
+    return [m for m, _ in own], found.mean[index], found.covariance[np.ix_(index, index)]
+
+
+def random_effects(best: Hypothesis) -> RandomEffectsModel:
     """The unmodelled effects of a hypothesis."""
-    if not best.unmodelled:
-        return None
-    found = coefficients(best)
-    chosen = [j for j, m in enumerate(best.members) if m in best.unmodelled]
-    members = [best.members[j] for j in chosen]
+    members, values, covariance = part_of(best, lambda m: m in best.unmodelled)
     groups = tuple(
         RandomEffect(m.candidate.where[0], m.candidate.depends_on, tuple(m.candidate.build(None)), m.size * m.candidate.typical)
         for m in members
     )
-    values = np.concatenate([found.mean[found.slices[j]] for j in chosen])
-    sigma = np.concatenate([g.sigma for g in groups])
-    index = np.concatenate([np.arange(found.slices[j].start, found.slices[j].stop) for j in chosen])
-    covariance = found.covariance[np.ix_(index, index)]
-    used = float(np.sum(1.0 - np.diag(covariance) / sigma**2))
-    return RandomEffectsModel(groups, values, used, covariance)
+    return RandomEffectsModel(groups, values, covariance)
 
 
-def cells_of(best: Hypothesis) -> tuple[MapCell, ...]:
-    """The unmodelled effects as cells of the evidence map, each with the evidence that the hypothesis loses without it."""
+def cells_of(best: Hypothesis) -> tuple[LocatedMismatch, ...]:
+    """Where the unmodelled effects are, each with the evidence that the hypothesis loses without it."""
     cells = []
-    for member in best.unmodelled:
-        rest = tuple(m for m in best.members if m is not member)
-        cells.append(cell_of(member, best.log_evidence - first_order(rest, best.point, 0.0).log_evidence))
+    for m in best.unmodelled:
+        rest = tuple(other for other in best.members if other is not m)
+        lost = best.log_evidence - first_order(rest, best.point, 0.0).log_evidence
+        cells.append(LocatedMismatch(m.candidate.where[0], m.candidate.depends_on, lost))
     return tuple(cells)

@@ -9,7 +9,6 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member, conditioned
 from mbcacq.diagnosis.nonparametric import gaussian_process, locations
-from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
 from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell, MapEvidence
@@ -116,11 +115,3 @@ def parts_of(group: BlockGroup, rows: np.ndarray, index: np.ndarray) -> list[Par
         if np.any(mix):
             parts.append(Part(place, number, component, (mix[:, None] * F[:, None, :]).reshape(len(F), -1)))
     return parts
-
-
-def cell_of(member: Member, log_bayes_factor: float) -> MapCell:
-    """An unmodelled effect of a set as a cell of the evidence map."""
-    candidate, nothing = member.candidate, BasisFunction(member.candidate.depends_on, np.zeros(0, int), np.zeros(0))
-    return MapCell(
-        candidate.where[0], candidate.depends_on, log_bayes_factor, log_bayes_factor + member.log_mass, 0.0, candidate.k, 0, (), nothing
-    )

@@ -91,9 +91,7 @@ class JointModel:
     def random_effects(self) -> RandomEffectsModel:
         """The random effects with their coefficients."""
         index = joined(self.groups)
-        covariance = self.posterior.covariance_of(index)
-        used = float(np.sum(1.0 - np.diag(covariance) / self.sigma[index] ** 2))
-        return RandomEffectsModel(self.random, self.posterior.solution[index], used, covariance)
+        return RandomEffectsModel(self.random, self.posterior.solution[index], self.posterior.covariance_of(index))
 
     def group_sizes(self, start: np.ndarray) -> np.ndarray:
         """(G,) size of each group, in units of its sigma, by which the centres are most probable; zero where the data do not ask for it.

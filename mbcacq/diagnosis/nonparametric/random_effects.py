@@ -48,14 +48,17 @@ class RandomEffect:
 
 @dataclass(frozen=True)
 class RandomEffectsModel:
-    """Groups with their coefficients (all concatenated). used: coefficients that the data determine. covariance: of the coefficients, with
-    geometry and parametric effects free.
-    """
+    """Groups with their coefficients (all concatenated). covariance: of the coefficients, with geometry and parametric effects free."""
 
     groups: tuple[RandomEffect, ...]
     coefficients: np.ndarray
-    used: float
     covariance: np.ndarray
+
+    @property
+    def used(self) -> float:
+        """Number of coefficients that the data determine."""
+        sigma = np.concatenate([g.sigma for g in self.groups])
+        return float(np.sum(1.0 - np.diag(self.covariance) / sigma**2))
 
     def slices(self) -> list[slice]:
         """Which coefficients belong to which group."""

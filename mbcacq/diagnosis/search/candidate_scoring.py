@@ -110,11 +110,6 @@ class CandidateScoring:
     def chi2(self) -> float:
         return float(self.r0 @ self.r)
 
-    @property
-    def all_projected(self) -> np.ndarray:
-        """(rows, z + a) everything that is projected out."""
-        return np.concatenate([self.Q, self.conditioned], axis=1)
-
     def block(self, candidate: Candidate, hyper: float | None) -> np.ndarray:
         """Whitened columns (rows, k) of a candidate."""
         return self.candidate_products(candidate, hyper)[0]

@@ -37,11 +37,6 @@ class EffectSet:
         found = dict.fromkeys((c.name, located_name(c)) for c, _ in self.effects)
         return tuple(located for name, located in found if sum(name == other for other, _ in found) > 1)
 
-    def without(self, keys: tuple[str, ...]) -> EffectSet:
-        """The other effects, to be solved anew; this very set where it has none of these. keys: names, or 'name:location'."""
-        effects = tuple(e for e in self.effects if e[0].name not in keys and located_name(e[0]) not in keys)
-        return self if len(effects) == len(self.effects) else EffectSet(effects)
-
 
 def located_name(candidate: Candidate) -> str:
     return f"{candidate.name}:{'+'.join(candidate.where)}"

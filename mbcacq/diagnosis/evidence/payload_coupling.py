@@ -11,10 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.coefficients import Coefficients, coefficients
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.search.solution import solved
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part
 from mbcacq.effects.pose import joint_compliance, payload
@@ -22,34 +21,35 @@ from mbcacq.effects.pose import joint_compliance, payload
 LEAST_COMPLIANCE = 0.02  # of the softest joint: no loaded joint is stiffer than that
 
 
-def coupled(candidates: list[Candidate], context: Context, projected: CandidateScoring, model: EffectSet) -> EffectSet:
+def coupled(candidates: list[Candidate], context: Context, best: Hypothesis) -> Hypothesis:
     """The set with compliances and payload that agree with each other; the set itself where it has no wrong payload. candidates: of the
     recording.
 
     Every loaded joint is elastic in this, significantly or not, so that the payload's uncertainty contains theirs.
     """
-    if payload.NAME not in model.names:
-        return model
+    if all(m.candidate.name != payload.NAME for m in best.members):
+        return best
     loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(context)}
-    there = {c.where for c, _ in model.effects if c.name == joint_compliance.NAME}
+    there = {m.candidate.where for m in best.members if m.candidate.name == joint_compliance.NAME}
     soft = [c for c in candidates if c.name == joint_compliance.NAME and c.where in loaded | there]
-    others = tuple((c, h) for c, h in model.effects if c.name not in (payload.NAME, joint_compliance.NAME))
-    declared = tuple((c, None) for c in soft)
-    elastic = compliances(solved(projected, (*others, *declared)))
+    others = [m for m in best.members if m.candidate.name not in (payload.NAME, joint_compliance.NAME)]
+
+    def together(*chosen: Candidate) -> Hypothesis:
+        return replace(best, members=(*others, *(Member(c, None, size=OPTIONS.sizes[-1]) for c in chosen)))
+
+    elastic = compliances(together(*soft))
     unit, correction, covariance = payload.unit_torques(context), np.zeros(4), None
     for number in range(OPTIONS.rounds):
         torque = context.gravity_torque + unit @ correction
-        loaded_joints = tuple((under_torque(c, torque, number), None) for c in soft)
         tool = payload.correction_for(context, elastic, complete=True)[0]
-        new = solved(projected, (*others, *loaded_joints, (tool, None)))
-        last = new.slices()[-1]
-        step, covariance = new.coefficients[last], new.covariance[last, last]
+        new = together(*(under_torque(c, torque, number) for c in soft), tool)
+        found = coefficients(new)
+        step, covariance = found.mean[found.slices[-1]], found.covariance[found.slices[-1], found.slices[-1]]
         correction = correction + step
-        elastic = compliances(new)
+        elastic = compliances(new, found)
         if np.all(np.abs(step) < OPTIONS.steady * np.sqrt(np.diag(covariance))):
             break
-    tool = payload.correction_for(context, elastic, covariance, complete=True)[0]
-    return solved(projected, (*others, *declared, (tool, None)))
+    return together(*soft, payload.correction_for(context, elastic, covariance, complete=True)[0])
 
 
 def under_torque(candidate: Candidate, torque: np.ndarray, number: int) -> Candidate:
@@ -59,12 +59,13 @@ def under_torque(candidate: Candidate, torque: np.ndarray, number: int) -> Candi
     return replace(candidate, build=lambda _: [Part("joint", i, 0, torque[:, i : i + 1])], variant=variant)
 
 
-def compliances(model: EffectSet) -> dict[int, float]:
+def compliances(hypothesis: Hypothesis, known: Coefficients | None = None) -> dict[int, float]:
     """Index of the joint -> rad/Nm, to four digits; none below a share of the softest."""
+    solved = known or coefficients(hypothesis)
     found = {
-        int(c.where[0][1:]) - 1: float(model.coefficients[p.start])
-        for (c, _), p in zip(model.effects, model.slices(), strict=True)
-        if c.name == joint_compliance.NAME
+        int(m.candidate.where[0][1:]) - 1: float(solved.mean[p.start])
+        for m, p in zip(hypothesis.members, solved.slices, strict=True)
+        if m.candidate.name == joint_compliance.NAME
     }
     least = max(LEAST_COMPLIANCE * max(found.values()), 1e-9)
     return {i: float(f"{max(value, least):.4g}") for i, value in found.items()}
