@@ -22,7 +22,8 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.design.simulated_observations import planned_noise, planned_state
 from mbcacq.diagnosis.nonparametric.joint_model import noise_with
-from mbcacq.diagnosis.output.exclusion_limits import CoefficientLimit, coefficient_limit, of_fewest_coefficients
+from mbcacq.diagnosis.output.exclusion_limits import coefficient_limit, of_fewest_coefficients
+from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.effects import catalogue
@@ -71,7 +72,7 @@ class PlannedRecording:
         return CandidateScoring.of(here, noise_with(here, NO_EFFECTS, first_noise(linear.obs.cell), self.prior))
 
 
-def with_effect(drawn: CandidateScoring, candidate: Candidate, limit: CoefficientLimit) -> CandidateScoring:
+def with_effect(drawn: CandidateScoring, candidate: Candidate, limit: SizedEffect) -> CandidateScoring:
     """The recording had it that effect, as large as a limit."""
     r0 = drawn.r0 + drawn.block(candidate, limit.hyper) @ limit.coefficients
     beyond, products = r0 - drawn.Q @ (drawn.Q.T @ r0), {}
@@ -80,14 +81,7 @@ def with_effect(drawn: CandidateScoring, candidate: Candidate, limit: Coefficien
     return replace(drawn, r0=r0, r=beyond, store=ProductStore(candidates=products))
 
 
-def size(limit: CoefficientLimit, candidate: Candidate) -> float:
-    """Largest coefficient in typical sizes."""
-    return float(np.max(np.abs(limit.coefficients) / candidate.typical))
-
-
-def measured(
-    planned: PlannedRecording, seed: int, stated: dict[str, CoefficientLimit]
-) -> tuple[dict[str, CoefficientLimit], dict[str, bool]]:
+def measured(planned: PlannedRecording, seed: int, stated: dict[str, SizedEffect]) -> tuple[dict[str, SizedEffect], dict[str, bool]]:
     """The limits of a draw, and whether those of the draw before cover effects as large as they are."""
     drawn, limits, covered = planned.drawn(seed), {}, {}
     for candidate in planned.candidates:
@@ -95,7 +89,7 @@ def measured(
         before = stated.get(candidate.key)
         if before is not None and np.all(np.isfinite(before.coefficients)):
             again = coefficient_limit(with_effect(drawn, candidate, before), candidate, planned.stated)
-            covered[candidate.key] = size(again, candidate) >= size(before, candidate)
+            covered[candidate.key] = again.in_typical_sizes >= before.in_typical_sizes
     return limits, covered
 
 

@@ -39,7 +39,7 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     return "partly_explained" if full.model.gain > rest else "unexplained"
 
 
-def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple[EffectFound, ...]:
+def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
     """The effects, each with the strongest others that could stand in its place."""
     reported = reported_hypothesis(fit)
     out = []
@@ -52,7 +52,7 @@ def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> tuple
         best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
         ranked = [alternative(label, odds) for label, odds in best]
         out.append(replace(effect, alternatives=tuple(ranked)))
-    return tuple(out)
+    return out
 
 
 def named_labels(hypothesis: Hypothesis) -> set[str]:

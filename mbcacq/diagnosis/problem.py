@@ -9,9 +9,9 @@ import numpy as np
 
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.several import shares
-from mbcacq.diagnosis.geometry_alone import GeometryAlone
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.result import GeometryAlone
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context

@@ -5,22 +5,92 @@ Every class here is plain data: it pickles, and its fields are the keys of the J
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import cache
 from html import escape
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
+from pydantic import BeforeValidator, PlainValidator, TypeAdapter
 
-from mbcacq.diagnosis.geometry_alone import GeometryAlone
+from mbcacq.calibration.calibration_fit import CalibrationFit, Parameter
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.errors import ConfigError
+from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.json_text import damage
 
-FORMAT_1, FORMAT = "mbcacq-diagnosis/1", "mbcacq-diagnosis/2"
+FORMAT_1 = "mbcacq-diagnosis/1"
+FORMAT = "mbcacq-diagnosis/2"
 READABLE = (FORMAT_1, FORMAT)
+
+
+def with_nan(value: Any) -> Any:
+    """Content of JSON with not-a-number for each null, which stands for a number that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: with_nan(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [with_nan(v) for v in value]
+    return np.nan if value is None else value
+
+
+Number = Annotated[float, BeforeValidator(with_nan)]
+Estimate = Annotated[ParameterEstimate, BeforeValidator(with_nan)]
+Model = Annotated[EffectModel | None, PlainValidator(lambda content: EffectModel.from_dict(content) if content else None)]
+
+
+@dataclass(frozen=True)
+class EstimatedNoise:
+    """Standard deviations. scanner_mm: (3,) of a centre along the instrument's axes; joint_rad: (n,) repeatability of each axis; turn_rad:
+    of a measured orientation about each axis, None where none was measured."""
+
+    scanner_mm: tuple[float, ...]
+    joint_rad: tuple[float, ...]
+    turn_rad: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content; without 'turn_rad' where no orientation was measured."""
+        return {key: value for key, value in vars(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class GeometryAlone:
+    """The cell of one recording before any effect, as ``mbcacq.calibrate`` has it: keys, names and units are those of result.json (format
+    'mbcacq-result/1').
+
+    poses, centres: that took part; a search for effects may begin with more centres, since an effect may be what puts them off. rms_mm: of
+    3D distances; chi2, dof: of the fit. calibrated: MD-H rows by parameter, (n,) rad or mm. T_flange_scanner: (4, 4) mm.
+    parameters: of the arm and the hand-eye transform.
+    """
+
+    poses: int
+    centres: int
+    rms_mm: Number
+    chi2: Number
+    dof: int
+    noise: EstimatedNoise
+    calibrated: Mapping[str, tuple[float, ...]]
+    T_flange_scanner: tuple[tuple[float, ...], ...]
+    parameters: tuple[Parameter, ...]
+
+    @classmethod
+    def of(cls, fit: CalibrationFit) -> Self:
+        """Of a calibration without effects."""
+        turn = fit.noise.turn if fit.residual.shape[1] == 6 else None
+        arm, hand_eye, *_ = fit.layout.blocks
+        return cls(
+            poses=fit.used_poses,
+            centres=int(fit.used.sum()),
+            rms_mm=fit.rms_mm,
+            chi2=float(fit.chi2),
+            dof=fit.dof,
+            noise=EstimatedNoise(tuple(fit.noise.point.tolist()), tuple(fit.noise.joint.tolist()), turn),
+            calibrated={p: tuple(getattr(fit.state.chain, p).tolist()) for p in PARAMETERS},
+            T_flange_scanner=tuple(tuple(row) for row in fit.state.T_flange_scanner.tolist()),
+            parameters=tuple(p for p in fit.parameters if p.name in {*arm.names, *hand_eye.names}),
+        )
 
 
 @dataclass(frozen=True)
@@ -32,8 +102,8 @@ class MismatchEntry:
 
     at: str
     depends_on: str
-    share: float
-    p_value: float
+    share: Number
+    p_value: Number
     equivalent: tuple[str, ...] = ()
 
 
@@ -45,7 +115,7 @@ class Alternative:
 
     name: str
     where: tuple[str, ...]
-    held_out_gain: float
+    held_out_gain: Number
     odds: float | None = None
 
 
@@ -62,9 +132,9 @@ class EffectFound:
 
     name: str
     where: tuple[str, ...]
-    parameters: Mapping[str, ParameterEstimate]
-    p_value: float
-    held_out_gain: float
+    parameters: Mapping[str, Estimate]
+    p_value: Number
+    held_out_gain: Number
     alternatives: tuple[Alternative, ...] = ()
     depends_on: str = ""
     p_local: float | None = None
@@ -79,10 +149,10 @@ class FitFigures:
     chi2 per degree of freedom under the full noise model.
     """
 
-    before_rms_mm: float
-    after_rms_mm: float
-    before_chi2_dof: float
-    after_chi2_dof: float
+    before_rms_mm: Number
+    after_rms_mm: Number
+    before_chi2_dof: Number
+    after_chi2_dof: Number
 
 
 @dataclass(frozen=True)
@@ -98,7 +168,7 @@ class FitSummary:
 
     train: FitFigures
     held_out: HeldOutFigures
-    repeatability_floor_mm: float
+    repeatability_floor_mm: Number
 
 
 TOGETHER = " and "  # between effects that stand together on one side of a pair
@@ -111,7 +181,7 @@ class NotSeparable:
     """
 
     effects: tuple[str, ...]
-    correlation: float
+    correlation: Number
     odds: float | None = None
 
 
@@ -127,12 +197,12 @@ class BetweenRecordings:
     name: str
     where: tuple[str, ...]
     parameter: str
-    values: tuple[float, ...]
-    stds: tuple[float, ...]
-    common: float
-    common_std: float
-    between_std: float
-    p_value: float
+    values: tuple[Number, ...]
+    stds: tuple[Number, ...]
+    common: Number
+    common_std: Number
+    between_std: Number
+    p_value: Number
 
 
 @dataclass(frozen=True)
@@ -140,7 +210,7 @@ class Advice:
     """What to measure next and why; poses_deg: joint angles, one tuple a pose."""
 
     reason: str
-    poses_deg: tuple[tuple[float, ...], ...]
+    poses_deg: tuple[tuple[Number, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -174,15 +244,15 @@ class Proposal:
     where: tuple[str, ...]
     formula: str
     terms: tuple[str, ...]
-    log_bayes_factor: float
-    odds: float
-    held_out_before_chi2_dof: float
-    held_out_chi2_dof: float
-    held_out_rms_mm: float
-    smooth_chi2_dof: float
+    log_bayes_factor: Number
+    odds: Number
+    held_out_before_chi2_dof: Number
+    held_out_chi2_dof: Number
+    held_out_rms_mm: Number
+    smooth_chi2_dof: Number
     found_in: int
     parts: int
-    term: EffectTerm
+    term: Annotated[EffectTerm, PlainValidator(EffectTerm.from_dict)]
 
 
 @dataclass(frozen=True)
@@ -210,16 +280,12 @@ class Diagnosis:
     exclusion_limits: tuple[ExclusionLimit, ...] = ()
     between_recordings: tuple[BetweenRecordings, ...] = ()
     proposals: tuple[Proposal, ...] = ()
-    model: EffectModel | None = field(default=None, compare=False)
+    model: Model = field(default=None, compare=False)
     plot_data: object | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
-        apart = ("plot_data", "model", "proposals")
-        content = {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
-        content["geometry_alone"] = [plain(one.to_dict()) for one in self.geometry_alone]
-        proposals = [plain({**vars(p), "term": p.term.to_dict()}) for p in self.proposals]
-        return content | {"proposals": proposals, "model": plain(self.model.to_dict()) if self.model else None}
+        return {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "plot_data"}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Diagnosis:
@@ -232,7 +298,7 @@ class Diagnosis:
             said = f"its format is '{kind}'" if kind else "it does not say its format"
             raise ConfigError(f"this is no diagnosis: {said}, which should be '{FORMAT}'; give what mbcacq diagnose --out writes")
         try:
-            return _read_diagnosis(content)
+            return _reader().validate_python(content)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
 
@@ -262,8 +328,12 @@ class Diagnosis:
 
 
 def plain(value: Any) -> Any:
-    """Only what JSON has: dataclasses become dictionaries, numpy numbers become numbers, what is not finite becomes None."""
-    if is_dataclass(value) and not isinstance(value, type):
+    """Only what JSON has: dataclasses become dictionaries, of their ``to_dict`` where they have one, numpy numbers become numbers, what is
+    not finite becomes None.
+    """
+    if hasattr(value, "to_dict"):
+        value = value.to_dict()
+    elif is_dataclass(value) and not isinstance(value, type):
         value = {f.name: getattr(value, f.name) for f in fields(value)}
     elif isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -274,75 +344,7 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _read_diagnosis(content: Mapping[str, Any]) -> Diagnosis:
-    fit = content["fit"]
-    return Diagnosis(
-        verdict=content["verdict"],
-        mismatch=tuple(
-            MismatchEntry(m["at"], m["depends_on"], _number(m["share"]), _number(m["p_value"]), tuple(m.get("equivalent", ())))
-            for m in content["mismatch"]
-        ),
-        effects=tuple(_read_effect(e) for e in content["effects"]),
-        fit=FitSummary(
-            FitFigures(*_figures(fit["train"])),
-            HeldOutFigures(*_figures(fit["held_out"]), fit["held_out"]["split"]),
-            _number(fit["repeatability_floor_mm"]),
-        ),
-        geometry_alone=tuple(GeometryAlone.from_dict(one) for one in content.get("geometry_alone", ())),
-        not_separable=tuple(NotSeparable(tuple(p["effects"]), _number(p["correlation"]), p.get("odds")) for p in content["not_separable"]),
-        advice=tuple(Advice(a["reason"], tuple(tuple(_number(v) for v in q) for q in a["poses_deg"])) for a in content["advice"]),
-        dropped=dict(content.get("dropped", {})),
-        notes=tuple(content.get("notes", ())),
-        exclusion_limits=tuple(_read_limit(e) for e in content.get("exclusion_limits", ())),
-        between_recordings=tuple(
-            BetweenRecordings(**{**b, "where": tuple(b["where"]), "values": tuple(b["values"]), "stds": tuple(b["stds"])})
-            for b in content.get("between_recordings", ())
-        ),
-        proposals=tuple(_read_proposal(p) for p in content.get("proposals", ())),
-        model=EffectModel.from_dict(content["model"]) if content.get("model") else None,
-    )
-
-
-def _read_limit(e: Mapping[str, Any]) -> ExclusionLimit:
-    return ExclusionLimit(e["name"], tuple(e["where"]), e["parameter"], e["value"], e["workspace_mm"], e["length_mm"])
-
-
-def _read_proposal(p: Mapping[str, Any]) -> Proposal:
-    numbers = {f.name: _number(p[f.name]) for f in fields(Proposal) if f.type == "float"}
-    whole = {key: tuple(p[key]) for key in ("where", "terms")}
-    return Proposal(**{**p, **numbers, **whole, "term": EffectTerm.from_dict(p["term"])})
-
-
-def _read_effect(e: Mapping[str, Any]) -> EffectFound:
-    return EffectFound(
-        name=e["name"],
-        where=tuple(e["where"]),
-        parameters={k: ParameterEstimate(_numbers(p["value"]), _numbers(p["std"])) for k, p in e["parameters"].items()},
-        p_value=_number(e["p_value"]),
-        held_out_gain=_number(e["held_out_gain"]),
-        alternatives=tuple(
-            Alternative(a["name"], tuple(a["where"]), _number(a["held_out_gain"]), a.get("odds")) for a in e["alternatives"]
-        ),
-        depends_on=e.get("depends_on", ""),
-        p_local=e.get("p_local"),
-        p_corrected=e.get("p_corrected"),
-        log_bayes_factor=e.get("log_bayes_factor"),
-        equivalent=tuple(e.get("equivalent", ())),
-    )
-
-
-def _figures(part: Mapping[str, Any]) -> tuple[float, float, float, float]:
-    return (
-        _number(part["before_rms_mm"]),
-        _number(part["after_rms_mm"]),
-        _number(part["before_chi2_dof"]),
-        _number(part["after_chi2_dof"]),
-    )
-
-
-def _numbers(value: float | Sequence[float] | None) -> float | tuple[float, ...]:
-    return tuple(_number(v) for v in value) if isinstance(value, Sequence) else _number(value)
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else value
+@cache
+def _reader() -> TypeAdapter[Diagnosis]:
+    """What makes a diagnosis of content of JSON."""
+    return TypeAdapter(Diagnosis)

@@ -49,6 +49,9 @@ def first_fault(error: ValidationError) -> tuple[str, str]:
 
 def damage(error: Exception) -> str:
     """In words, what an error says that was raised while content of JSON was taken apart; a ValueError speaks for itself."""
+    if isinstance(error, ValidationError):
+        key, fault = first_fault(error)
+        return f"the key '{key}' is missing" if fault == WORDS["missing"] else f"{key}: {fault}"
     if isinstance(error, KeyError):
         return f"the key {error} is missing"
     return str(error) if isinstance(error, ValueError) else "a value in it is not of its kind"

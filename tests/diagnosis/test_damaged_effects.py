@@ -131,7 +131,7 @@ def test_what_is_no_json_is_said_in_words(tmp_path, data, fault):
         ({"format": None}, "it does not say its format"),
         ({"format": "x"}, "its format is 'x'"),
         ({}, "the key 'verdict' is missing"),
-        ({"verdict": "x", "mismatch": None}, "a value in it is not of its kind"),
+        ({"verdict": "x", "mismatch": None}, "mismatch: it is no list"),
     ],
 )
 def test_a_diagnosis_that_is_none_says_why(content, change, sentence):

@@ -8,10 +8,11 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.output.notes import not_carried_over, unproven_places
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.folds import split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
-from mbcacq.diagnosis.verdict import not_carried_over, unproven_places, verdict_of
+from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.forward_model import Displacements

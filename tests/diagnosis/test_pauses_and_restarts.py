@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import simulated
 
-from mbcacq.diagnosis.output import interruptions
+from mbcacq.diagnosis.output.notes import confounded_pauses, pauses
+from mbcacq.diagnosis.result import EffectFound
+from mbcacq.effects.effect import ParameterEstimate
 
 
 def paused(at: int):
@@ -16,16 +18,14 @@ def paused(at: int):
 
 
 def test_a_pause_is_found_with_the_temperatures_on_either_side():
-    (pause,) = interruptions.pauses(paused(15))
-    assert (pause.after, pause.before) == (14, 15)
-    assert pause.temperatures == {"air_C": (22.3, 21.4)}
-    assert str(pause) == "a pause of 8.4 h after pose 14, air_C went from 22.3 to 21.4 deg C"
+    assert pauses(paused(15)) == [(15, "a pause of 8.4 h after pose 14, air_C went from 22.3 to 21.4 deg C")]
 
 
 def test_a_change_at_the_pause_is_said_to_be_confounded():
-    (sentence,) = interruptions.confounded(paused(15), {"mount_shift"}, [(17.0, 0.5)])
+    shift = EffectFound("mount_shift", ("mount",), {"mount.at_pose": ParameterEstimate(17.0, 0.5)}, 1e-9, 0.5)
+    (sentence,) = confounded_pauses(paused(15), [shift])
     assert "the change at pose 17 may be a displacement, thermal growth or a new mastering" in sentence
 
 
 def test_a_recording_without_pause_has_none():
-    assert interruptions.pauses(simulated.plan(4, 0, 7)) == []
+    assert pauses(simulated.plan(4, 0, 7)) == []

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mbcacq.diagnosis.output.shares import sum_of_shares
+from mbcacq.diagnosis.output.notes import sum_of_shares
 from mbcacq.diagnosis.result import MismatchEntry
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 

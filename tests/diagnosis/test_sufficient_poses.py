@@ -9,8 +9,8 @@ import simulated
 
 from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.output.exclusion_limits import CoefficientLimit, LimitedEffect
-from mbcacq.diagnosis.output.sufficient_poses import excluded_share, says_too_little, sufficient_poses
+from mbcacq.diagnosis.output.exclusion_limits import excluded_share, says_too_little, sufficient_poses
+from mbcacq.diagnosis.output.next_measurements import SizedEffect
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +27,7 @@ def some_effect(few):
 
 def limited(candidate, **limits):
     """Effects of these kinds, each at locations with these limits in typical sizes."""
-    return [
-        LimitedEffect(replace(candidate, name=kind), CoefficientLimit(None, size * candidate.typical))
-        for kind, sizes in limits.items()
-        for size in sizes
-    ]
+    return [SizedEffect(replace(candidate, name=kind), None, size * candidate.typical) for kind, sizes in limits.items() for size in sizes]
 
 
 def test_kinds_count_alike_whatever_their_number_of_locations(some_effect):
@@ -46,7 +42,7 @@ def test_limits_fall_with_the_square_root_of_the_poses(some_effect):
 
 def test_no_number_of_poses_shows_what_the_geometry_absorbs(some_effect):
     absorbed = limited(some_effect, a=[0.5], b=[np.inf], c=[np.inf])
-    assert sufficient_poses(absorbed, 20) is None
+    assert sufficient_poses(absorbed, 20) == np.inf
     assert "other postures" in str(says_too_little(absorbed, 20))
 
 
@@ -57,3 +53,5 @@ def test_twelve_poses_cannot_tell_and_say_how_many_could(few):
     (said,) = [note for note in found.notes if "would exclude half" in note]
     (enough,) = re.findall(r"(\d+) poses like these", said)
     assert int(enough) > 12
+    (advice,) = found.advice
+    assert "could not have been seen" in advice.reason

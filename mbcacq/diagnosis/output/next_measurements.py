@@ -1,4 +1,4 @@
-"""What to measure next: poses within the joint limits at which two alternatives differ most, or an unobservable effect would show."""
+"""What to measure next: poses within the joint limits at which alternatives differ most, or what could not have been seen would show."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OVER_TIME = ("joint_step", "mount_shift", "station_drift", "scanner_warmup", "th
 
 @dataclass(frozen=True)
 class SizedEffect:
-    """An effect with the value of its hyper-parameter and its coefficients (k,)."""
+    """An effect with the value of its hyper-parameter and its coefficients (k,), inf where the geometry absorbs it."""
 
     candidate: Candidate
     hyper: float | None
@@ -33,6 +33,11 @@ class SizedEffect:
     def label(self) -> str:
         """``name:where`` as in the JSON object."""
         return f"{self.candidate.name}:{'+'.join(self.candidate.where)}"
+
+    @property
+    def in_typical_sizes(self) -> float:
+        """The largest coefficient, relative to its typical size."""
+        return float((self.coefficients / self.candidate.typical).max())
 
 
 @dataclass(frozen=True)
@@ -46,16 +51,16 @@ class Elsewhere:
     def candidates(self) -> dict[str, Candidate]:
         return {candidate.key: candidate for candidate in catalogue.candidates(self.context)[0]}
 
-    def displacement(self, key: str, hyper: float | None, coefficients: np.ndarray) -> np.ndarray | None:
-        """(P, 3) mm: what a candidate of the recording would do at these postures; None where it cannot be built there."""
-        candidate = self.candidates.get(key)
-        return None if candidate is None else self.linear.columns(candidate.build(hyper))[:, :3] @ coefficients
+    def displacement(self, effect: SizedEffect) -> np.ndarray | None:
+        """(P, 3) mm: what an effect of the recording would do at these postures; None where it cannot be built there."""
+        candidate = self.candidates.get(effect.candidate.key)
+        return None if candidate is None else self.linear.columns(candidate.build(effect.hyper))[:, :3] @ effect.coefficients
 
 
-def elsewhere(context: Context, seed: int = 0) -> Elsewhere:
+def elsewhere(context: Context) -> Elsewhere:
     """The same cell at random postures within limits and not below the lowest flange so far, one ball in the middle of the field each."""
     obs, robot = context.obs, context.obs.cell.robot
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     low = np.maximum(robot.limits[:, 0], -np.pi)
     high = np.minimum(robot.limits[:, 1], np.pi)
     q = rng.uniform(low, high, (8 * TRIED, robot.n))
@@ -80,38 +85,37 @@ def elsewhere(context: Context, seed: int = 0) -> Elsewhere:
     return Elsewhere(there, LinearProblem.of(blank, context.state))
 
 
-def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]]) -> list[Advice]:
+def separating(context: Context, there: Elsewhere, pairs: Sequence[tuple[SizedEffect, SizedEffect]]) -> list[Advice]:
     """One piece of advice for each pair of effects that the recording cannot tell apart, where there is one."""
-    if not pairs:
+    out = []
+    for pair in pairs:
+        names = [e.candidate.name for e in pair]
+        if set(names) & set(OVER_TIME):
+            reason = f"{' and '.join(names)} differ in time: measure the first station again, at the same postures, at the end"
+            out.append(Advice(reason, first_poses(context)))
+            continue
+        a, b = (there.displacement(e) for e in pair)
+        if a is not None and b is not None:
+            chosen = spread(a - b)
+            apart = float(np.linalg.norm((a - b)[chosen], axis=1).mean())
+            both = " and ".join(f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in pair)
+            reason = f"{both} differ by {apart:.3f} mm at these poses, on one station"
+            out.append(Advice(reason, _in_degrees(there.context.obs.q[chosen])))
+    return out
+
+
+def revealing(there: Elsewhere, limited: Sequence[SizedEffect]) -> list[Advice]:
+    """Poses that show the effect, of those that are not excluded at their typical size, that does most at such a size. limited: each as
+    large as the recording does not exclude it.
+    """
+    typical = [replace(e, coefficients=e.candidate.typical) for e in limited if e.in_typical_sizes > 1.0]
+    each = [(e, moved) for e in typical if (moved := there.displacement(e)) is not None]
+    if not each:
         return []
-    there = elsewhere(context)
-    advice = (_separating_one(context, there, a, b) for a, b in pairs)
-    return [one for one in advice if one is not None]
-
-
-def _separating_one(context: Context, there: Elsewhere, a: SizedEffect, b: SizedEffect) -> Advice | None:
-    if a.candidate.name in OVER_TIME or b.candidate.name in OVER_TIME:
-        names = f"{a.candidate.name} and {b.candidate.name}"
-        return Advice(f"{names} differ in time: measure the first station again, at the same postures, at the end", first_poses(context))
-    moved = [there.displacement(e.candidate.key, e.hyper, e.coefficients) for e in (a, b)]
-    if moved[0] is None or moved[1] is None:
-        return None
-    chosen = spread(moved[0] - moved[1])
-    apart = float(np.linalg.norm((moved[0] - moved[1])[chosen], axis=1).mean())
-    first, second = (f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in (a, b))
-    return Advice(f"{first} and {second} differ by {apart:.3f} mm at these poses, on one station", _in_degrees(there.context.obs.q[chosen]))
-
-
-def revealing(context: Context, candidate: Candidate) -> Advice:
-    """Poses at which an effect of typical size shows that the recording cannot observe."""
-    there = elsewhere(context)
-    moved = there.displacement(candidate.key, None, candidate.typical)
-    chosen = spread(moved) if moved is not None else np.arange(0)
-    return Advice(
-        f"{candidate.name} at {'+'.join(candidate.where)} is absorbed by the free geometry: measure these poses on one "
-        "station, or a long bar end by end",
-        _in_degrees(there.context.obs.q[chosen]),
-    )
+    hidden, moved = max(each, key=lambda item: np.linalg.norm(item[1], axis=1).max())
+    name = f"{hidden.candidate.name} at {'+'.join(hidden.candidate.where)}"
+    reason = f"{name} of usual size could not have been seen: measure these poses on one station, or a long bar end by end"
+    return [Advice(reason, _in_degrees(there.context.obs.q[spread(moved)]))]
 
 
 def spread(moved: np.ndarray) -> np.ndarray:

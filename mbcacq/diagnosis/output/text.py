@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbcacq.diagnosis.geometry_alone import GeometryAlone
-from mbcacq.diagnosis.result import Alternative, BetweenRecordings, Diagnosis, EffectFound, ExclusionLimit, NotSeparable, Proposal
+from mbcacq.diagnosis.result import (
+    Alternative,
+    BetweenRecordings,
+    Diagnosis,
+    EffectFound,
+    ExclusionLimit,
+    GeometryAlone,
+    NotSeparable,
+    Proposal,
+)
 from mbcacq.effects.effect import ParameterEstimate, in_digits
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 

@@ -1,0 +1,219 @@
+"""Sentences for people: what was left out of a diagnosis, what qualifies the effects that were found, what is not proven."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
+from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.output.kept_model import partly_covered
+from mbcacq.diagnosis.output.next_measurements import OVER_TIME
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.result import EffectFound, MismatchEntry
+from mbcacq.diagnosis.validation.cross_validation import CrossValidation
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
+from mbcacq.effects.in_words import odds_in_words
+from mbcacq.effects.pose import gear_transmission_error, warm_up
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import first_noise
+from mbcacq.model.observations import Observations
+
+ROUNDING = 0.02  # of a sum of shares that are printed in per cent
+WRONG = 1.5  # factor from which a statement of the noise is said to be wrong
+SIGNIFICANT = 3.0  # standard deviations from which it is
+PAUSE_S = 900.0  # from pose to pose, from which the recording is said to pause
+
+
+def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
+    """Sentences on what was left out of the diagnosis."""
+    out = [f"{name} was not considered: {reason}" for name, reason in setup.dropped.items()]
+    wrong = stated_noise_is_wrong(full, first_noise(setup.linear.obs.cell))
+    if wrong is not None:
+        out.append(wrong)
+    keep = full.geometry_only.linear.keep
+    if open_ones := [u.name for u in setup.undetermined if not u.harmless]:
+        out.append(f"the poses do not determine {', '.join(open_ones)}: held at the nominal value")
+    dropped = int(np.sum(~keep))
+    if dropped:
+        out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were rejected")
+    out += unproven_places(setup)
+    if not setup.context.masses_known:
+        out.append(
+            "no masses given: elasticity under gravity was tested with one kilogram halfway along each link, "
+            "its size in rad/Nm is not meaningful"
+        )
+    return out
+
+
+def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound]) -> list[str]:
+    """Sentences on what qualifies the effects found."""
+    if not effects:
+        return []
+    reported = reported_hypothesis(full.evidence)
+    tool = payload_instead(full.evidence, reported)
+    weigh = f"a payload other than declared explains as much as elastic joints ({odds_in_words(tool)}): weigh the tool" if tool else ""
+    return [
+        *partial_periods(setup, full),
+        *aliased(setup, reported),
+        *unfinished_warm_ups(setup, effects),
+        *confounded_pauses(setup.linear.obs, effects),
+        *([weigh] if weigh else []),
+    ]
+
+
+def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
+    """One sentence where the estimated noise is not what is stated of the instrument; None where it is, or where nothing is stated."""
+    linear = full.geometry_only.linear
+    if linear.obs.cell.noise_mm is None:
+        return None
+    ratio = float(np.exp(np.mean(np.log(full.noise.point / stated.point))))
+    sd = 1.0 / np.sqrt(2.0 * max(full.geometry_only.dof, 1.0))
+    if abs(np.log(ratio)) < max(np.log(WRONG), SIGNIFICANT * sd):
+        return None
+    instrument = "scanner" if linear.width == 3 and linear.obs.cell.measurement != "target_in_base" else "instrument"
+    found = np.sqrt(np.mean(full.noise.point**2))
+    factor = f"{ratio:.2g} times" if ratio > 1 else f"1/{1 / ratio:.2g} of"
+    return f"the noise of the {instrument} is {factor} what is stated: {found:.2g} mm an axis; correct noise_mm in cell.yaml"
+
+
+def unproven_places(setup: DiagnosisProblem) -> list[str]:
+    """A sentence where all poses look at one place."""
+    if not setup.context.scanner_on_flange or len(np.unique(setup.linear.obs.station)) > 1:
+        return []
+    return ["all poses look at one place: held-out figures are of that place, and that the model holds at other places is not proven"]
+
+
+def not_carried_over(verdict: str, proof: CrossValidation) -> list[str]:
+    """A sentence where a recording is explained and yet what is learnt from a part of it does not predict the rest down to noise."""
+    left_out = proof.after
+    if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noise_like_chi2:
+        return []
+    part = "a place" if proof.split == "station" else "a part of the poses"
+    return [
+        f"{part} that is left out is predicted with {left_out.chi2_dof:.1f} times the variance that noise and fit allow: the effects "
+        f"explain what was measured, and are not proven beyond it"
+    ]
+
+
+def sum_of_shares(mismatch: Sequence[MismatchEntry], before: PredictiveScore, after: PredictiveScore) -> list[str]:
+    """A sentence where the shares do not add up to 100 %.
+
+    The share of a place is what only this place explains: what several explain alike is in no share, and places that compensate each other
+    have more than they explain together. before, after: scores on the data of the fit, with geometry alone and with everything found.
+    """
+    if not mismatch:
+        return []
+    total = sum(m.share for m in mismatch)
+    explained = min(max((before.chi2 - after.chi2) / max(before.chi2 - before.dof, 1e-9), 0.0), 1.0)
+    said = []
+    if explained > total + ROUNDING:
+        said.append(f"another {explained - total:.0%} is explained by several places alike")
+    elif total > explained + ROUNDING:
+        said.append(f"together they explain {explained:.0%}, since some compensate others" if explained > ROUNDING else "none is proven")
+    if explained < 1 - ROUNDING:
+        said.append(f"{1 - explained:.0%} is not explained")
+    return [f"the shares add up to {total:.0%}: {', '.join(said)}"] if said else []
+
+
+def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
+    """Sentences on periodic errors of which the recording covers less than a period."""
+    out = []
+    for candidate, hyper in full.model.effects:
+        for name in partly_covered(setup.context, candidate, hyper):
+            values = setup.context.value(name)
+            share = gear_transmission_error.periods_covered(values, hyper or 0.0)
+            low, high = np.degrees([values.min(), values.max()])
+            out.append(
+                f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period, so that it is a "
+                f"smooth function of {name} from {low:.0f} to {high:.0f} deg and not shown to repeat beyond"
+            )
+    return out
+
+
+def aliased(setup: DiagnosisProblem, reported: Hypothesis) -> list[str]:
+    """A sentence for each reported order of a gear's error that others equal: between few angles, many orders look alike."""
+    out = []
+    for member in reported.members:
+        others = equal_orders(setup, reported, member) if member.candidate.name == gear_transmission_error.NAME else []
+        if others:
+            named = ", ".join(f"{order:.4g} ({odds_in_words(odds)})" for order, odds in others)
+            at = member.candidate.where[0]
+            out.append(f"{member.candidate.name} at {at}, order {member.hyper:.4g}: by these poses it is as well of order {named}")
+    return out
+
+
+def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) -> list[tuple[float, float]]:
+    """Orders in the place of a member's, and their odds against it, where these are above a twentieth; most probable first.
+
+    Orders closer than one period over the joint's travel are no others: they are its own uncertainty.
+    """
+    candidate, own = member.candidate, float(member.hyper or 0.0)
+    assert candidate.hyper is not None, "the error of a gear has an order"
+    node = conditioned(reported.point, tuple(m for m in reported.members if m is not member))
+    grid = np.sort(candidate.hyper.values)
+    weight = dict(zip(grid, log_weights(candidate, grid), strict=True))
+    between = min(weight.values())  # of an order between those of the grid
+
+    logs = log_factors(node, candidate, grid)
+    log_own = float(log_factors(node, candidate, np.array([own]))[0])
+    around = np.concatenate([[-np.inf], logs, [-np.inf]])
+    resolution = 2 * np.pi / float(np.ptp(setup.context.value(candidate.depends_on)))
+    peaks = np.flatnonzero((logs > around[:-2]) & (logs >= around[2:]) & (np.abs(grid - own) > resolution))
+    found = []
+    for j in peaks[np.argsort(-logs[peaks])][: OPTIONS.estimated]:
+        _, (order, log) = refined(node, candidate, float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)]))
+        log_odds = log + weight.get(order, between) - log_own - weight.get(own, between)
+        found.append((order, float(np.exp(min(log_odds, 0.0)))))
+    return sorted((one for one in found if one[1] > OPTIONS.undecided), key=lambda one: -one[1])
+
+
+def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
+    """Sentences on what fades with time so slowly that the recording shows only how it begins."""
+    out = []
+    for effect in effects:
+        constants = [p for name, p in effect.parameters.items() if name.rpartition(".")[2] == warm_up.TIME_CONSTANT]
+        if any(np.max(p.std) > 0.5 * np.ptp(setup.context.time) for p in constants):
+            out.append(
+                f"{effect.name} at {effect.where[0]}: the recording is too short for its time constant, and determines its size only "
+                f"together with that; what was measured is the change within the recording"
+            )
+    return out
+
+
+def confounded_pauses(obs: Observations, effects: Sequence[EffectFound]) -> list[str]:
+    """Sentences on pauses of the recording, where a change in time was found: what happens meanwhile no pose can tell apart."""
+    found = [p for e in effects for name, p in e.parameters.items() if name.rpartition(".")[2] == "at_pose"]
+    moments = [(float(v), float(s)) for p in found for v, s in zip(np.atleast_1d(p.value), np.atleast_1d(p.std), strict=True)]
+    out = []
+    for after, pause in pauses(obs):
+        assert obs.time_s is not None, "a recording that pauses has times"
+        rank = {int(n): r for r, n in enumerate(obs.pose_id[np.argsort(obs.time_s, kind="stable")])}
+        near = [m for m, std in moments if abs(rank.get(round(m), np.inf) - rank[after]) <= max(2 * std, 5.0)]
+        if near:
+            out.append(
+                f"there is {pause}: the change at pose {near[0]:.0f} may be a displacement, thermal growth or a new mastering meanwhile, "
+                "which these data cannot tell apart"
+            )
+        elif any(e.name in OVER_TIME for e in effects):
+            out.append(f"there is {pause}")
+    return out
+
+
+def pauses(obs: Observations) -> list[tuple[int, str]]:
+    """Pauses of a recording: number of the pose after each, and the pause in words with the temperatures that changed across it."""
+    if obs.time_s is None:
+        return []
+    order = np.argsort(obs.time_s, kind="stable")
+    out = []
+    for a, b in zip(order[:-1], order[1:], strict=True):
+        if (pause := obs.time_s[b] - obs.time_s[a]) > PAUSE_S:
+            lasting = f"{pause / 3600:.1f} h" if pause > 5400 else f"{pause / 60:.0f} min"
+            degrees = {name: (f"{T[a]:.1f}", f"{T[b]:.1f}") for name, T in obs.temperatures.items()}
+            changes = [f"{name} went from {old} to {new} deg C" for name, (old, new) in degrees.items() if old != new]
+            out.append((int(obs.pose_id[b]), ", ".join([f"a pause of {lasting} after pose {obs.pose_id[a]}", *changes])))
+    return out
