@@ -115,7 +115,7 @@ def poses_of_part(problem: DiagnosisProblem, small: DiagnosisProblem) -> np.ndar
 def examine_part(small: DiagnosisProblem, model: EffectSet, noise: Noise) -> ResidualTests:
     """Residual tests of a thinned recording with effects in place."""
     projected = CandidateScoring.of(small.linear, noise)
-    return residual_tests.examine_residual(conditioned_on_effects(projected, model), EvidenceMap(projected, small.design_blocks))
+    return residual_tests.examine_residual(conditioned_on_effects(projected, model), EvidenceMap(projected, small.design_blocks.groups))
 
 
 def random_effects_everywhere(

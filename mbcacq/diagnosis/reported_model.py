@@ -9,7 +9,6 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, first_order
 from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.evidence.unmodelled import cell_of
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.evidence_map import MapCell
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects
@@ -63,4 +62,4 @@ def cell_at(best: Hypothesis, member: Member) -> MapCell:
     """The unmodelled effect as a cell of the evidence map, with the evidence that the hypothesis loses without it."""
     rest = tuple(m for m in best.members if m is not member)
     lost = best.log_evidence - first_order(rest, best.point, 0.0).log_evidence
-    return cell_of(member, lost)
+    return MapCell(member.candidate.where[0], member.candidate.depends_on, lost)

@@ -27,8 +27,8 @@ class ResidualTests:
     def significant_cells(self) -> list[MapCell]:
         """The best cell of every location that is significant by itself, most significant first; where none is, the best cell of all."""
         least = STRUCTURE + np.log(len(self.evidence.locations))
-        out = [self.evidence.best_at(location) for location, log in self.evidence.locations.items() if log > least]
-        return out or [self.evidence.best()]
+        best = [location for location, log in self.evidence.locations.items() if log > least] or list(self.evidence.locations)[:1]
+        return [self.evidence.cell(self.evidence.best_at(location)) for location in best]
 
 
 def examine_residual(projected: CandidateScoring, evidence_map: EvidenceMap) -> ResidualTests:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.nonparametric.evidence_map import log10_tail
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.result import EffectFound, MismatchEntry
 from mbcacq.diagnosis.search.projected_solve import prior_weight
@@ -20,7 +20,7 @@ from mbcacq.estimation.random_effect_sizes import joined
 ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
 MOST_LOCATIONS = 6  # entries of the mismatch where no model of it was fitted
 STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at least
-SMALLEST_LOG10_P, LARGEST_LOG_RATIO = -300.0, 690.0  # of what a floating point number can hold
+SMALLEST_P, LARGEST_LOG_RATIO = 1e-300, 690.0  # of what a floating point number can hold
 
 
 def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
@@ -51,7 +51,7 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
     """The probability that noise alone gains as much chi2 with as many coefficients as these effects have."""
-    return 10 ** max(log10_tail(gain, sum(full.model.effects[j][0].k for j in members)), SMALLEST_LOG10_P)
+    return max(float(chdtrc(sum(full.model.effects[j][0].k for j in members), max(gain, 0.0))), SMALLEST_P)
 
 
 def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, ParameterEstimate]:
@@ -187,7 +187,7 @@ def mismatch_table(full: ModelFit, contributions: Contributions, before: Predict
         # Neighbouring locations explain each other's mismatch: the most significant one carries the largest share.
         suspects = full.residual_tests.significant_cells[:MOST_LOCATIONS]
         scale = full.geometry_only.linear.keep.sum() / max(full.residual_tests.centres, 1)
-        gains = sorted((scale * (c.gain - c.used) for c in suspects), reverse=True)
+        gains = sorted((2 * scale * c.log_bayes_factor for c in suspects), reverse=True)
         entries += [(c.location, c.depends_on, gain, _bayes_p(c.log_bayes_factor)) for c, gain in zip(suspects, gains, strict=True)]
     largest: dict[tuple[str, str], MismatchEntry] = {}
     for at, on, gain, p_value in entries:
