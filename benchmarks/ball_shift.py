@@ -20,8 +20,8 @@ sys.path.insert(0, str(HERE.parent / "tests" / "diagnosis"))
 
 import simulated  # noqa: E402
 
-from mbcacq.diagnosis.evidence.bayes_factor import log_bayes_factors  # noqa: E402
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior  # noqa: E402
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors  # noqa: E402
 from mbcacq.diagnosis.options import OPTIONS  # noqa: E402
 from mbcacq.diagnosis.problem import prepare  # noqa: E402
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring  # noqa: E402

@@ -160,7 +160,7 @@ def search_space(challenger: Challenger, scenario: Scenario, one: dict) -> tuple
     observations, stated = simulated_cells.observe(challenger.loaded, challenger.poses, scenario, [one])
     setup = prepare(observations)
     members = true_members(setup, plain(stated["effects"][0]))
-    prior = SetPrior.of(setup.candidates, len(setup.design_blocks.log_prior_shares))
+    prior = SetPrior.of(setup.candidates, len(setup.design_blocks.locations))
     share = np.exp(prior.log_probability_of_set([c for c, _ in members]))
     for candidate, hyper in members:
         if candidate.hyper is not None:

@@ -222,9 +222,9 @@ class CentreWhitening:
         a, b = (self.rows.pad(x.reshape(-1, self.rows.width, x.shape[1])) for x in (left, right))
         return self.rows.per_pose(np.swapaxes(a, 1, 2) @ b)
 
-    def gram(self, unit: np.ndarray, functions: np.ndarray, classes: Sequence[np.ndarray]) -> np.ndarray:
-        """(c f, c f): products of the whitened columns unit (M, R, c) times functions (M, f), component by component; of functions of one
-        class alone, those of different classes are zero. classes: indices of the functions of each.
+    def gram(self, unit: np.ndarray, functions: np.ndarray, together: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Products of the whitened columns unit (M, R, c) times functions (M, f). together: of each result (n, c, c, k, k) the functions
+        (n, k) of which every two are multiplied, for every two components.
 
         With W'W = s (I - J inv(I + J'J) J') s, s the scale of the rows, no whitened column is made.
         """
@@ -238,15 +238,17 @@ class CentreWhitening:
         T = (np.swapaxes(mixed, 1, 2) @ F).reshape(rows.n_poses, -1, c * f)
         L = np.linalg.cholesky(np.swapaxes(blocks.J, 1, 2) @ blocks.J + np.eye(J.shape[3]))
         T = (np.linalg.inv(L) @ T).reshape(-1, c, f)  # a product of small matrices is cheaper than as many solutions
-        flat, out = F.reshape(-1, f), np.zeros((c, f, c, f))
-        both = [(i, j) for i in range(c) for j in range(i + 1) if own[i, j].any()]
-        for index in classes:
-            here, taken = flat[:, index], T[:, :, index].reshape(len(T), -1)
-            block = -(taken.T @ taken).reshape(c, len(index), c, len(index))
-            for i, j in both:
-                product = here.T @ (own[i, j][:, None] * here)
-                block[i, :, j] += product
-                if i != j:
-                    block[j, :, i] += product.T
-            out[:, index[:, None], :, index] = block.transpose(1, 3, 0, 2)
-        return out.reshape(c * f, c * f)
+        by_function, eliminated, out = np.ascontiguousarray(F.reshape(-1, f).T), np.ascontiguousarray(T.transpose(2, 1, 0)), []
+        for index in together:
+            n, k = index.shape
+            here, taken = by_function[index], eliminated[index].transpose(0, 2, 1, 3).reshape(n, c * k, -1)
+            products = -(taken @ np.swapaxes(taken, 1, 2)).reshape(n, c, k, c, k).transpose(0, 1, 3, 2, 4)
+            for i in range(c):
+                for j in range(i + 1):
+                    if own[i, j].any():
+                        product = here @ np.swapaxes(own[i, j] * here, 1, 2)
+                        products[:, i, j] += product
+                        if i != j:
+                            products[:, j, i] += product
+            out.append(products)
+        return out

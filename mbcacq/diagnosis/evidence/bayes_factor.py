@@ -1,30 +1,10 @@
-"""Log Bayes factor of one effect, or of a set, averaged over the sizes of its coefficients.
-
-Coefficients are normal with standard deviations s times typical; each size s of a few is equally probable beforehand. With
-A = D X'PX D and a = D X'Pr (D: typical sizes), log BF(s) = 1/2 (s^2 a'(I + s^2 A)^-1 a - ln|I + s^2 A|).
-"""
+"""Log Bayes factor of a set of effects, averaged over the sizes of the coefficients of each (``nonparametric.bayes_factor``)."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import log_ndtr
 
-from mbcacq.diagnosis.search.projected_solve import eigenvalues
-
-
-def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray, positive: bool = False) -> np.ndarray:
-    """(H,) of many blocks A (H, k, k), a (H, k). positive: where k is 1, the coefficient cannot be negative."""
-    if a.shape[1] == 1:
-        value, along = np.maximum(A[:, 0], 0.0), a
-    else:
-        value, along = eigenvalues(A, a)
-        value = np.maximum(value, 0.0)
-    square = np.asarray(sizes) ** 2
-    grown = 1.0 + square[:, None] * value[:, None, :]
-    terms = 0.5 * (square * np.sum(along[:, None, :] ** 2 / grown, axis=2) - np.sum(np.log(grown), axis=2))
-    if positive and a.shape[1] == 1:
-        terms = terms + log_twice_normal(np.sqrt(square) * a / np.sqrt(grown[:, :, 0]))
-    return np.logaddexp.reduce(terms, axis=1) - np.log(len(square))
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_twice_normal
 
 
 def log_set_bayes_factor(
@@ -78,8 +58,3 @@ def _log_factors(
         variance = np.sum(back**2, axis=1) + share @ (moved**2).T
         logs = logs + np.sum(log_twice_normal((mean - (share * along) @ moved.T) / np.sqrt(variance)), axis=1)
     return logs
-
-
-def log_twice_normal(x: np.ndarray) -> np.ndarray:
-    """Log of twice the standard normal distribution function: what it is worth that a coefficient cannot be negative."""
-    return log_ndtr(x) - log_ndtr(0.0)

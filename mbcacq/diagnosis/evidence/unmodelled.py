@@ -9,14 +9,14 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member, conditioned
 from mbcacq.diagnosis.nonparametric import gaussian_process, locations
-from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_mean, relative_sizes
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
-from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapCell, MapEvidence
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapEvidence, without_rounding
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.effects.effect import Candidate, Part
-
-MOST_LOCATIONS = 5  # the best of which are candidates
+from mbcacq.effects.described import evaluated
+from mbcacq.effects.effect import Candidate
 
 
 @dataclass
@@ -28,11 +28,11 @@ class UnmodelledEffects:
 
     @property
     def locations(self) -> int:
-        return len(self.design_blocks.log_prior_shares)
+        return len(self.design_blocks.locations)
 
     def map(self, projected: CandidateScoring) -> EvidenceMap:
         if self._map is None or self._map.projected.Q is not projected.Q:
-            self._map = EvidenceMap(projected, self.design_blocks)
+            self._map = EvidenceMap(projected, self.design_blocks.groups)
         return self._map
 
     def evidence(self, projected: CandidateScoring, least: float = -np.inf) -> list[tuple[float, Member]]:
@@ -40,12 +40,17 @@ class UnmodelledEffects:
 
         least: below which an effect does not matter.
         """
-        evidence_map = self.map(projected)
-        found = evidence_map.evaluate(projected, least)
+        found = self.map(projected).evaluate(projected)
         out = []
-        for location, log in [(at, log) for at, log in found.locations.items() if log > least][:MOST_LOCATIONS]:
-            cell = found.best_at(location)
-            out.append((log, self.member(evidence_map, cell, log - cell.log_bayes_factor)))
+        for at, log in [(at, log) for at, log in found.locations.items() if log > least][: OPTIONS.estimated]:
+            best = found.best_at(at)
+            block = found.blocks[best]
+            parts = block.location.parts(block.rows, block.shape.values)
+            weight, variant = np.tile(block.shape.weight, len(block.rows)), f"{best}"
+            candidate = Candidate(
+                UNMODELLED, (at,), block.shape.depends_on, lambda _, p=parts: p, nothing, weight, several=True, variant=variant
+            )
+            out.append((log, relative_to_best_determined(projected, candidate, log - float(found.log_bayes_factor[best]))))
         return out
 
     def process(self, projected: CandidateScoring, member: Member) -> Member | None:
@@ -54,32 +59,42 @@ class UnmodelledEffects:
         Its covariates and length are chosen with one component of the location at a time, and then the components that move together;
         what is not looked at is as if it had no evidence.
         """
-        context = self.design_blocks.context
-        location = next((at for at in locations.of_arm(context) if at.name == member.candidate.where[0]), None)
+        context, at = self.design_blocks.context, member.candidate.where[0]
+        location = next((one for one in locations.of_arm(context) if one.name == at), None)
         possible = [] if location is None else gaussian_process.processes(context, location, member.candidate.depends_on)
         if location is None or not possible:
             return None
 
-        def evaluated(chosen: Sequence[Process], variants: Sequence[tuple[int, ...]], most: int) -> tuple[EvidenceMap, MapEvidence]:
-            evidence_map = EvidenceMap(projected, gaussian_process.blocks(context, location, chosen, variants, most))
-            return evidence_map, evidence_map.evaluate(projected)
+        def compared(chosen: Sequence[Process], variants: list[tuple[int, ...]]) -> MapEvidence:
+            shapes = [process.shape(context, gaussian_process.COMPARED) for process in chosen]
+            return EvidenceMap(projected, [BlockGroup(replace(location, variants=tuple(variants)), shapes)]).evaluate(projected)
 
-        alone = [rows for rows in location.variants if len(rows) == 1]
+        found = compared(possible, [rows for rows in location.variants if len(rows) == 1])
+        best, logs = found.blocks[found.best_at(at)], found.log_bayes_factor
+        process = next(one for one in possible if one.label == best.shape.depends_on)
+        rows = best.rows
         together = [rows for rows in location.variants if len(rows) > 1]
-        tried, found = evaluated(possible, alone, gaussian_process.COMPARED)
-        best, logs = found.best(), found.log_bayes_factor
-        (entries,) = (group.entries for group in tried.design_blocks.groups)
-        process = possible[next(j for j, (_, _, shape) in enumerate(entries) if shape is best.shape)]
         if together:
-            _, found = evaluated([process], together, gaussian_process.COMPARED)
-            best = max(best, found.best(), key=lambda cell: cell.log_bayes_factor)
+            found = compared([process], together)
+            if found.log_bayes_factor.max() > logs.max():
+                rows = found.blocks[found.best_at(at)].rows
             logs = np.concatenate([logs, found.log_bayes_factor])
-        average = float(np.logaddexp.reduce(logs)) - float(np.log(len(location.variants) * len(possible)))
-        whole, found = evaluated([process], [best.rows], gaussian_process.MOST_FUNCTIONS)
-        described = gaussian_process.described(location, best.rows, process, gaussian_process.MOST_FUNCTIONS)
-        member = self.member(whole, found.best(), average - best.log_bayes_factor)
-        variant = f"{process.label} at {best.rows}"
-        return replace(member, candidate=replace(member.candidate, variant=variant, described=lambda _: described))
+        average = float(log_mean(logs)) + float(np.log(len(logs) / (len(location.variants) * len(possible))))
+        columns, sigma = process.functions(gaussian_process.MOST_FUNCTIONS)
+        parts = location.described(rows, columns)
+        basis = evaluated(context, parts)
+        candidate = Candidate(
+            UNMODELLED,
+            (at,),
+            process.depends_on,
+            lambda _: basis,
+            nothing,
+            np.tile(sigma, len(rows)),
+            several=True,
+            variant=f"{process.label} at {rows}",
+            described=lambda _: parts,
+        )
+        return relative_to_best_determined(projected, candidate, average - float(logs.max()))
 
     def processes(self, best: Hypothesis) -> list[Member]:
         """The Gaussian process at each location of the unmodelled effects of a set: the one that it has, or would be the most probable."""
@@ -91,27 +106,18 @@ class UnmodelledEffects:
                 found |= {member.label: process} if process is not None else {}
         return list(found.values())
 
-    def member(self, evidence_map: EvidenceMap, cell: MapCell, log_mass: float) -> Member:
-        """A block as an effect. Its sizes are those of the map, relative to the best determined direction."""
-        group = evidence_map.design_blocks.groups[cell.group]
-        rows = np.array(cell.rows)
-        typical = np.tile(cell.shape.weight, len(rows)) / np.sqrt(np.maximum(evidence_map.raw_of(cell), 1e-300))
-        parts = parts_of(group, rows, cell.shape.index)
-        label = f"{cell.group} {cell.rows} {tuple(cell.shape.index)}"
-        candidate = Candidate(
-            UNMODELLED, (cell.location,), cell.depends_on, lambda _: parts, lambda c, v, h: {}, typical, several=True, variant=label
-        )
-        _, S, _ = evidence_map.projected.candidate_products(candidate, None)
-        top = max(float(np.linalg.eigvalsh(S * np.outer(typical, typical))[-1]), 1e-6)
-        return Member(candidate, None, log_mass, tuple(float(v) for v in np.sqrt(SIZES / top)))
+
+def nothing(c: np.ndarray, v: np.ndarray, hyper: float | None) -> dict:
+    """An unmodelled effect has no parameters to report."""
+    return {}
 
 
-def parts_of(group: BlockGroup, rows: np.ndarray, index: np.ndarray) -> list[Part]:
-    """The columns of some rows of a group's mix by some of its functions, component by component."""
-    F = group.functions[:, index]
-    parts = []
-    for c, (place, number, component) in enumerate(group.keys):
-        mix = group.mix[rows, c]
-        if np.any(mix):
-            parts.append(Part(place, number, component, (mix[:, None] * F[:, None, :]).reshape(len(F), -1)))
-    return parts
+def relative_to_best_determined(projected: CandidateScoring, candidate: Candidate, log_mass: float = 0.0) -> Member:
+    """The effect with sizes relative to its best determined direction. candidate: its ``typical`` (k,) are relative prior sigmas of
+    coefficients in units of what they move.
+    """
+    X, S, _ = projected.candidate_products(candidate, None)
+    typical = candidate.typical / np.sqrt(without_rounding(np.sum(X * X, axis=0)))
+    largest = np.linalg.eigvalsh(S * np.outer(typical, typical))[-1:]
+    sizes = relative_sizes(largest)[0]
+    return Member(replace(candidate, typical=typical), None, log_mass, tuple(sizes.tolist()))

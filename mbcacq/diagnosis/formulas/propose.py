@@ -16,8 +16,7 @@ from mbcacq.diagnosis.formulas.formula import NAME, PlacedTerm, candidate, descr
 from mbcacq.diagnosis.formulas.options import OPTIONS
 from mbcacq.diagnosis.formulas.search import Formula, FormulaSearch, FormulaSpace
 from mbcacq.diagnosis.nonparametric import locations
-from mbcacq.diagnosis.nonparametric.design_blocks import POINT
-from mbcacq.diagnosis.nonparametric.locations import Location
+from mbcacq.diagnosis.nonparametric.locations import SCANNER, Location
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem, thinned, transferred
@@ -120,7 +119,7 @@ def located(context: Context, effects: Sequence[EffectFound]) -> list[tuple[Loca
             on.setdefault(joint_behind(context, name), effect.depends_on)
     arm = {location.name: location for location in locations.of_arm(context)}
     if context.scanner_on_flange:
-        arm["scanner"] = Location("scanner", POINT, np.eye(3), ((0,), (1,), (2,), (0, 1), (0, 1, 2)))
+        arm["scanner"] = SCANNER
     return [(arm[name], covariate) for name, covariate in on.items() if name in arm]
 
 

@@ -9,13 +9,14 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, estimated, first_order
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.diagnosis.evidence.unmodelled import relative_to_best_determined
 from mbcacq.diagnosis.formulas import dictionary
 from mbcacq.diagnosis.formulas.dictionary import DictionaryEntry
 from mbcacq.diagnosis.formulas.formula import PlacedTerm, candidate
 from mbcacq.diagnosis.formulas.options import OPTIONS
-from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
-from mbcacq.diagnosis.nonparametric.bayes_factor import SIZES, log_bayes_factor
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, GivenBlocks
+from mbcacq.diagnosis.nonparametric.basis_functions import Shape
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -28,7 +29,7 @@ WORTH_A_LOOK = 6  # entries for each extension: many of the best are neighbourin
 
 @dataclass(frozen=True)
 class FormulaSpace:
-    """The terms of one location, laid out as design blocks, whose entries stand in the order of ``placed``."""
+    """The terms of one location, laid out as design blocks, which stand in the order of ``placed``."""
 
     context: Context
     location: Location
@@ -36,7 +37,7 @@ class FormulaSpace:
     terms: list[DictionaryEntry]
     placed: list[PlacedTerm]
     log_priors: np.ndarray
-    blocks: GivenBlocks
+    blocks: BlockGroup
 
     @classmethod
     def of(cls, context: Context, location: Location, located: str) -> FormulaSpace:
@@ -47,16 +48,12 @@ class FormulaSpace:
         else:
             terms = dictionary.of_centre(context, located)
         values, index, kept = table(context, terms, per_pose)
-        placed, entries, logs = [], [], []
-        for term, own in zip(kept, index, strict=True):
-            for rows in location.variants:
-                if len(rows) * len(own) > OPTIONS.most_coefficients:
-                    continue
-                placed.append(PlacedTerm(location, rows, term))
-                entries.append((location.name, rows, BasisFunction(term.shape, own, np.ones(len(own)))))
-                logs.append(term.log_prior - np.log(len(location.variants)))
-        group = BlockGroup(len(location.mix), values, entries, location.keys, location.mix, per_pose)
-        return cls(context, location, per_pose, kept, placed, np.array(logs), GivenBlocks([group]))
+        shapes = [Shape(term.shape, values[:, own], np.ones(len(own))) for term, own in zip(kept, index, strict=True)]
+        group = BlockGroup(location, shapes, OPTIONS.most_coefficients)
+        by_shape = dict(zip(map(id, shapes), kept, strict=True))
+        placed = [PlacedTerm(location, block.rows, by_shape[id(block.shape)]) for block in group.blocks]
+        logs = [one.term.log_prior - np.log(len(location.variants)) for one in placed]
+        return cls(context, location, per_pose, kept, placed, np.array(logs), group)
 
 
 def table(context: Context, terms: Sequence[DictionaryEntry], per_pose: bool) -> tuple[np.ndarray, list[np.ndarray], list[DictionaryEntry]]:
@@ -114,7 +111,7 @@ class FormulaSearch:
 
     def __init__(self, point: NoisePoint, others: Sequence[Member], spaces: Sequence[FormulaSpace]):
         self.point, self.others, self.spaces = point, tuple(others), spaces
-        self.maps = [EvidenceMap(point.projected, space.blocks) for space in spaces]
+        self.maps = [EvidenceMap(point.projected, [space.blocks]) for space in spaces]
 
     def run(self, most_terms: int = OPTIONS.most_terms, final: bool = True) -> list[Formula]:
         """The most probable formulas, best first; final: with the noise of each estimated anew."""
@@ -151,7 +148,7 @@ class FormulaSearch:
         conditioned = node.hypothesis.conditioned
         found: list[tuple[float, PlacedTerm, float]] = []
         for space, evidence_map in zip(self.spaces, self.maps, strict=True):
-            logs = evidence_map.entry_evidence(conditioned)[0] + space.log_priors
+            logs = evidence_map.evaluate(conditioned).log_bayes_factor + space.log_priors
             present = {distinct(p)[0] for p in node.placed if p.location.name == space.location.name}
             chosen: dict[tuple[str, tuple[int, ...]], int] = {}
             for e in np.argsort(-logs)[: WORTH_A_LOOK * OPTIONS.compared]:
@@ -171,10 +168,7 @@ class FormulaSearch:
     def member(self, placed: PlacedTerm) -> Member:
         """A term as an effect; its sizes are relative to the best determined direction, as those of the evidence map."""
         unit = candidate(self.context(placed), (placed,), np.ones(len(placed.coefficients)))
-        X, S, _ = self.point.projected.candidate_products(unit, None)
-        typical = 1.0 / np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
-        top = max(float(np.linalg.eigvalsh(S * np.outer(typical, typical))[-1]), 1e-6)
-        return Member(candidate(self.context(placed), (placed,), typical), None, 0.0, tuple(float(v) for v in np.sqrt(SIZES / top)))
+        return relative_to_best_determined(self.point.projected, unit)
 
     def context(self, placed: PlacedTerm) -> Context:
         return next(s.context for s in self.spaces if s.location.name == placed.location.name)
@@ -196,8 +190,8 @@ class FormulaSearch:
         unit = candidate(self.context(placed), (placed,), np.ones(len(placed.coefficients)))
         X, S, b = conditioned.candidate_products(unit, None)
         absorbed = conditioned.conditioned.T @ X
-        S, b, raw = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along, np.sum(X * X, axis=0)
-        return float(log_bayes_factor(S[None], b[None], raw[None], np.ones((1, len(b))))[0][0])
+        S, b, typical = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along, np.sum(X * X, axis=0) ** -0.5
+        return float(log_bayes_factors((S * np.outer(typical, typical))[None], (b * typical)[None])[0])
 
 
 def distinct(placed: PlacedTerm) -> tuple[str, tuple[int, ...]]:

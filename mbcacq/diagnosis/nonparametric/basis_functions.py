@@ -1,61 +1,48 @@
-"""Basis functions that an unmodelled effect may follow: few coefficients before many, each a shape of one covariate.
-
-All functions of all covariates stand in one table; a shape is a choice of its columns, with prior weights that fall where a
-function is finer.
+"""Basis functions that an unmodelled effect may follow: few coefficients before many, each shape one of functions of one covariate, with
+prior weights that fall where a function is finer.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric import joint_travel
-from mbcacq.diagnosis.nonparametric.artefact_tilt import artefact_tilt
+from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
 
 
 @dataclass(frozen=True)
-class BasisFunction:
-    """depends_on: name of the covariate. index: columns of the table; weight: relative prior sigma of each."""
+class Shape:
+    """depends_on: name of the covariate. values: functions of the pose (P, k), or of the centre (M, k), centred and of unit size; weight:
+    (k,) relative prior sigma of each. at: name of the location, where several share their components.
+    """
 
     depends_on: str
-    index: np.ndarray
+    values: np.ndarray
     weight: np.ndarray
+    at: str = ""
 
 
-@dataclass
-class BasisTable:
-    """columns: functions of the pose (P,) or of the centre (M,); shapes: choices among them."""
+def shapes(name: str, functions: np.ndarray, each: int | None = None, falling: bool = False, at: str = "") -> list[Shape]:
+    """Functions (P, f), centred and of unit size, as shapes of ``each`` of them, or as one; those that do not vary are left out."""
+    F, varies = standardized(functions)
+    out = []
+    for j in range(0, F.shape[1], each or F.shape[1]):
+        own = np.flatnonzero(varies[j : j + (each or F.shape[1])]) + j
+        weight = 1.0 / (1.0 + 0.5 * np.arange(len(own))) if falling else np.ones(len(own))
+        out += [Shape(name, F[:, own], weight, at)] if len(own) else []
+    return out
 
-    columns: list[np.ndarray] = field(default_factory=list)
-    shapes: list[BasisFunction] = field(default_factory=list)
 
-    def add(self, functions) -> np.ndarray:
-        """Indices of new columns (P, f), centred and of unit size; those that do not vary are left out."""
-        each = self.add_each(functions)
-        return np.concatenate(each) if each else np.zeros(0, int)
-
-    def add_each(self, functions) -> list[np.ndarray]:
-        """The same, column by column: the index of each, none of one that does not vary."""
-        F = np.asarray(functions, dtype=float)
-        F = F[:, None] if F.ndim == 1 else F
-        centred = F - F.mean(axis=0)
-        spread = np.sqrt(np.mean(centred**2, axis=0))
-        varies = np.isfinite(spread) & (spread > 1e-9 * np.maximum(np.abs(F).max(axis=0, initial=0.0), 1e-30))
-        start = len(self.columns)
-        self.columns.extend((centred[:, varies] / spread[varies]).T)
-        return np.split(start + np.arange(varies.sum()), np.cumsum(varies)[:-1]) if len(varies) else []
-
-    def shape(self, name: str, index: np.ndarray, falling: bool = False) -> None:
-        if len(index):
-            weight = 1.0 / (1.0 + 0.5 * np.arange(len(index))) if falling else np.ones(len(index))
-            self.shapes.append(BasisFunction(name, np.asarray(index), weight))
-
-    @property
-    def values(self) -> np.ndarray:
-        return np.stack(self.columns, axis=1)
+def standardized(functions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Functions (P, f) centred and of unit size, and which of them vary (f,)."""
+    F = np.asarray(functions, dtype=float).reshape(len(functions), -1)
+    centred = F - F.mean(axis=0)
+    spread = np.sqrt(np.mean(centred**2, axis=0))
+    varies = np.isfinite(spread) & (spread > 1e-9 * np.maximum(np.abs(F).max(axis=0, initial=0.0), 1e-30))
+    return centred / np.where(varies, spread, 1.0), varies
 
 
 def cosines(x: np.ndarray, count: int) -> np.ndarray:
@@ -64,171 +51,200 @@ def cosines(x: np.ndarray, count: int) -> np.ndarray:
     return np.cos(np.pi * ((np.asarray(x, dtype=float) - low) / span)[:, None] * np.arange(1, count + 1))
 
 
-def of_poses(s: Context) -> BasisTable:
+def harmonics(q: np.ndarray, first: int, last: int) -> np.ndarray:
+    """(P, 2 K) sine and cosine of each order of an angle q (P,)."""
+    turned = q[:, None] * np.arange(first, last + 1)
+    return np.stack([np.sin(turned), np.cos(turned)], axis=2).reshape(len(q), -1)
+
+
+# Functions of the pose ----------------------------------------------------------------------------------------------
+
+
+def of_poses(s: Context) -> list[Shape]:
     """Joint angles, gravity, directions of rotation, time, temperatures, velocities, torques: the same at every location."""
-    table, obs = BasisTable(), s.obs
-    for i in range(s.n):
-        if np.ptp(obs.q[:, i]) > 0.02:
-            joint_angle(table, f"q{i + 1}", obs.q[:, i])
-    table.shape(f"gravity_torque_{s.n}", table.add(s.flange_gravity))
+    out, obs = list[Shape](), s.obs
+    for i in turning(s):
+        out += joint_angle(f"q{i + 1}", obs.q[:, i])
+    out += shapes(f"gravity_torque_{s.n}", s.flange_gravity)
     if obs.direction is not None:
         for i in range(s.n):
             if np.ptp(obs.direction[:, i]) > 0:
-                directions(table, s, i)
-    for name, index in in_time(table, s):
-        table.shape(name, index[:1])
-        table.shape(name, index, falling=True)
+                out += directions(s, i)
+    for name, functions in in_time(s):
+        out += shapes(name, functions[:, :1]) + shapes(name, functions, falling=True)
     for name, values in (("qd", obs.velocity), ("tau", obs.torque)):
         if values is not None:
-            each_joint(table, name, values)
-    if obs.payload_kg is not None:
-        table.shape("payload_kg", table.add(obs.payload_kg))
-    return table
+            out += [shape for i, column in enumerate(values.T) for shape in shapes(f"{name}{i + 1}", np.nan_to_num(column))]
+    return out + (shapes("payload_kg", obs.payload_kg) if obs.payload_kg is not None else [])
 
 
-def each_joint(table: BasisTable, name: str, values: np.ndarray) -> None:
-    """Velocities or torques (P, n), each joint's by itself."""
-    for i, column in enumerate(values.T):
-        table.shape(f"{name}{i + 1}", table.add(np.nan_to_num(column)))
-
-
-def joint_angle(table: BasisTable, name: str, q: np.ndarray) -> None:
-    """Harmonics and smooth functions of a joint's angle q (P,)."""
-    periodic = add_harmonics(table, q, np.arange(1, OPTIONS.harmonics + 1))
-    for index in periodic:
-        table.shape(name, index)
-    table.shape(name, np.concatenate(periodic[:2]))
-    smooth = table.add(cosines(q, OPTIONS.cosines))
-    table.shape(name, smooth[:2])
-    table.shape(name, smooth, falling=True)
-
-
-def directions(table: BasisTable, s: Context, i: int) -> None:
-    """The direction of rotation of joint i's last motion: alone, fading with the distance travelled, growing with the load."""
-    fading = table.add(joint_travel.functions(s, i))
-    for j in range(len(fading)):
-        table.shape(f"direction_{i + 1}", fading[j : j + 1])
-    table.shape(f"direction_{i + 1}", fading)
-    loaded = table.add(joint_travel.directions(s)[:, i] * np.abs(s.gravity_torque[:, i]))
-    table.shape(f"direction_{i + 1}", loaded)
-
-
-def in_time(table: BasisTable, s: Context) -> list[tuple[str, np.ndarray]]:
-    """(name, columns: straight line first) of time, or the order of the poses, and every temperature."""
-    timed = s.obs.time_s is not None and np.ptp(s.obs.time_s) > 0
-    clock = np.asarray(s.time if timed else s.order, dtype=float)
-    out = [("time" if timed else "pose", np.concatenate([table.add(clock), table.add(cosines(clock, OPTIONS.cosines))]))]
-    for name, T in s.obs.temperatures.items():
-        if np.ptp(T) > 0.2:
-            x = (T - T.mean()) / T.std()
-            out.append((name, table.add(np.stack([x, x * x], axis=1))))
+def at_location(s: Context, location: Location, angles: list[Shape]) -> list[Shape]:
+    """More at a joint, a link, the base or the mount. angles: what sets in, at a joint, at some angle of any joint."""
+    out, is_joint = list[Shape](), len(location.mix) == 1
+    for frame in {location.frame, max(location.frame - (not is_joint), 0)}:
+        out += gravity_moments(s, frame)
+    own, name = s.obs.q[:, location.joint], f"q{location.joint + 1}"
+    if location.joint in turning(s):
+        out += shapes(name, harmonics(own, OPTIONS.harmonics + 1, OPTIONS.own_harmonics), 2)
+        out += shapes(name, cosines(own, OPTIONS.narrow_cosines)) if is_joint else []
+    if is_joint:
+        torque = s.gravity_torque
+        loaded = np.ptp(torque[:, location.joint]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9
+        out += angles + (thresholds(f"gravity_torque_{location.joint + 1}", torque[:, location.joint]) if loaded else [])
     return out
 
 
-def gravity_moments(s: Context, frame: int) -> BasisTable:
+def turning(s: Context) -> list[int]:
+    """The joints whose angles vary."""
+    return [i for i in range(s.n) if np.ptp(s.obs.q[:, i]) > 0.02]
+
+
+def joint_angle(name: str, q: np.ndarray) -> list[Shape]:
+    """Harmonics and smooth functions of a joint's angle q (P,)."""
+    periodic, smooth = harmonics(q, 1, OPTIONS.harmonics), cosines(q, OPTIONS.cosines)
+    return [*shapes(name, periodic, 2), *shapes(name, periodic[:, :4]), *shapes(name, smooth[:, :2]), *shapes(name, smooth, falling=True)]
+
+
+def directions(s: Context, i: int) -> list[Shape]:
+    """The direction of rotation of joint i's last motion: alone, fading with the distance travelled, growing with the load."""
+    assert s.obs.direction is not None, "the recording has directions of rotation"
+    name, own = f"direction_{i + 1}", s.obs.direction[:, i].astype(float)
+    travel, direction = (values[:, i] for values in travelled(s))
+    fading = np.stack([own, *(direction * np.exp(-travel / reach) for reach in OPTIONS.fading_reaches)], axis=1)
+    return [*shapes(name, fading, 1), *shapes(name, fading), *shapes(name, own * np.abs(s.gravity_torque[:, i]))]
+
+
+def travelled(s: Context) -> tuple[np.ndarray, np.ndarray]:
+    """(P, n) rad of each joint's last motion before the pose, and (P, n) its direction of rotation; the first pose came from far away.
+
+    Lost motion fades with it where grease, wind-up or a pre-sliding regime let it.
+    """
+    assert s.obs.direction is not None, "the recording has directions of rotation"
+    listed = np.argsort(s.order, kind="stable")
+    q, direction = s.obs.q[listed], s.obs.direction[listed].astype(float)
+    travel = np.full(q.shape, np.inf)
+    travel[1:] = np.abs(np.diff(q, axis=0))
+    moved = travel > OPTIONS.standing_rad
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(q))[:, None], 0), axis=0)
+    out = np.empty(q.shape), np.empty(q.shape)
+    out[0][listed], out[1][listed] = np.take_along_axis(travel, last, axis=0), np.take_along_axis(direction, last, axis=0)
+    return out
+
+
+def clock(s: Context) -> tuple[str, np.ndarray]:
+    """Name and values (P,) of time, or of the order of the poses."""
+    timed = s.obs.time_s is not None and np.ptp(s.obs.time_s) > 0
+    return "time" if timed else "pose", np.asarray(s.time if timed else s.order, dtype=float)
+
+
+def in_time(s: Context) -> list[tuple[str, np.ndarray]]:
+    """(name, functions (P, f), straight line first) of time, or the order of the poses, and every temperature."""
+    name, x = clock(s)
+    out = [(name, np.c_[x, cosines(x, OPTIONS.cosines)])]
+    for name, T in s.obs.temperatures.items():
+        if np.ptp(T) > 0.2:
+            x = (T - T.mean()) / T.std()
+            out.append((name, np.stack([x, x * x], axis=1)))
+    return [(name, F[:, varies]) for name, (F, varies) in ((name, standardized(F)) for name, F in out)]
+
+
+def gravity_moments(s: Context, frame: int) -> list[Shape]:
     """Components of the gravity moment of all that hangs behind a frame, about its origin: linear, and nonlinear."""
-    table, moment = BasisTable(), s.gravity_moment(frame)
-    size, linear = np.abs(moment).max(), list[np.ndarray]()
+    moment = s.gravity_moment(frame)
+    varying = [x for x in moment.T if np.ptp(x) > 0.005 * np.abs(moment).max()]
     name = f"gravity_torque_{min(max(frame + 1, 2), s.n)}"  # a vertical first axis feels none: the second does what tilts the base
-    for x in moment.T:
-        if np.ptp(x) > 0.005 * size:
-            first = table.add(x)
-            linear.append(first)
-            nonlinear = np.concatenate([first, table.add(cosines(x, 4))])
-            table.shape(name, first)
-            table.shape(name, nonlinear[:3])
-            table.shape(name, nonlinear, falling=True)
-    if len(linear) > 1:
-        table.shape(name, np.concatenate(linear))
-    return table
+    out = list[Shape]()
+    for x in varying:
+        nonlinear = np.c_[x, cosines(x, 4)]
+        out += shapes(name, x) + shapes(name, nonlinear[:, :3]) + shapes(name, nonlinear, falling=True)
+    return out + (shapes(name, np.stack(varying, axis=1)) if len(varying) > 1 else [])
 
 
-def higher_harmonics(q: np.ndarray, name: str) -> BasisTable:
-    """More periodic functions of an angle: of the joint at, or before, the location."""
-    table = BasisTable()
-    for index in add_harmonics(table, q, np.arange(OPTIONS.harmonics + 1, OPTIONS.own_harmonics + 1)):
-        table.shape(name, index)
-    return table
+def thresholds_of_angles(s: Context) -> list[Shape]:
+    """What sets in at some angle of any joint."""
+    return [shape for i in turning(s) for shape in thresholds(f"q{i + 1}", s.obs.q[:, i])]
 
 
-def add_harmonics(table: BasisTable, q: np.ndarray, orders: np.ndarray) -> list[np.ndarray]:
-    """Sine and cosine of each order of an angle q (P,), the indices of those of one order together."""
-    turned = q[:, None] * orders
-    each = table.add_each(np.stack([np.sin(turned), np.cos(turned)], axis=2).reshape(len(q), -1))
-    return [np.concatenate(each[j : j + 2]) for j in range(0, len(each), 2)]
-
-
-def narrow(q: np.ndarray, name: str) -> BasisTable:
-    """Functions of a joint's own angle narrow enough for a bump."""
-    table = BasisTable()
-    table.shape(name, table.add(cosines(q, OPTIONS.narrow_cosines)))
-    return table
-
-
-def thresholds(x: np.ndarray, name: str) -> BasisTable:
+def thresholds(name: str, x: np.ndarray) -> list[Shape]:
     """One coefficient each: a sigmoid about a value, its square, or the distance from the value to both sides."""
-    table, span = BasisTable(), float(np.ptp(x))
-    middle = np.quantile(x, [0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9])
-    away = x[:, None] - middle
+    span = float(np.ptp(x))
+    away = x[:, None] - np.quantile(x, [0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9])
     narrow, wide = np.tanh(away / max(0.06 * span, 1e-300)), np.tanh(away / max(0.15 * span, 1e-300))
-    each = np.stack([narrow, narrow**2, wide, wide**2, np.abs(away)], axis=2)
-    for index in table.add_each(each.reshape(len(x), -1)):
-        table.shape(name, index)
-    return table
+    return shapes(name, np.stack([narrow, narrow**2, wide, wide**2, np.abs(away)], axis=2).reshape(len(x), -1), 1)
 
 
-def of_field(s: Context) -> BasisTable:
-    """Functions of the centre: polynomials over the field of view, the artefact's tilt, time and temperatures."""
-    table, obs = BasisTable(), s.obs
+# Functions of the centre --------------------------------------------------------------------------------------------
+
+
+def of_field(s: Context) -> list[Shape]:
+    """Functions of the centre: polynomials over the field of view, the artefact's tilt, time and temperatures, periodic errors."""
+    out, obs = list[Shape](), s.obs
     x, y, z = ((v - v.mean()) / max(float(v.std()), 1e-12) for v in obs.xyz.T)
-    linear = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
     for name, v in zip("xyz", (x, y, z), strict=True):
-        table.shape(name, np.concatenate([linear[name], table.add(np.stack([v**2, v**3], axis=1))]), falling=True)
-    radial = table.add(x * x + y * y)
-    table.shape("x", radial)
-    table.shape("x", np.concatenate([radial, table.add(np.stack([x * y, x * x - y * y], axis=1))]))
-    table.shape("x", table.add(np.stack([x**3, x * x * y, x * y * y, y**3], axis=1)))
-    table.shape("z", table.add(np.stack([x * z, y * z], axis=1)))
+        out += shapes(name, np.stack([v, v**2, v**3], axis=1), falling=True)
+    out += shapes("x", x * x + y * y)
+    out += shapes("x", np.stack([x * x + y * y, x * y, x * x - y * y], axis=1))
+    out += shapes("x", np.stack([x**3, x * x * y, x * y * y, y**3], axis=1))
+    out += shapes("z", np.stack([x * z, y * z], axis=1))
     if np.ptp(artefact_tilt(s)) > 0.02:
-        artefact_tilts(table, s)
-    for name, index in in_time(per_pose := BasisTable(), s):
-        values = [per_pose.columns[j][obs.pose] for j in index]
-        here = table.add(np.stack(values, axis=1))
-        table.shape(name, here[:1])
-        table.shape(name, here, falling=True)
-        table.shape(name, table.add(np.stack([values[0] * v for v in (x, y, z)], axis=1)))
+        out += artefact_tilts(s)
+    for name, functions in in_time(s):
+        here = functions[obs.pose]
+        out += shapes(name, here[:, :1]) + shapes(name, here, falling=True)
+        out += shapes(name, np.stack([here[:, 0] * v for v in (x, y, z)], axis=1))
     gravity = s.prediction.T_base_scanner[:, :3, :3].transpose(0, 2, 1) @ s.obs.cell.robot.gravity
-    table.shape(f"gravity_torque_{s.n}", table.add(gravity[obs.pose]))
-    return table
+    out += shapes(f"gravity_torque_{s.n}", gravity[obs.pose])
+    for name, v in zip("xy", obs.xyz.T[:2], strict=True):
+        periodic = periodic_component(v) if np.ptp(v) > 0 else np.zeros((len(v), 0))
+        if periodic.shape[1]:
+            out += shapes(name, periodic) + shapes(name, periodic, 2)
+    return out
 
 
-def of_volume(s: Context) -> BasisTable:
+def periodic_component(values: np.ndarray) -> np.ndarray:
+    """(M, 2 K) sine and cosine of the position ``values`` (M,) mm along a field axis, by half periods down to the shortest one: fringes,
+    lens tiles and pixel grids leave what no polynomial follows.
+    """
+    shortest = OPTIONS.shortest_period_mm
+    low, high = np.quantile(values, [0.05, 0.95])
+    width = float(high - low) / 0.9  # of the field that is used; a few balls far outside do not count
+    if width < 2 * shortest:
+        return np.zeros((len(values), 0))
+    periods = 0.5 * np.arange(2, 2 * min(np.floor(1.15 * width / shortest), OPTIONS.most_harmonics) + 1)
+    phase = 2 * np.pi * (values - low)[:, None] / (1.15 * width) * periods
+    return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(values), -1)
+
+
+def of_volume(s: Context) -> list[Shape]:
     """Functions of a target's position far from the instrument: its direction (errors along the line of sight) and polynomials (scale,
     refraction).
     """
-    table, xyz = BasisTable(), s.obs.xyz
-    table.shape("x", table.add(xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-9)))
+    xyz = s.obs.xyz
+    out = shapes("x", xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-9))
     x, y, z = ((v - v.mean()) / float(v.std()) for v in xyz.T)
-    linear = {name: table.add(v) for name, v in zip("xyz", (x, y, z), strict=True)}
     for name, v in zip("xyz", (x, y, z), strict=True):
-        table.shape(name, linear[name])
-        table.shape(name, np.concatenate([linear[name], table.add(v * v)]))
-    all_linear = np.concatenate(list(linear.values()))
-    table.shape("x", all_linear)
-    table.shape("x", np.concatenate([all_linear, table.add(np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1))]))
-    return table
+        out += shapes(name, v) + shapes(name, np.stack([v, v * v], axis=1))
+    out += shapes("x", np.stack([x, y, z], axis=1))
+    return out + shapes("x", np.stack([x, y, z, x * x, y * y, z * z, x * y, y * z, z * x], axis=1))
 
 
-def artefact_tilts(table: BasisTable, s: Context) -> None:
+def artefact_tilt(s: Context) -> np.ndarray:
+    """(P,) rad between the scanner's axis and the artefact's z."""
+    scanner, station = s.prediction.T_base_scanner[:, :3, 2], s.prediction.T_base_station[:, :3, 2]
+    return np.arccos(np.clip(np.abs(np.sum(scanner * station, axis=1)), 0, 1))
+
+
+def artefact_tilts(s: Context) -> list[Shape]:
     """The artefact's upward direction in the scanner's axes, its products, and how far it leans."""
     up = np.einsum("pji,pj->pi", s.prediction.T_base_scanner[:, :3, :3], s.prediction.T_base_station[:, :3, 2])[s.obs.pose]
     lean = np.abs(up[:, 2])
-    nonlinear = table.add(np.stack([1 - lean**2, lean], axis=1))
-    table.shape("tilt", nonlinear[:1])
-    table.shape("tilt", nonlinear)
-    across = table.add(np.sign(up[:, 2:]) * up[:, :2])
-    table.shape("tilt", across)
-    strong = table.add((1 - lean**2)[:, None] * up[:, :2])
-    table.shape("tilt", np.concatenate([nonlinear[:1], strong]))
-    products = table.add(np.stack([up[:, 0] * up[:, 1], up[:, 0] ** 2 - up[:, 1] ** 2], axis=1))
-    table.shape("tilt", np.concatenate([nonlinear[:1], across, products, strong]))
+    leaning, across = 1 - lean**2, np.sign(up[:, 2:]) * up[:, :2]
+    strong = leaning[:, None] * up[:, :2]
+    products = np.stack([up[:, 0] * up[:, 1], up[:, 0] ** 2 - up[:, 1] ** 2], axis=1)
+    return [
+        *shapes("tilt", leaning),
+        *shapes("tilt", np.stack([leaning, lean], axis=1)),
+        *shapes("tilt", across),
+        *shapes("tilt", np.c_[leaning, strong]),
+        *shapes("tilt", np.c_[leaning, across, products, strong]),
+    ]

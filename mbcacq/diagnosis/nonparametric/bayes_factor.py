@@ -1,67 +1,47 @@
-"""Bayes factor of a group of coefficients of unknown size: the ratio of marginal likelihoods with the group and without it.
+"""Bayes factor of coefficients of unknown size: the ratio of marginal likelihoods with them and without.
 
-The coefficients are a random effect u ~ N(0, s^2 diag(w^2)); the ratio is averaged over a grid of sizes s. Without an effect its
-expectation is one, whatever the group, so averages over groups (with prior shares) may be compared, and an average of R or more has a
+Coefficients are normal with standard deviations s times typical; each size s of a few is equally probable beforehand. With
+A = D X'PX D and a = D X'Pr (D: typical sizes), log BF(s) = 1/2 (s^2 a'(I + s^2 A)^-1 a - ln|I + s^2 A|). Without an effect its
+expectation is one, whatever the columns, so averages over blocks (with prior shares) may be compared, and an average of R or more has a
 probability of at most 1/R where there is nothing.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from mbcacq.diagnosis.search.projected_solve import eigenvalues
 
-SIZES = 10.0 ** np.linspace(0.3, 6.0, 12)  # squares of the signal to noise ratio of a group's best determined direction
-MOST_FACTORS = 40  # of a determinant that is one product
+SIZES = np.sqrt(10.0 ** np.linspace(0.3, 6.0, 12))  # signal to noise ratios of the best determined direction of an unmodelled effect
+NOT_DETERMINED = 1e-6  # largest eigenvalue, of columns of unit size, of what the projection removed: it has no evidence
 
 
-def log_bayes_factor(
-    S: np.ndarray, b: np.ndarray, raw: np.ndarray, weight: np.ndarray, least: float = -np.inf
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """S: projected normal matrices (H, k, k); b: right-hand sides (H, k); raw: columns squared before projection (H, k); weight: (H, k).
-
-    Returns the log Bayes factor (H,), the gain in chi2 at the best size (H,) and how many coefficients the data determine there (H,).
-    Groups whose log Bayes factor cannot reach ``least`` have -inf, 0 and 0: half of the gain with coefficients of any size bounds it.
+def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray | None = None, positive: bool = False) -> np.ndarray:
+    """(H,) of many blocks A (H, k, k), a (H, k). sizes (S,): of the coefficients; without them, SIZES relative to the best determined
+    direction of each. positive: where k is 1, the coefficient cannot be negative.
     """
-    scale = weight / np.sqrt(np.maximum(raw, 1e-300))
-    scaled, target = S * (scale[:, :, None] * scale[:, None, :]), b * scale
-    if least < 0:  # no gain is
-        return _log_bayes_factor(scaled, target)
-    k = S.shape[1]
-    floor = np.maximum(np.trace(scaled, axis1=1, axis2=2) / k, 1e-6) / SIZES[-1]  # not above one over the largest size
-    regular = scaled + floor[:, None, None] * np.eye(k)
-    bound = 0.5 * np.sum(target * np.linalg.solve(regular, target[:, :, None])[:, :, 0], axis=1)
-    possible = bound > least
-    out = np.full(len(S), -np.inf), np.zeros(len(S)), np.zeros(len(S))
-    for whole, part in zip(out, _log_bayes_factor(scaled[possible], target[possible]), strict=True):
-        whole[possible] = part
-    return out
+    value, along = (A[:, 0], a) if a.shape[1] == 1 else eigenvalues(A, a)
+    value = np.maximum(value, 0.0)
+    square = np.square(sizes)[None] if sizes is not None else np.square(relative_sizes(value.max(axis=1)))
+    grown = 1.0 + square * value.T[:, :, None]  # (k, H, S)
+    terms = 0.5 * (square * np.sum(along.T[:, :, None] ** 2 / grown, axis=0) - np.sum(np.log(grown), axis=0))
+    if positive and a.shape[1] == 1:
+        terms = terms + log_twice_normal(np.sqrt(square) * a / np.sqrt(grown[0]))
+    return log_mean(terms)
 
 
-def _log_bayes_factor(scaled: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same of scaled groups: S (H, k, k) and b (H, k)."""
-    if scaled.shape[1] == 1:
-        value, along2 = np.maximum(scaled[:, 0], 0.0), target**2
-    else:
-        value, along = eigenvalues(scaled, target)
-        value, along2 = np.maximum(value, 0.0), along**2
-    top = np.maximum(value.max(axis=1), 1e-6)  # what the projection removed has no evidence
-    size = SIZES[None] / top[:, None]
-    grown = 1.0 + size[:, :, None] * value[:, None, :]
-    gain = size * np.sum(along2[:, None, :] / grown, axis=2)
-    # One logarithm of a product is cheaper than many; of so many factors, none above 1 + the largest size, it is finite.
-    log_det = np.log(np.prod(grown, axis=2)) if value.shape[1] <= MOST_FACTORS else np.log(grown).sum(axis=2)
-    log = 0.5 * (gain - log_det)
-    rows, best = np.arange(len(log)), log.argmax(axis=1)
-    peak = log[rows, best]
-    mean = peak + np.log(np.mean(np.exp(log - peak[:, None]), axis=1))
-    used = np.sum(1.0 - 1.0 / grown[rows, best], axis=1)
-    return mean, gain[rows, best], used
+def relative_sizes(largest: np.ndarray) -> np.ndarray:
+    """(H, S) sizes of coefficients, the largest eigenvalue of whose normal matrix in typical sizes is given (H,)."""
+    return SIZES / np.sqrt(np.maximum(largest, NOT_DETERMINED))[:, None]
 
 
-def log_mean(logs: np.ndarray) -> float:
-    """log of the mean of exp(logs)."""
-    peak = float(np.max(logs))
-    if peak == -np.inf:
-        return peak
-    return peak + float(np.log(np.mean(np.exp(np.asarray(logs) - peak))))
+def log_mean(logs: np.ndarray) -> np.ndarray:
+    """log of the mean of exp(logs) along the last axis."""
+    peak = np.max(logs, axis=-1, keepdims=True)
+    return peak[..., 0] + np.log(np.mean(np.exp(logs - peak), axis=-1))
+
+
+def log_twice_normal(x: np.ndarray) -> np.ndarray:
+    """Log of twice the standard normal distribution function: what it is worth that a coefficient cannot be negative."""
+    return log_ndtr(x) - log_ndtr(0.0)

@@ -6,178 +6,156 @@ size, of all locations, stand in one array. Conditioning on an effect or a group
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtrc, gammaln
 
-from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
-from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factor, log_mean
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, GivenBlocks
-from mbcacq.diagnosis.search.candidate_scoring import ROUNDING, CandidateScoring
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors, log_mean
+from mbcacq.diagnosis.nonparametric.design_blocks import Block, BlockGroup
+from mbcacq.diagnosis.search.candidate_scoring import ROUNDING, CandidateScoring, UnitKey
 
 
 @dataclass(frozen=True)
 class MapCell:
-    """One design block of the map. log_posterior: log Bayes factor plus the log of its prior share. gain in chi2; used: coefficients that
-    the data determine. group, rows, shape: which columns.
-    """
+    """An effect that depends on a covariate at a location, and the log Bayes factor for it."""
 
     location: str
     depends_on: str
     log_bayes_factor: float
-    log_posterior: float
-    gain: float
-    used: float
-    group: int
-    rows: tuple[int, ...]
-    shape: BasisFunction
-
-
-@dataclass(frozen=True)
-class MapEntry:
-    """A cell as pictures show it. log10_p: of the evidence for it, corrected for the number of locations and shapes there."""
-
-    at: str
-    depends_on: str
-    gain: float
-    log10_p: float
 
 
 @dataclass(frozen=True)
 class MapEvidence:
-    """Of all B design blocks: log Bayes factor, gain in chi2 and number of determined coefficients (B,). locations: location -> log of its
-    mean Bayes factor, best first. total: log of the mean over all locations.
+    """Of all B design blocks: log Bayes factor (B,). at: location -> its blocks. locations: location -> log of its mean Bayes factor, best
+    first. total: log of the mean over all locations.
     """
 
-    design_blocks: DesignBlocks | GivenBlocks
+    blocks: list[Block]
     log_bayes_factor: np.ndarray
-    gain: np.ndarray
-    used: np.ndarray
+    at: dict[str, np.ndarray]
     locations: dict[str, float]
     total: float
 
-    @cached_property
-    def cells(self) -> list[MapCell]:
-        """The best block of each (location, covariate), best first."""
-        found = last_of_each(self.design_blocks.layout.cell, self.log_bayes_factor)
-        return [self._cell(int(b)) for b in found[np.argsort(-self.log_bayes_factor[found], kind="stable")]]
+    def best_at(self, location: str) -> int:
+        """Number of the best block of a location."""
+        here = self.at[location]
+        return int(here[self.log_bayes_factor[here].argmax()])
 
-    def best(self) -> MapCell:
-        """The best cell of the best location."""
-        return self.best_at(next(iter(self.locations)))
+    def cell(self, number: int) -> MapCell:
+        block = self.blocks[number]
+        return MapCell(block.at, block.shape.depends_on, float(self.log_bayes_factor[number]))
 
-    def best_at(self, location: str) -> MapCell:
-        layout = self.design_blocks.layout
-        here = np.flatnonzero(layout.location == layout.locations.index(location))
-        return self._cell(int(here[self.log_bayes_factor[here].argmax()]))
-
-    def _cell(self, block: int) -> MapCell:
-        g, e = self.design_blocks.layout.members[block]
-        location, rows, shape = self.design_blocks.groups[g].entries[e]
-        log = float(self.log_bayes_factor[block])
-        posterior = log - self.design_blocks.log_prior_shares[location]
-        gain, used = float(self.gain[block]), float(self.used[block])
-        return MapCell(location, shape.depends_on, log, posterior, gain, used, g, rows, shape)
+    def strengths(self) -> dict[tuple[str, str], float]:
+        """(location, covariate) -> log10 of the Bayes factor of the best block, corrected for the number of locations and of blocks there
+        but not below zero; largest first.
+        """
+        out: dict[tuple[str, str], float] = {}
+        for block, log in zip(self.blocks, self.log_bayes_factor, strict=True):
+            strength = float(log - np.log(len(self.at[block.at]) * len(self.at))) / float(np.log(10))
+            out[block.at, block.shape.depends_on] = max(out.get((block.at, block.shape.depends_on), 0.0), strength)
+        return dict(sorted(out.items(), key=lambda one: -one[1]))
 
 
 class EvidenceMap:
     """Of one recording under one noise model, prepared with geometry alone projected out.
 
-    Of all columns (K,) of all groups: b, raw squares; absorbed (K, z), their products with the basis of the geometry. S: normal matrices
-    (H, k, k) of the blocks of each size.
+    Of all columns (K,) of all groups: b, raw squares; absorbed (K, z), their products with the basis of the geometry. sizes: of the blocks
+    with as many coefficients k, which they are (H,), their columns and prior weights (H, k) and normal matrices (H, k, k).
     """
 
-    def __init__(self, projected: CandidateScoring, design_blocks: DesignBlocks | GivenBlocks):
-        self.projected, self.design_blocks = projected, design_blocks
-        each = [self._products(g) for g in range(len(design_blocks.groups))]
-        self.b, absorbed = (np.concatenate([one[j] for one in each]) for j in (0, 2))
-        self.raw = np.concatenate([without_rounding(one[1]) for one in each])
-        self.S = []
-        for sized in design_blocks.layout.sizes:
-            whole = [each[g][3][first, second] for g, first, second in sized.products]
-            self.S.append(projected_out(np.concatenate(whole), absorbed[sized.index]))
+    def __init__(self, projected: CandidateScoring, groups: Sequence[BlockGroup]):
+        self.projected, self.groups = projected, groups
+        self.blocks = [block for group in groups for block in group.blocks]
+        basis = np.c_[projected.Q, projected.beyond_geometry()]
+        products = self._products(basis, lambda keys: _with_residual(projected, keys), projected.stations)
+        absorbed, self.b = products[:, :-1], products[:, -1]
+        self.raw = np.empty(len(self.b))
+        at: dict[str, list[np.ndarray]] = {}
+        of_size: dict[int, list[tuple[np.ndarray, ...]]] = {}
+        block, column = 0, 0
+        for group in groups:
+            mine = slice(column, column + len(group.location.mix) * group.functions.shape[1])
+            squares, taken = np.empty((len(group.location.mix), group.functions.shape[1])), absorbed[mine]
+            for batch, whole in zip(group.batches, self._normal(group), strict=True):
+                squares[:, batch.functions] = np.einsum("nccaa->cna", whole)
+                for variant in batch.variants:
+                    S = projected_out(variant.of(whole), taken[variant.columns])
+                    number = block + np.arange(len(S))
+                    of_size.setdefault(S.shape[1], []).append((number, column + variant.columns, variant.weight, S))
+                    block += len(S)
+            self.raw[mine] = without_rounding(squares.reshape(-1))
+            for location, here in group.at.items():
+                at.setdefault(location, []).append(here + block - len(group.blocks))
+            column = mine.stop
+        self.sizes = [tuple(np.concatenate(one) for one in zip(*parts, strict=True)) for parts in of_size.values()]
+        self.at = {location: np.concatenate(here) for location, here in at.items()}
 
-    def _products(self, g: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """b, raw (k,) and absorbed (k, z) of a group, and the table of its products (see SizedBlocks)."""
-        projected, group = self.projected, self.design_blocks.groups[g]
-        if not group.per_pose:
-            full = projected.whiten.gram(self._unit(g), group.functions, self.design_blocks.layout.connected[g])
-            sums = self._by_centre(g, np.c_[projected.Q, projected.beyond_geometry()])
-            return sums[:, -1], np.diag(full).copy(), sums[:, :-1], full
-        b, A, C = projected.pose_products(group.keys)
-        U, mix = group.functions, group.mix
-        b, A = b @ mix.T, mix @ A @ mix.T
-        own = np.diagonal(A, axis1=1, axis2=2)
-        products = A.reshape(len(A), -1).T @ self.design_blocks.layout.pairs[g]
-        return (U.T @ b).T.reshape(-1), (own.T @ (U * U)).reshape(-1), by_functions(group, C, projected.stations), products
-
-    def _unit(self, g: int) -> np.ndarray:
-        """(M, R, c) change of the prediction by each component of a group."""
-        linear, group = self.projected.linear, self.design_blocks.groups[g]
-        return linear.computed_once(
-            (group.keys, group.mix.tobytes()), lambda: np.stack([linear.unit(*key) for key in group.keys], axis=2) @ group.mix.T
-        )
-
-    def _by_centre(self, g: int, whitened: np.ndarray) -> np.ndarray:
-        """(k, z): products of the columns of a group of functions of the centre with whitened ones (rows, z)."""
-        group = self.design_blocks.groups[g]
-        back = np.swapaxes(self._unit(g), 1, 2) @ self.projected.whiten.transpose(whitened)
-        return np.tensordot(group.functions, back, axes=(0, 0)).transpose(1, 0, 2).reshape(-1, whitened.shape[1])
-
-    def evaluate(self, projected: CandidateScoring, least: float = -np.inf) -> MapEvidence:
-        """projected: this map's problem, possibly conditioned on effects and groups. least: log Bayes factor below which that of a block
-        need not be known; blocks that cannot reach it have none (-inf).
-        """
-        layout, b, absorbed = self.design_blocks.layout, self.b, None
+    def evaluate(self, projected: CandidateScoring) -> MapEvidence:
+        """projected: this map's problem, possibly conditioned on effects and groups."""
+        log, b, absorbed = np.empty(len(self.blocks)), self.b, None
         if projected.conditioned.shape[1]:
-            absorbed = np.concatenate([self._conditioned(g, projected) for g in range(len(self.design_blocks.groups))])
+            absorbed = self._products(projected.conditioned, projected.conditioned_pose_products)
             b = b - absorbed @ projected.along
-        found = []
-        for sized, S in zip(layout.sizes, self.S, strict=True):
-            beyond = S if absorbed is None else projected_out(S, absorbed[sized.index])
-            found.append(log_bayes_factor(beyond, b[sized.index], self.raw[sized.index], sized.weight, least))
-        log, gain, used = (np.concatenate([one[j] for one in found]) for j in range(3))
-        means = [log_mean(log[layout.location == j]) for j in range(len(layout.locations))]
-        ranked = {layout.locations[j]: means[j] for j in np.argsort(-np.array(means), kind="stable")}
-        total = float(np.logaddexp.reduce(means) - np.log(len(means)))
-        return MapEvidence(self.design_blocks, log, gain, used, ranked, total)
+        for number, columns, weight, S in self.sizes:
+            beyond = S if absorbed is None else projected_out(S, absorbed[columns])
+            typical = weight / np.sqrt(self.raw[columns])
+            log[number] = log_bayes_factors(beyond * (typical[:, :, None] * typical[:, None, :]), b[columns] * typical)
+        means = {location: float(log_mean(log[here])) for location, here in self.at.items()}
+        ranked = dict(sorted(means.items(), key=lambda one: -one[1]))
+        return MapEvidence(self.blocks, log, self.at, ranked, float(log_mean(np.array(list(means.values())))))
 
-    def entry_evidence(self, projected: CandidateScoring) -> list[np.ndarray]:
-        """Of each group, the log Bayes factor of every entry beyond what a problem is conditioned on."""
-        out = [np.zeros(len(group.entries)) for group in self.design_blocks.groups]
-        for (g, e), log in zip(self.design_blocks.layout.members, self.evaluate(projected).log_bayes_factor, strict=True):
-            out[g][e] = log
+    def _products(
+        self, basis: np.ndarray, of_poses: Callable[[tuple[UnitKey, ...]], np.ndarray], stations: Sequence[np.ndarray] = ()
+    ) -> np.ndarray:
+        """(K, z) products of all columns with a basis (rows, z). of_poses: its sums (P, c, z) over each pose with unit columns. stations:
+        the poses of each, where the first columns of the basis, six of each station, vanish at the poses of all others.
+        """
+        back, out = dict[tuple[UnitKey, ...], np.ndarray](), []
+        by_centre = None if all(group.location.per_pose for group in self.groups) else self.projected.whiten.transpose(basis)
+        for group in self.groups:
+            keys = group.location.keys
+            if group.location.per_pose:
+                out.append(by_functions(group, of_poses(keys), stations))
+            else:
+                if keys not in back:
+                    back[keys] = np.swapaxes(self._unit(keys), 1, 2) @ by_centre
+                out.append(by_functions(group, back[keys]))
+        return np.concatenate(out)
+
+    def _unit(self, keys: tuple[UnitKey, ...]) -> np.ndarray:
+        """(M, R, c) change of the prediction by each unit column of a location."""
+        linear = self.projected.linear
+        return linear.computed_once(keys, lambda: np.stack([linear.unit(*key) for key in keys], axis=2))
+
+    def _normal(self, group: BlockGroup) -> list[np.ndarray]:
+        """Of each batch of a group (n, c, c, k, k): products of its columns, before any projection, of every two components by every two of
+        the functions of a shape.
+        """
+        mix, together = group.location.mix, [batch.functions for batch in group.batches]
+        if not group.location.per_pose:
+            return self.projected.whiten.gram(self._unit(group.location.keys) @ mix.T, group.functions, together)
+        A = mix @ self.projected.pose_products(group.location.keys)[1] @ mix.T
+        A, by_function, out = A.reshape(len(A), -1), np.ascontiguousarray(group.functions.T), []
+        for index in together:
+            F, (n, k) = by_function[index], index.shape
+            products = (F[:, :, None] * F[:, None]).reshape(n * k * k, -1) @ A
+            out.append(products.reshape(n, k, k, len(mix), len(mix)).transpose(0, 3, 4, 1, 2))
         return out
 
-    def _conditioned(self, g: int, projected: CandidateScoring) -> np.ndarray:
-        """(k, a) products of a group's columns with the basis of what the problem is conditioned on."""
-        group = self.design_blocks.groups[g]
-        if not group.per_pose:
-            return self._by_centre(g, projected.conditioned)
-        return by_functions(group, projected.conditioned_pose_products(group.keys))
 
-    def raw_of(self, cell: MapCell) -> np.ndarray:
-        """(k,) squares of a cell's columns before any projection."""
-        f = self.design_blocks.groups[cell.group].functions.shape[1]
-        own = (np.array(cell.rows)[:, None] * f + cell.shape.index).reshape(-1)
-        return self.raw[self.design_blocks.layout.start[cell.group] + own]
+def _with_residual(projected: CandidateScoring, keys: tuple[UnitKey, ...]) -> np.ndarray:
+    """(P, c, z + 1) sums over each pose of unit columns with the basis of the geometry, and with the residual."""
+    b, _, C = projected.pose_products(keys)
+    return np.concatenate([C, b[:, :, None]], axis=2)
 
 
 def without_rounding(raw: np.ndarray) -> np.ndarray:
     """(k,) squares of a group's columns, with the largest in the place of those that are rounding: a turn of a bar about itself moves no
     ball, and its coefficient, in units of what it moves, could be anything.
     """
-    largest = float(raw.max(initial=0.0))
+    largest = float(raw.max(initial=1e-300))
     return np.where(raw > ROUNDING * largest, raw, largest)
-
-
-def last_of_each(group: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Of each group (B,), the index of the largest value (B,)."""
-    order = np.lexsort((value, group))
-    return order[np.r_[np.flatnonzero(np.diff(group[order])), len(order) - 1]]
 
 
 def projected_out(S: np.ndarray, absorbed: np.ndarray) -> np.ndarray:
@@ -186,11 +164,10 @@ def projected_out(S: np.ndarray, absorbed: np.ndarray) -> np.ndarray:
 
 
 def by_functions(group: BlockGroup, C: np.ndarray, stations: Sequence[np.ndarray] = ()) -> np.ndarray:
-    """(columns of the group, z): sums over the poses of its functions times C (P, c, z).
+    """(columns of the group, z): sums over the poses, or centres, of its functions times C (P or M, keys, z), of its components.
 
     stations: the poses of each, where the first columns of C, six of each station, vanish at the poses of all others.
     """
-    C = group.mix @ C
     c, z = C.shape[1:]
     functions, f, first = group.functions, group.functions.shape[1], 6 * len(stations)
     out = np.empty((c, f, z))
@@ -198,18 +175,4 @@ def by_functions(group: BlockGroup, C: np.ndarray, stations: Sequence[np.ndarray
     for j, poses in enumerate(stations):
         own = slice(6 * j, 6 * j + 6)
         out[:, :, own] = np.tensordot(functions[poses], C[poses, :, own], axes=(0, 0)).transpose(1, 0, 2)
-    return out.reshape(c * f, z)
-
-
-def map_entries(projected: CandidateScoring, design_blocks: DesignBlocks) -> list[MapEntry]:
-    """All cells of the map beyond what is projected out, most significant first."""
-    cells = EvidenceMap(projected, design_blocks).evaluate(projected).cells
-    entries = (MapEntry(c.location, c.depends_on, c.gain, min(-c.log_posterior / np.log(10), 0.0)) for c in cells)
-    return sorted(entries, key=lambda p: p.log10_p)
-
-
-def log10_tail(gain: float, k: int) -> float:
-    """log10 of the probability that noise alone gains as much with k coefficients."""
-    tail = chdtrc(k, max(gain, 0.0))
-    log = np.log(tail) if tail > 0 else (k / 2 - 1) * np.log(gain / 2) - gain / 2 - gammaln(k / 2)  # first term of the asymptotic series
-    return float(log / np.log(10))
+    return np.tensordot(group.location.mix, out, axes=(1, 0)).reshape(-1, z)

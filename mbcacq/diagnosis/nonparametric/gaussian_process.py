@@ -7,17 +7,15 @@ length is one of a few; which, and of which covariates, is decided by evidence.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.nonparametric.basis_functions import BasisFunction
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, GivenBlocks
+from mbcacq.diagnosis.nonparametric.basis_functions import Shape
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect_term import is_angle
-from mbcacq.effects.functions import ZERO, Column, DescribedPart, Function, Product, evaluate, scaled
+from mbcacq.effects.functions import Column, Function, Product, evaluate
 
 LENGTHS = (0.2, 0.4, 0.8)  # rad, or of the largest moment: from a local bump to what few harmonics nearly are
 SMOOTHNESS = 2.5  # of the kernel: twice differentiable
@@ -58,6 +56,11 @@ class Process:
         chosen = chosen[variance[chosen] > SMALLEST * variance[chosen[0]]]
         return tuple(self._cosines(row) for row in orders[chosen]), np.sqrt(variance[chosen] / variance[chosen[0]])
 
+    def shape(self, s: Context, most: int) -> Shape:
+        """The functions at the poses of a recording; named by the label."""
+        columns, sigma = self.functions(most)
+        return Shape(self.label, evaluate(columns, s.value, s.obs.n_poses), sigma)
+
     def _cosines(self, orders: np.ndarray) -> Column:
         each = (Function(name, "cosine", (low, high, float(k))) for (name, low, high), k in zip(self.box, orders, strict=True) if k)
         return (Product(1.0, tuple(each)),)
@@ -93,25 +96,3 @@ def walls(s: Context, name: str, away: float) -> tuple[str, float, float]:
     """A covariate with the walls of a box, so far from its values that they do not show there."""
     values = s.value(name)
     return name, float(values.min()) - away, float(values.max()) + away
-
-
-def blocks(s: Context, location: Location, chosen: Sequence[Process], variants: Iterable[tuple[int, ...]], most: int) -> GivenBlocks:
-    """Each process, of at most so many functions, for some choices of a location's components; one after the other."""
-    each, shapes, columns = [process.functions(most) for process in chosen], list[BasisFunction](), list[Column]()
-    for process, (functions, sigma) in zip(chosen, each, strict=True):
-        shapes.append(BasisFunction(process.depends_on, np.arange(len(columns), len(columns) + len(functions)), sigma))
-        columns += functions
-    values = evaluate(tuple(columns), s.value, s.obs.n_poses)
-    entries = [(location.name, rows, shape) for rows in variants for shape in shapes]
-    return GivenBlocks([BlockGroup(len(location.mix), values, entries, location.keys, location.mix, True)])
-
-
-def described(location: Location, rows: Sequence[int], process: Process, most: int) -> list[DescribedPart]:
-    """Some components of a location by a process, of at most so many functions, component by component."""
-    functions, _ = process.functions(most)
-    parts = []
-    for (place, index, component), mix in zip(location.keys, location.mix[list(rows)].T, strict=True):
-        if np.any(mix):
-            columns = tuple(scaled(column, float(m)) if m else ZERO for m in mix for column in functions)
-            parts.append(DescribedPart(place, index, component, columns))
-    return parts

@@ -6,17 +6,20 @@ single component that is a rotation about the next joint as well is left to that
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
+from mbcacq.effects.functions import ZERO, Column, DescribedPart, scaled
+from mbcacq.estimation.terms import PER_POSE, Part
 
 
 @dataclass(frozen=True)
 class Location:
-    """name: as in the contract. keys: (location, index, component) of its unit columns; mix: (c, len(keys)), components as combinations of
+    """name: as in the contract. keys: (place, index, component) of its unit columns; mix: (c, len(keys)), components as combinations of
     them. variants: which components may move together, each a tuple of rows of mix. frame: whose gravity moment acts here. joint: index of
     the joint there, or before it.
     """
@@ -27,6 +30,33 @@ class Location:
     variants: tuple[tuple[int, ...], ...]
     frame: int = 0
     joint: int = 0
+
+    @property
+    def per_pose(self) -> bool:
+        """Whether it moves a pose as a whole, by functions of the pose; else single centres, by functions of the centre."""
+        return self.keys[0][0] in PER_POSE
+
+    def parts(self, rows: Sequence[int], functions: np.ndarray) -> list[Part]:
+        """Some components by functions (P, f), or (M, f) of the centre, component by component."""
+        moved = zip(self.keys, self.mix[list(rows)].T, strict=True)
+        return [Part(*key, (mix[:, None] * functions[:, None]).reshape(len(functions), -1)) for key, mix in moved if np.any(mix)]
+
+    def described(self, rows: Sequence[int], columns: Sequence[Column]) -> list[DescribedPart]:
+        """The same by functions that are written down."""
+        moved = zip(self.keys, self.mix[list(rows)].T, strict=True)
+        return [
+            DescribedPart(*key, tuple(scaled(f, float(m)) if m else ZERO for m in mix for f in columns)) for key, mix in moved if any(mix)
+        ]
+
+
+def frame(index: int) -> tuple[tuple[str, int, int], ...]:
+    return tuple(("frame", index, c) for c in range(6))
+
+
+SCANNER = Location("scanner", tuple(("point", 0, c) for c in range(3)), np.eye(3), ((0,), (1,), (2,), (0, 1), (0, 1, 2)))
+# Several of each share their components, and differ by when, or on what, these move.
+STATION = Location("station", tuple(("station", 0, c) for c in range(6)), np.eye(6), ((0, 1, 2), tuple(range(6))))
+BALL = Location("ball", tuple(("ball", 0, c) for c in range(3)), np.eye(3), ((0, 1, 2),))
 
 
 def of_arm(s: Context) -> list[Location]:
@@ -51,16 +81,8 @@ def of_arm(s: Context) -> list[Location]:
     return out
 
 
-def frame(index: int) -> tuple[tuple[str, int, int], ...]:
-    return tuple(("frame", index, c) for c in range(6))
-
-
-def stations(s: Context) -> list[tuple[int, Location]]:
-    """(index of the station, its location) where enough was measured to see it move."""
+def stations(s: Context) -> list[tuple[int, str]]:
+    """(index of the station, name of its location) where enough was measured to see it move."""
     measured = np.unique(s.obs.station)
-    keys = tuple(("station", 0, c) for c in range(6))
-    variants = ((0, 1, 2), tuple(range(6)))
-    if len(measured) < 2:
-        return []
     enough = [int(k) for k in measured if np.sum(s.obs.station == k) > 6]
-    return [(k, Location(f"station{s.obs.cell.stations[k].id}", keys, np.eye(6), variants)) for k in enough]
+    return [(k, f"station{s.obs.cell.stations[k].id}") for k in enough] if len(measured) > 1 else []

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.nonparametric.evidence_map import log10_tail
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.result import EffectFound, MismatchEntry
 from mbcacq.diagnosis.search.projected_solve import prior_weight
@@ -19,7 +19,7 @@ from mbcacq.estimation.random_effect_sizes import joined
 
 ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
 STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at least
-SMALLEST_LOG10_P, LARGEST_LOG_RATIO = -300.0, 690.0  # of what a floating point number can hold
+SMALLEST_P, LARGEST_LOG_RATIO = 1e-300, 690.0  # of what a floating point number can hold
 
 
 def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
@@ -50,7 +50,7 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
     """The probability that noise alone gains as much chi2 with as many coefficients as these effects have."""
-    return 10 ** max(log10_tail(gain, sum(full.model.effects[j][0].k for j in members)), SMALLEST_LOG10_P)
+    return max(float(chdtrc(sum(full.model.effects[j][0].k for j in members), max(gain, 0.0))), SMALLEST_P)
 
 
 def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, ParameterEstimate]:

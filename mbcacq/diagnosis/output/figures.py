@@ -30,7 +30,7 @@ def pictures(diagnosis: Diagnosis) -> dict[str, Any]:
     return plain(
         {
             "format": FORMAT,
-            "map": [{"at": p.at, "depends_on": p.depends_on, "strength": -p.log10_p} for p in data.evidence_map],
+            "map": [{"at": at, "depends_on": on, "strength": strength} for (at, on), strength in data.evidence_map.items()],
             "centres": {
                 "pose": data.pose[keep],
                 "ball": data.ball[keep],

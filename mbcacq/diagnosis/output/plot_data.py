@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.nonparametric.artefact_tilt import artefact_tilt
+from mbcacq.diagnosis.nonparametric.basis_functions import artefact_tilt
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
-from mbcacq.diagnosis.nonparametric.evidence_map import MapEntry, map_entries
+from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.output.response_curves import ResponseCurve, response_curves
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -40,9 +40,10 @@ class PlotData:
     context: Context
 
     @cached_property
-    def evidence_map(self) -> list[MapEntry]:
+    def evidence_map(self) -> dict[tuple[str, str], float]:
         """Evidence for a mismatch by location and covariate, before any effect, most significant first."""
-        return map_entries(CandidateScoring.of(self.linear, self.noise), DesignBlocks(self.context))
+        projected = CandidateScoring.of(self.linear, self.noise)
+        return EvidenceMap(projected, DesignBlocks(self.context).groups).evaluate(projected).strengths()
 
 
 def covariates_at_centres(s: Context) -> dict[str, np.ndarray]:
