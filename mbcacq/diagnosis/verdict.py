@@ -16,7 +16,7 @@ from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits, limited_e
 from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
-from mbcacq.diagnosis.output.plot_data import plot_data
+from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.significance import classes, with_classes, with_significance
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
@@ -92,7 +92,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
         exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
         model=fit.model,
-        plot_data=plot_data(setup, full, fit.residual, residual_after),
+        plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
     )
 
 

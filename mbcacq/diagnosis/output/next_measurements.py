@@ -113,8 +113,9 @@ def revealing(there: Elsewhere, limited: Sequence[SizedEffect]) -> list[Advice]:
     if not each:
         return []
     hidden, moved = max(each, key=lambda item: np.linalg.norm(item[1], axis=1).max())
-    reason = f"{hidden.candidate.name} at {'+'.join(hidden.candidate.where)} of usual size could not have been seen: measure these poses on one station"
-    return [Advice(f"{reason}, or a long bar end by end", _in_degrees(there.context.obs.q[spread(moved)]))]
+    at = f"{hidden.candidate.name} at {'+'.join(hidden.candidate.where)}"
+    reason = f"{at} of usual size could not have been seen: measure these poses on one station, or a long bar end by end"
+    return [Advice(reason, _in_degrees(there.context.obs.q[spread(moved)]))]
 
 
 def spread(moved: np.ndarray) -> np.ndarray:
