@@ -29,7 +29,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.estimation.terms import PER_POSE, Part
 
 FORMAT = "mbcacq-diagnosis-pictures/1"
-MOST_POINTS = 2000  # centres, and points of a curve, that are drawn
+MOST_POINTS = 3000  # centres, and points of a curve, that are drawn
 MOST_CURVES = 12
 FOLDED = 6.0  # periods a turn from which a harmonic is shown as one period
 
