@@ -264,7 +264,7 @@ class Diagnosis:
     not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of all effects that
     were not found, those with the largest error first. between_recordings: of several recordings of one arm. proposals: formulas for
     unmodelled effects, where they were asked for, the most probable of each location first. model: the effects as terms that a
-    calibration takes; None where there is none. plot_data: an ``output.plot_data.PlotData`` from which pictures are drawn; it is no part
+    calibration takes; None where there is none. plot_data: an ``output.pictures.PlotData`` from which pictures are drawn; it is no part
     of the JSON object, so None after ``from_json``.
     """
 

@@ -10,13 +10,19 @@ from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_ev
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.output.between_recordings import between_recordings
 from mbcacq.diagnosis.output.contributions import Contributions
-from mbcacq.diagnosis.output.effects_table import mismatch_table, parametric_effects, unmodelled_effects
+from mbcacq.diagnosis.output.effects_table import (
+    classes,
+    mismatch_table,
+    parametric_effects,
+    unmodelled_effects,
+    with_classes,
+    with_significance,
+)
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits, limited_effects, says_too_little
 from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
-from mbcacq.diagnosis.output.plot_data import plot_data
-from mbcacq.diagnosis.output.significance import classes, with_classes, with_significance
+from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
@@ -89,7 +95,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
         exclusion_limits=exclusion_limits(limited, there),
         between_recordings=between_recordings(full),
         model=fit.model,
-        plot_data=plot_data(setup, full, fit.residual, residual_after),
+        plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
     )
 
 

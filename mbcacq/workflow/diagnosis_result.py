@@ -89,7 +89,7 @@ class DiagnosisResult:
     def pictures(self) -> dict[str, Any]:
         """What the pictures need, format mbcacq-diagnosis-pictures/1: the evidence map, residuals before and after (mm), curves. Raises
         ConfigError for a diagnosis of trajectories alone, and for one that was read from JSON."""
-        from mbcacq.diagnosis.output.figures import pictures
+        from mbcacq.diagnosis.output.pictures import pictures
 
         if self.poses is None or self.poses.plot_data is None:
             raise ConfigError("pictures are drawn from the diagnosis of poses, as mbcacq.diagnose returns it")

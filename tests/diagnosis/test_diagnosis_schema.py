@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from test_result import FOUND
 
 from mbcacq.cli.diagnosis_schema import command
-from mbcacq.diagnosis.output.significance import classes
+from mbcacq.diagnosis.output.effects_table import classes
 from mbcacq.diagnosis.result import Diagnosis, NotSeparable
 from mbcacq.diagnosis.schema import diagnosis_schema
 from mbcacq.effects import unmodelled

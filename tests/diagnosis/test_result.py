@@ -9,7 +9,7 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.output.figures import pictures
+from mbcacq.diagnosis.output.pictures import pictures
 from mbcacq.diagnosis.result import (
     Advice,
     Alternative,

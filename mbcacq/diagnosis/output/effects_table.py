@@ -1,25 +1,31 @@
-"""Tables of the diagnosis: the parametric effects with their parameters, the unmodelled ones, and the mismatch by location."""
+"""Tables of the diagnosis: the parametric effects with their parameters, the unmodelled ones, and the mismatch by location; with their
+probabilities, corrected for all that was tried, and the locations that these data cannot tell apart.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.output.contributions import Contributions
-from mbcacq.diagnosis.result import EffectFound, MismatchEntry
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.result import TOGETHER, EffectFound, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects.effect import ParameterEstimate, Parameters
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.pose import joint_compliance, lost_motion, payload
 from mbcacq.estimation.random_effect_sizes import joined
+from mbcacq.model.observations import Observations
 
 ONE_ENTRY = ("A", "link", "station")  # locations of which several make one entry of an effect
 STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at least
-SMALLEST_P, LARGEST_LOG_RATIO = 1e-300, 690.0  # of what a floating point number can hold
+SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 
 
 def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
@@ -113,20 +119,20 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
     if full.everywhere:
         first = full.cells[0]
         parameters, p_value = _rms_parameters(size, ranked[:12]), _bayes_p(first.log_bayes_factor)
-        return [EffectFound("unknown", (first.location,), parameters, p_value, proof.unmodelled_gain, depends_on=first.depends_on)]
+        return [EffectFound(UNKNOWN, (first.location,), parameters, p_value, proof.unmodelled_gain, depends_on=first.depends_on)]
     out = []
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
         evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
-        gain = proof.gain(f"unknown:{at}")
-        effect = EffectFound("unknown", (at,), _rms_parameters(size, mine), _bayes_p(evidence), gain, depends_on=mine[0][1])
+        gain = proof.gain(f"{UNKNOWN}:{at}")
+        effect = EffectFound(UNKNOWN, (at,), _rms_parameters(size, mine), _bayes_p(evidence), gain, depends_on=mine[0][1])
         out.append((contributions.of(contributions.groups_at(full, at)), effect))
     return [effect for _, effect in sorted(out, key=lambda item: -item[0])]
 
 
 def _bayes_p(log_bayes_factor: float) -> float:
     """Upper limit of the p-value of a Bayes factor, given by its natural logarithm."""
-    return float(np.exp(-np.clip(log_bayes_factor, 0, LARGEST_LOG_RATIO)))
+    return max(float(np.exp(-max(log_bayes_factor, 0.0))), SMALLEST_P)
 
 
 @dataclass(frozen=True)
@@ -174,33 +180,72 @@ def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[
 def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore) -> list[MismatchEntry]:
     """Where simulation and recording differ: each location and covariate with its share of the excess chi2, largest first."""
     excess = max(before.chi2 - before.dof, full.model.gain, 1e-9)
-    entries = [*_of_parametric(full, contributions), *_of_groups(full, contributions)]
+    together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one location
+    for j, (candidate, _) in enumerate(full.model.effects):
+        together.setdefault((candidate.where[-1], candidate.depends_on), []).append(j)
+    entries = []  # location, covariate, gain in chi2, p-value
+    for (at, on), members in together.items():
+        gain = contributions.of(members)
+        entries.append((at, on, gain, likelihood_ratio_p(full, members, gain)))
+    for cell in full.cells:
+        gain = contributions.of(contributions.groups_at(full, cell.location, cell.depends_on))
+        entries.append((cell.location, cell.depends_on, gain, _bayes_p(cell.log_bayes_factor)))
     largest: dict[tuple[str, str], MismatchEntry] = {}
     for at, on, gain, p_value in entries:
-        entry = MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), float(np.clip(p_value, 1e-300, 1.0)))
+        entry = MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), p_value)
         if (at, on) not in largest or largest[at, on].share < entry.share:
             largest[at, on] = entry
     return sorted(largest.values(), key=lambda e: -e.share)
 
 
-_Entry = tuple[str, str, float, float]  # location, covariate, gain in chi2, p-value
+def with_significance(effects: Sequence[EffectFound], setup: DiagnosisProblem, full: ModelFit) -> list[EffectFound]:
+    """The effects with p_local and p_corrected (Sidak, over all candidates and the independent values of their hyper-parameters), or
+    with their Bayes factor, corrected for the number of locations.
+    """
+    tried = sum(c.hyper.independent if c.hyper is not None else 1.0 for c in setup.candidates)
+    evidence: dict[str, float] = {}
+    for cell in full.cells:
+        evidence[cell.location] = max(evidence.get(cell.location, -np.inf), float(cell.log_bayes_factor))
+    out = []
+    for effect in effects:
+        if effect.name != UNKNOWN:
+            corrected = float(-np.expm1(tried * np.log1p(-min(effect.p_value, np.nextafter(1.0, 0.0)))))
+            out.append(replace(effect, p_local=effect.p_value, p_corrected=corrected))
+            continue
+        log = evidence.get(effect.where[0])
+        corrected = None if log is None else float(min(1.0, len(evidence) * np.exp(-log)))
+        out.append(replace(effect, p_corrected=corrected, log_bayes_factor=log))
+    return out
 
 
-def _of_parametric(full: ModelFit, contributions: Contributions) -> list[_Entry]:
-    together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one location
-    for j, (candidate, _) in enumerate(full.model.effects):
-        together.setdefault((candidate.where[-1], candidate.depends_on), []).append(j)
-    gains = {key: contributions.of(members) for key, members in together.items()}
-    return [(at, on, gains[at, on], likelihood_ratio_p(full, members, gains[at, on])) for (at, on), members in together.items()]
+def classes(obs: Observations, not_separable: Sequence[NotSeparable]) -> list[tuple[str, ...]]:
+    """Locations that move the measured centres alike.
+
+    With one station the base is the station: moving either is moving the other back. Further classes are the places of one effect
+    that the diagnosis could not tell apart.
+    """
+    used = np.unique(obs.station)
+    out: list[set[str]] = [{"base", f"station{obs.cell.stations[used[0]].id}"}] if len(used) == 1 else []
+    for pair in not_separable:
+        split = [label.split(":", 1) for label in pair.effects]
+        alone = not any(TOGETHER in label for label in pair.effects)  # several effects in the place of one are at no one location
+        if alone and all(len(s) == 2 for s in split) and split[0][0] == split[1][0]:
+            out.append({place for _, where in split for place in where.split("+")})
+    merged: list[set[str]] = []
+    for one in out:
+        for other in [m for m in merged if m & one]:
+            one = one | other
+            merged.remove(other)
+        merged.append(one)
+    return [tuple(sorted(m)) for m in merged]
 
 
-def _of_groups(full: ModelFit, contributions: Contributions) -> list[_Entry]:
-    return [
-        (
-            cell.location,
-            cell.depends_on,
-            contributions.of(contributions.groups_at(full, cell.location, cell.depends_on)),
-            _bayes_p(cell.log_bayes_factor),
-        )
-        for cell in full.cells
-    ]
+def with_classes(
+    effects: Sequence[EffectFound], mismatch: Sequence[MismatchEntry], found: Sequence[tuple[str, ...]]
+) -> tuple[list[EffectFound], list[MismatchEntry]]:
+    """Effects and mismatch with the locations that are equivalent to theirs."""
+
+    def others(places: Sequence[str]) -> tuple[str, ...]:
+        return tuple(sorted({o for c in found if set(places) & set(c) for o in c} - set(places)))
+
+    return [replace(e, equivalent=others(e.where)) for e in effects], [replace(m, equivalent=others((m.at,))) for m in mismatch]

@@ -29,8 +29,7 @@ from mbcacq.estimation.variance_components import first_noise
 
 QUANTILE = 1.645  # of a standard normal variable: 95 % below
 MOST_VALUES = 12  # of a hyper-parameter that are tried
-ABSORBED = 1e-10  # share of an effect's information below which the geometry absorbs it: it has no limit
-HARMLESS_MM = 1e-6  # error of a length by an effect of typical size
+ROUNDED = 1e-10  # share of an effect's information, or displacement, below which what is left of it is rounding
 ENOUGH = 0.5  # share of the effects that a verdict ``none`` excludes at their typical size
 NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
 
@@ -121,7 +120,7 @@ def estimated(conditioned: CandidateScoring, candidate: Candidate, hyper: float 
     S, b = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along
     size = np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
     scaled = S / np.outer(size, size)
-    if np.linalg.eigvalsh(scaled)[0] < ABSORBED:
+    if np.linalg.eigvalsh(scaled)[0] < ROUNDED:
         return np.zeros(candidate.k), np.full(candidate.k, np.inf)
     covariance = np.linalg.inv(scaled) / np.outer(size, size)
     return covariance @ b, np.sqrt(np.diag(covariance))
@@ -139,8 +138,8 @@ def parameter_of(effect: SizedEffect) -> tuple[str, float | None]:
 
 def harmless(there: Elsewhere, effect: SizedEffect) -> bool:
     """Whether an effect displaces everything alike, as a constant sag does: no length shows it, nor suffers from it."""
-    _, length = errors_elsewhere(there, replace(effect, coefficients=effect.candidate.typical))
-    return length is not None and length < HARMLESS_MM
+    workspace, length = errors_elsewhere(there, replace(effect, coefficients=effect.candidate.typical))
+    return workspace is not None and length is not None and length < ROUNDED * workspace
 
 
 def errors_elsewhere(there: Elsewhere, effect: SizedEffect) -> tuple[float | None, float | None]:

@@ -15,6 +15,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Candidate, Missing
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of, learnt_ranges
+from mbcacq.effects.functions import DescribedPart
 from mbcacq.effects.pose import gear_transmission_error, joint_compliance, orientation_bias
 
 
@@ -46,7 +47,7 @@ def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coeffic
         candidate.depends_on,
         parts,
         (key,) if k == 1 else tuple(f"{key}[{j}]" for j in range(k)),
-        (_unit(candidate),) * k,
+        (_unit(parts[0]),) * k,
         np.array(coefficients, dtype=float),
         std,
         prior_sigma(candidate),
@@ -92,15 +93,9 @@ def kept_group(here: Covariates, at: str, depends_on: str) -> EffectTerm | None:
         return None
 
 
-def _unit(candidate: Candidate) -> str:
-    """The unit of a candidate's coefficients: of what it displaces first, per unit of its covariate."""
-    assert candidate.described is not None, "only effects that are written down can be kept"
-    part = candidate.described(_any(candidate))[0]
-    unit = unmodelled.unit_of(part)
+def _unit(part: DescribedPart) -> str:
+    """The unit of the coefficients of a part: of what it displaces, per unit of its covariate."""
     per = {"gravity_torque": "/Nm", "gravity_moment": "/Nm", "payload_force": "/N", "qd": " s"}
     linear = all(f.kind == "power" for column in part.columns for product in column for f in product.functions)
-    return unit + next((p for prefix, p in per.items() if linear and any(c.startswith(prefix) for c in part.covariates)), "")
-
-
-def _any(candidate: Candidate) -> float | None:
-    return None if candidate.hyper is None else float(candidate.hyper.values[0])
+    of_covariate = (p for prefix, p in per.items() if linear and any(c.startswith(prefix) for c in part.covariates))
+    return unmodelled.unit_of(part) + next(of_covariate, "")

@@ -28,7 +28,6 @@ DIFFERENT = 0.01  # p-value below which recordings are said to differ
 MOST_LIMITS = 3  # effects that could still hide, in the text
 NOT_DETERMINED = "is not determined"
 LARGEST_PHASE_STD_DEG = 90.0
-MOST_PARAMETERS = 24  # of one effect in the text
 STANDS_IN = "A smooth model stands in its place."
 SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
 
@@ -120,7 +119,7 @@ def describe(effect: EffectFound) -> list[str]:
         f"{effect_in_words(effect.name)} at {', '.join(effect.where)} (p = {effect.p_value:.1g}, "
         f"removes {effect.held_out_gain:.0%} of the excess over noise)"
     ]
-    out += [f"  {name} {_reported(name, estimate)}" for name, estimate in list(effect.parameters.items())[:MOST_PARAMETERS]]
+    out += [f"  {name} {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
     if effect.alternatives:
         out.append(
             "  could also be: "

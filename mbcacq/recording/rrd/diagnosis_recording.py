@@ -29,7 +29,7 @@ MOST_CHARTS = 4
 def write_diagnosis(
     path: Path | str, observations: Observations, text: str, pictures: Mapping[str, Any], run: Path | None = None, cards: str = ""
 ) -> Path:
-    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.figures`` makes them; text: the diagnosis in words;
+    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.pictures`` makes them; text: the diagnosis in words;
     cards: the same as Markdown, a card an effect, shown in its place where it is given).
 
     run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose

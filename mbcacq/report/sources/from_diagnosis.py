@@ -40,7 +40,7 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
     """Content of a diagnosis; damaged pictures are left out. Raises KeyError or TypeError where the diagnosis itself is damaged."""
     if pictures is not None and not _complete(pictures):
         pictures = None
-    from mbcacq.diagnosis.output.figures import axis_of
+    from mbcacq.diagnosis.output.pictures import axis_of
 
     level, headline, reason = VERDICTS.get(diagnosis["verdict"], ("none", readable(diagnosis["verdict"]), ""))
     fit = diagnosis["fit"]
