@@ -5,22 +5,23 @@ Every term is written down as columns of ``mbcacq.effects.functions``, so that a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import reduce
 from itertools import combinations, product
 
 import numpy as np
 
 from mbcacq.diagnosis.formulas.options import OPTIONS
+from mbcacq.diagnosis.nonparametric.locations import Location
+from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.effects.context import Context
+from mbcacq.effects.covariates import LEAN
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.effect_term import is_angle
-from mbcacq.effects.functions import Column, Function, Product
+from mbcacq.effects.functions import Column, Product, cosine, linear, of, sine
 
-LEAST_ANGLE = 0.02  # rad of travel below which nothing is a function of an angle
-LEAST_SHARE = 0.02  # of the largest gravity torque's range
-LEAST_K = 0.2  # range of a temperature
-HOUR = 3600.0
+HOUR = 3600.0  # s
 FIELD = "xyz"
 
 
@@ -28,225 +29,118 @@ FIELD = "xyz"
 class DictionaryEntry:
     """A group of columns that belong together, such as the sine and cosine of one order.
 
-    shape: what it is a function of, whatever the phase, e.g. ``q4*q6`` or ``2q5``. columns: one for each coefficient; texts: the same
-    for people. log_prior: log of its prior probability among all terms of a location. wave: its order is one of a grid.
+    shape: what it is a function of, whatever the phase, e.g. ``q4*q6`` or ``2q5``. columns: one for each coefficient, by its text.
     """
 
     shape: str
-    columns: tuple[Column, ...]
-    texts: tuple[str, ...]
-    log_prior: float = 0.0
-    wave: bool = False
+    columns: Mapping[str, Column]
 
     @property
     def covariates(self) -> tuple[str, ...]:
         """Names of the covariates, in order of appearance."""
-        return tuple(dict.fromkeys(f.covariate for column in self.columns for p in column for f in p.functions))
+        return tuple(dict.fromkeys(f.covariate for column in self.columns.values() for p in column for f in p.functions))
 
     @property
-    def label(self) -> str:
-        """Tells it apart from the other terms."""
-        return f"{self.shape}[{'; '.join(self.texts)}]"
+    def is_wave(self) -> bool:
+        """Whether its order is one of a grid."""
+        return self.shape.startswith("wave")
 
 
-@dataclass(frozen=True)
-class Factor:
-    """One function of one covariate, as a column with its text; shape: as of a term."""
-
-    shape: str
-    covariate: str
-    column: Column
-    text: str
-
-
-def of_pose(context: Context, joint: int, frame: int, located: str) -> list[DictionaryEntry]:
-    """Terms that are one number a pose, for a location of the arm. joint, frame: index of the joint there, or before it, and of the frame
-    whose gravity moment acts there. located: the covariate that the diagnosis found.
-    """
-    angles = [f"q{i + 1}" for i in range(context.n) if np.ptp(context.obs.q[:, i]) > LEAST_ANGLE]
-    plain = [t for name in angles for t in _orders(name, OPTIONS.own_orders if name == f"q{joint + 1}" else OPTIONS.orders)]
-    slow = [f for f in (*_clock(context), *_temperatures(context), *_recorded(context)) if _varies(context, f)]
-    weights = [f for f in (*_torques(context), *_moments(frame)) if _varies(context, f)]
-    plain += [_single(_power(name, 1)) for name in angles]
-    plain += [_single(f) for first in (*slow, *weights) for f in _powers(first)]
-    plain += _fading(context)
-    periodic = [f for name in angles for order in range(1, OPTIONS.product_orders + 1) for f in _phases(name, order)]
-    return _with_priors([*plain, *_products([*periodic, *slow, *weights])], located)
-
-
-def of_centre(context: Context, located: str) -> list[DictionaryEntry]:
-    """Terms that are one number a centre, for the scanner: polynomials over the field of view, waves, and products with what is one
-    number a pose.
-    """
-    here = [name for c, name in enumerate(FIELD) if np.ptp(context.obs.xyz[:, c]) > 1e-6]
-    linear = [_power(name, 1, 0.01) for name in here]
-    plain = [_single(f) for first in linear for f in _powers(first)]
-    plain += [_single(f) for first in (*_clock(context), *_temperatures(context)) if _varies(context, first) for f in _powers(first)]
-    for name in here[:2]:
-        span = float(np.ptp(context.value(name)))
-        plain += [_wave(name, np.pi * k / span) for k in 0.5 * np.arange(2, OPTIONS.waves + 1)]
-    leaning = [_power(name, 1) for name in ("lean_x", "lean_y", "lean_z")]
-    slow = [f for f in (*_clock(context), *_temperatures(context), *leaning) if _varies(context, f)]
-    plain += [_single(f) for f in leaning if f in slow]
-    periodic = [f for i in range(context.n) for f in _phases(f"q{i + 1}", 1) if np.ptp(context.obs.q[:, i]) > LEAST_ANGLE]
-    products = _products(linear) + [_multiplied(a, b) for a in linear for b in (*slow, *periodic)]
-    products += [_multiplied(a, b) for a in linear for b in (_power(name, 2, 0.01) for name in here) if a.covariate != b.covariate]
-    return _with_priors([*plain, *products, *_products(leaning)], located)
+def entries(context: Context, location: Location) -> list[DictionaryEntry]:
+    """The terms of a location: of the arm, functions of the pose; of the scanned point, functions of the centre in the field of view."""
+    straight = varying(context, [f"q{i + 1}" for i in range(context.n)])
+    angles = [name for e in straight for name in e.covariates]
+    periodic = [harmonic(name, order) for name in angles for order in range(1, OPTIONS.product_orders + 1)]
+    if location.keys[0][0] == "point":
+        field = varying(context, FIELD)
+        measured = [*field, *slow(context), *varying(context, LEAN)]
+        orders = np.arange(4, 4 * DIAGNOSIS.most_harmonics + 1)
+        plain = [wave(e.shape, float(k)) for e in field[:2] for k in orders * wave_step(context, e.shape)]
+        pairs = [*product(field, [*periodic, *(power(e, 2) for e in field)])]
+    else:
+        of_joints = [f"{kind}{i + 1}" for kind in ("direction_", "qd", "tau", "gravity_torque_") for i in range(context.n)]
+        of_frame = [f"{kind}_{axis}" for kind in (f"gravity_moment_{location.frame}", "payload_force") for axis in FIELD]
+        measured = [*slow(context), *varying(context, [*of_joints, "payload_kg", *of_frame])]
+        highest = dict.fromkeys(angles, DIAGNOSIS.harmonics) | {f"q{location.joint + 1}": DIAGNOSIS.own_harmonics}
+        plain = [*straight, *fading(context), *(harmonic(name, k) for name in angles for k in range(1, highest[name] + 1))]
+        pairs = [*combinations(periodic, 2), *product(periodic, measured)]
+    pairs = [pair for pair in (*pairs, *combinations(measured, 2)) if pair[0].covariates != pair[1].covariates]
+    whole = [*plain, *powers(context, measured), *(times(*sorted(pair, key=lambda e: e.shape)) for pair in pairs)]
+    of_several = (e for e in whole if len(e.columns) > 1 and not e.is_wave)
+    return [*whole, *(DictionaryEntry(e.shape, {text: column}) for e in of_several for text, column in e.columns.items())]
 
 
-def with_order(term: DictionaryEntry, order: float) -> DictionaryEntry:
-    """A wave with another order (rad/mm)."""
-    return replace(_wave(term.covariates[0], order), log_prior=term.log_prior)
+def varying(context: Context, names: Iterable[str]) -> list[DictionaryEntry]:
+    """Those covariates of a recording that vary, as linear functions: time in hours, temperatures relative to the first pose."""
+    out = []
+    for name in names:
+        try:
+            values = np.asarray(context.value(name), dtype=float)
+        except Missing:
+            continue
+        columns = {name: linear(name)}
+        if name == "time":
+            columns = {"time[h]": linear(name, 1 / HOUR)}
+        elif name in context.obs.temperatures:
+            first = float(np.round(values[np.argmin(context.order)], 2))
+            columns = {f"({name} - {first:g})": (*linear(name), Product(-first))}
+        if np.ptp(values) > OPTIONS.least_range:
+            out.append(DictionaryEntry(f"linear {name}" if is_angle(name) else name, columns))
+    return out
 
 
-def order_of(term: DictionaryEntry) -> float:
-    """Order of a wave, rad/mm."""
-    return term.columns[0][0].functions[0].numbers[0]
+def slow(context: Context) -> list[DictionaryEntry]:
+    """Time, or the order of the poses where no times were recorded, and temperatures."""
+    return [*(varying(context, ["time"]) or varying(context, ["pose"])), *varying(context, context.obs.temperatures)]
 
 
-# Factors --------------------------------------------------------------------------------------------------------------
-
-
-def _phases(name: str, order: int) -> list[Factor]:
+def harmonic(name: str, order: int) -> DictionaryEntry:
+    """Sine and cosine of an angle."""
     shape = name if order == 1 else f"{order}{name}"
-    return [Factor(shape, name, (Product(1.0, (Function(name, kind, (float(order),)),)),), f"{kind}({shape})") for kind in ("sin", "cos")]
+    return DictionaryEntry(shape, {f"sin({shape})": sine(name, order), f"cos({shape})": cosine(name, order)})
 
 
-def _power(name: str, power: int, scale: float = 1.0) -> Factor:
-    text = {1: name, 2: f"{name}^2", 3: f"{name}^3"}[power]
-    shape = f"linear {name}" if is_angle(name) else text
-    return Factor(shape, name, (Product(scale**power, (Function(name, "power", (float(power),)),)),), _scaled_text(text, scale, power))
+def wave(name: str, order: float) -> DictionaryEntry:
+    """Sine and cosine of a coordinate (mm) in the field of view; order: rad/mm."""
+    angle = f"2 pi {name}/{2 * np.pi / order:.4g}"
+    return DictionaryEntry(f"wave {name}", {f"sin({angle})": sine(name, order), f"cos({angle})": cosine(name, order)})
 
 
-def _scaled_text(text: str, scale: float, power: int) -> str:
-    return text if scale == 1.0 else f"{text}/{1 / scale**power:.4g}"
+def wave_step(context: Context, name: str) -> float:
+    """A quarter of a period over the field of view, as an order (rad/mm): waves that differ by less are much alike."""
+    return float(np.pi / 2 / np.ptp(context.value(name)))
 
 
-def _clock(context: Context) -> list[Factor]:
-    """Time in hours, or the order of the poses where no times were recorded."""
-    if context.obs.time_s is None or np.ptp(context.obs.time_s) == 0:
-        return [_power("pose", 1)]
-    return [Factor("time", "time", (Product(1 / HOUR, (Function("time"),)),), "time[h]")]
+def fading(context: Context) -> list[DictionaryEntry]:
+    """Exponential functions of time, where it was recorded."""
+    constants = [float(f"{share * context.time.max():.2g}") for share in OPTIONS.fading if varying(context, ["time"])]
+    return [DictionaryEntry("fading time", {f"exp(-time/{c:g} s)": of("time", "decay", c)}) for c in constants]
 
 
-def _temperatures(context: Context) -> list[Factor]:
-    """Temperatures relative to the first pose."""
+def powers(context: Context, first: Iterable[DictionaryEntry]) -> list[DictionaryEntry]:
+    """Linear functions, their squares and cubes; of what has both signs its magnitude and sign too."""
     out = []
-    for name, values in context.obs.temperatures.items():
-        if np.ptp(values) > LEAST_K:
-            first = float(np.round(np.asarray(values)[np.argmin(context.order)], 2))
-            out.append(Factor(name, name, (Product(1.0, (Function(name),)), Product(-first)), f"({name} - {first:g})"))
+    for one in first:
+        out += [one, power(one, 2), power(one, 3)]
+        (name,), (text,) = one.covariates, one.columns
+        if np.min(context.value(name)) < 0 < np.max(context.value(name)):
+            sign = DictionaryEntry(f"sign {name}", {f"sign({text})": of(name, "sign")})
+            out += [sign, DictionaryEntry(f"|{name}|", {f"|{text}|": column for column in times(sign, one).columns.values()})]
     return out
 
 
-def _recorded(context: Context) -> list[Factor]:
-    names = [f"{kind}{i + 1}" for kind in ("direction_", "qd", "tau") for i in range(context.n)]
-    return [_power(name, 1) for name in (*names, *(() if context.obs.payload_kg is None else ("payload_kg",)))]
-
-
-def _torques(context: Context) -> list[Factor]:
-    """Gravity torques of joints that carry something."""
-    torque = context.gravity_torque
-    loaded = np.ptp(torque, axis=0) > LEAST_SHARE * np.ptp(torque, axis=0).max() + 1e-9
-    return [_power(f"gravity_torque_{i + 1}", 1) for i in np.flatnonzero(loaded)]
-
-
-def _moments(frame: int) -> list[Factor]:
-    return [_power(f"gravity_moment_{frame}_{axis}", 1) for axis in FIELD] + [_power(f"payload_force_{axis}", 1) for axis in FIELD]
-
-
-def _varies(context: Context, factor: Factor) -> bool:
-    try:
-        values = np.asarray(context.value(factor.covariate), dtype=float)
-    except Missing:
-        return False
-    return bool(np.ptp(values) > 1e-9 * max(float(np.abs(values).max()), 1e-30))
-
-
-# Terms ----------------------------------------------------------------------------------------------------------------
-
-
-def _single(factor: Factor) -> DictionaryEntry:
-    return DictionaryEntry(factor.shape, (factor.column,), (factor.text,))
-
-
-def _orders(name: str, highest: int) -> list[DictionaryEntry]:
-    """Sine and cosine of each order together, and each by itself."""
-    out = []
-    for order in range(1, highest + 1):
-        sine, cosine = _phases(name, order)
-        out += [DictionaryEntry(sine.shape, (sine.column, cosine.column), (sine.text, cosine.text)), _single(sine), _single(cosine)]
-    return out
-
-
-def _powers(factor: Factor) -> list[Factor]:
-    """The factor, its square and cube, and its magnitude."""
-    if factor.covariate.startswith("direction_"):
-        return [factor]
-    out = [factor]
-    for power in (2, 3):
-        squared = _times(out[-1], factor)
-        out.append(replace(squared, shape=f"{factor.shape}^{power}", text=f"{factor.text}^{power}"))
-    if factor.covariate.startswith(("gravity", "payload_force", "lean")):
-        sign = Factor("", factor.covariate, (Product(1.0, (Function(factor.covariate, "sign", ()),)),), "")
-        out.append(replace(_times(sign, factor), shape=f"|{factor.shape}|", text=f"|{factor.text}|"))
-        out.append(replace(sign, shape=f"sign {factor.shape}", text=f"sign({factor.text})"))
-    return out
-
-
-def _fading(context: Context) -> list[DictionaryEntry]:
-    try:
-        duration = float(context.time.max())
-    except Missing:
-        return []
-    out = []
-    for share in OPTIONS.fading:
-        constant = float(f"{share * duration:.2g}")
-        column = (Product(1.0, (Function("time", "decay", (constant,)),)),)
-        out.append(DictionaryEntry("fading time", (column,), (f"exp(-time/{constant:g} s)",)))
-    return out
-
-
-def _wave(name: str, order: float) -> DictionaryEntry:
-    columns = tuple((Product(1.0, (Function(name, kind, (float(order),)),)),) for kind in ("sin", "cos"))
-    period = 2 * np.pi / order
-    return DictionaryEntry(f"wave {name}", columns, tuple(f"{kind}(2 pi {name}/{period:.4g})" for kind in ("sin", "cos")), wave=True)
-
-
-def _times(a: Factor, b: Factor) -> Factor:
-    column = tuple(Product(p.factor * q.factor, (*p.functions, *q.functions)) for p, q in product(a.column, b.column))
-    return Factor(f"{a.shape}*{b.shape}", a.covariate, column, f"{a.text} {b.text}")
-
-
-def _multiplied(a: Factor, b: Factor) -> DictionaryEntry:
-    first, second = sorted((a, b), key=lambda f: f.shape)
-    return _single(_times(first, second))
-
-
-def _products(factors: Sequence[Factor]) -> list[DictionaryEntry]:
-    """Products of two factors of different covariates; of two angles also with free phases."""
-    out = [_multiplied(a, b) for a, b in combinations(factors, 2) if a.covariate != b.covariate]
-    free: dict[str, list[DictionaryEntry]] = {}
-    for term in out:
-        free.setdefault(term.shape, []).append(term)
-    return out + [_joined(terms) for terms in free.values() if len(terms) > 1]
-
-
-def _joined(terms: Sequence[DictionaryEntry]) -> DictionaryEntry:
-    return DictionaryEntry(terms[0].shape, tuple(c for t in terms for c in t.columns), tuple(x for t in terms for x in t.texts))
-
-
-def _with_priors(terms: Sequence[DictionaryEntry], located: str) -> list[DictionaryEntry]:
-    """Functions of one covariate and products each share their part of the prior alike; those with the located covariate get half of it."""
-    weight = np.zeros(len(terms))
-    classes: tuple[tuple[float, Callable[[DictionaryEntry], bool]], ...] = (
-        (1 - OPTIONS.products, lambda t: "*" not in t.shape),
-        (OPTIONS.products, lambda t: "*" in t.shape),
+def power(one: DictionaryEntry, exponent: int) -> DictionaryEntry:
+    """A linear function to a power."""
+    columns = reduce(times, [one] * exponent).columns.values()
+    return DictionaryEntry(
+        f"{one.shape}^{exponent}", {f"{text}^{exponent}": column for text, column in zip(one.columns, columns, strict=True)}
     )
-    for share, belongs in classes:
-        mine = np.array([belongs(t) for t in terms])
-        found = mine & np.array([located in t.covariates for t in terms])
-        weight += share * (1 - OPTIONS.located) * mine / max(mine.sum(), 1)
-        weight += share * OPTIONS.located * (found if found.any() else mine) / max(found.sum() or mine.sum(), 1)
-    logs = np.log(weight / weight.sum())
-    return [replace(term, log_prior=float(log)) for term, log in zip(terms, logs, strict=True)]
+
+
+def times(a: DictionaryEntry, b: DictionaryEntry) -> DictionaryEntry:
+    """Every column of one times every column of the other."""
+    columns = {
+        f"{s} {t}": tuple(Product(p.factor * q.factor, (*p.functions, *q.functions)) for p, q in product(c, d))
+        for (s, c), (t, d) in product(a.columns.items(), b.columns.items())
+    }
+    return DictionaryEntry(f"{a.shape}*{b.shape}", columns)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.coefficients import coefficients, prior_sigma
+from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Member
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.formulas.formula import NAME, PlacedTerm, candidate, described
 from mbcacq.diagnosis.formulas.options import OPTIONS
-from mbcacq.diagnosis.formulas.search import Formula, FormulaSearch, FormulaSpace
+from mbcacq.diagnosis.formulas.search import NAME, Formula, FormulaSearch, FormulaSpace, PlacedTerm, best_first, candidate, described
 from mbcacq.diagnosis.nonparametric import locations
 from mbcacq.diagnosis.nonparametric.locations import SCANNER, Location
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
@@ -22,31 +22,55 @@ from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem, thinned, transferred
 from mbcacq.diagnosis.result import EffectFound, Proposal
 from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.validation.cross_validation import summed
 from mbcacq.diagnosis.validation.folds import split
-from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, held_out_score
 from mbcacq.effects import unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import pack
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What formulas are sought in, every unmodelled effect taken out.
+    """What formulas are sought in and scored on, every unmodelled effect taken out.
 
-    point: the noise with everything found in place. others: the parametric effects. linear, noise: by which data left out are scored.
-    model, random: the parametric effects, and the unmodelled ones (none where these stand at all locations).
+    linear, point: the recording, and its noise with everything found in place. others: the parametric effects. random: the unmodelled
+    ones (none where these stand at all locations).
     """
 
     context: Context
+    linear: LinearProblem
     point: NoisePoint
     others: tuple[Member, ...]
-    linear: LinearProblem
-    noise: Noise
-    model: EffectSet
-    random: tuple[RandomEffect, ...]
+    random: tuple[RandomEffect, ...] = ()
+
+    @classmethod
+    def of(cls, problem: DiagnosisProblem, full: ModelFit) -> Setting:
+        """Of a long recording, some of its poses."""
+        linear = full.geometry_only.linear
+        if not full.everywhere:
+            best = reported_hypothesis(full.evidence)
+            return cls(problem.context, linear, best.point, best.catalogued, full.random)
+        small = thinned(problem, linear.keep, unmodelled.OPTIONS.many_poses)
+        others = tuple(Member(c, h) for c, h in transferred(problem, small, full.model).effects)
+        return cls(small.context, small.linear, NoisePoint(small.linear, problem.prior_noise, pack(full.noise)), others)
+
+    @cached_property
+    def parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """(M,) bool of the centres of all other parts of the data, and of those of each part."""
+        pose, keep = self.linear.obs.pose, self.linear.keep
+        fold = split(self.linear, DIAGNOSIS.folds)[0]
+        return [(keep & (fold != k)[pose], keep & (fold == k)[pose]) for k in range(int(fold.max()) + 1)]
+
+    def score(self, formula: Formula | None = None, random: Sequence[RandomEffect] = ()) -> PredictiveScore:
+        """The parametric effects with others, fitted without each part and evaluated on it."""
+        effects = [(m.candidate, m.hyper) for m in self.others]
+        if formula is not None:
+            effects.append((candidate(self.context, formula.placed, formula.sigma / DIAGNOSIS.sizes[-1]), None))
+        model, noise = EffectSet(tuple(effects)), self.point.noise
+        return summed(held_out_score(self.linear, train, test, model, random, noise) for train, test in self.parts)
 
 
 def propose(
@@ -56,32 +80,43 @@ def propose(
 
     One effect that no smooth function describes often takes several smooth ones at several locations: a formula replaces all of them.
     """
-    unmodelled = [e for e in effects if e.name == UNMODELLED]
-    found = located(problem.context, unmodelled)
+    found = located(problem.context, [e for e in effects if e.name == UNMODELLED])
     if not found:
         return ()
     progress("searching for formulas of the unmodelled effects")
-    here = setting(problem, full)
-    spaces = [FormulaSpace.of(here.context, location, on) for location, on in found]
-    formulas = [f for f in FormulaSearch(here.point, here.others, spaces).run() if f.log_posterior > OPTIONS.least_log_odds]
+    here = Setting.of(problem, full)
+    space = FormulaSpace.of(here.context, found)
+    formulas = [f for f in FormulaSearch(here.point, here.others, space).run() if f.log_posterior > 0]
     if not formulas:
         return ()
     progress("searching for formulas without each part of the data")
-    validation = Validation(here, spaces)
-    best = formulas[0].log_posterior
+    again = [FormulaSearch(here.point.restricted(train), here.others, space).by_length() for train, _ in here.parts]
+    best_again = [{f.shapes for f in best_first(sum(each, []))[: OPTIONS.proposed]} for each in again]
+    before = here.score()
+    smooth = here.score(None, here.random) if here.random else before
     out = []
     for formula in different(formulas)[: OPTIONS.proposed]:
-        score = validation.score(formula)
-        if score.chi2 < validation.before.chi2:
-            out.append(proposal(here, formula, float(np.exp(formula.log_posterior - best)), validation, score))
+        score = here.score(formula)
+        if score.chi2 >= before.chi2:
+            continue
+        term = term_of(here.context, formula)
+        out.append(
+            Proposal(
+                where=term.where,
+                formula=text_of(formula.placed, term.coefficients),
+                terms=tuple(sorted(formula.shapes)),
+                log_bayes_factor=formula.log_bayes_factor,
+                odds=float(np.exp(formula.log_posterior - formulas[0].log_posterior)),
+                held_out_before_chi2_dof=before.chi2_dof,
+                held_out_chi2_dof=score.chi2_dof,
+                held_out_rms_mm=score.rms,
+                smooth_chi2_dof=smooth.chi2_dof,
+                found_in=sum(formula.shapes in each for each in best_again),
+                parts=len(here.parts),
+                term=term,
+            )
+        )
     return tuple(out)
-
-
-def joint_behind(context: Context, name: str) -> str:
-    """The joint behind a link or the base, or before the mount; of another location, that location."""
-    if name.startswith("link"):
-        return f"A{int(name.removeprefix('link')) + 1}"
-    return {"base": "A1", "mount": f"A{context.n}"}.get(name, name)
 
 
 def different(formulas: Sequence[Formula]) -> list[Formula]:
@@ -94,143 +129,46 @@ def different(formulas: Sequence[Formula]) -> list[Formula]:
     return list(out.values())
 
 
-def setting(problem: DiagnosisProblem, full: ModelFit) -> Setting:
-    """The parametric effects in place, and no unmodelled one. Of a long recording, some of its poses."""
-    if full.everywhere:
-        small = thinned(problem, full.geometry_only.linear.keep, unmodelled.OPTIONS.many_poses)
-        model = transferred(problem, small, full.model)
-        others = tuple(Member(c, h) for c, h in model.effects)
-        point = NoisePoint(small.linear, problem.prior_noise, pack(full.noise))
-        return Setting(small.context, point, others, small.linear, full.noise, model, ())
-    best = reported_hypothesis(full.evidence)
-    linear = full.geometry_only.linear
-    return Setting(problem.context, best.point, best.catalogued, linear, full.noise, full.model, full.random)
-
-
-def located(context: Context, effects: Sequence[EffectFound]) -> list[tuple[Location, str]]:
+def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
     """Where the unmodelled effects are, where something acts alike (the joint behind a link too, which it can turn as well), and where else
-    the evidence does not exclude them; with the covariate that was found there. A ball or a station has no covariates of its own.
+    the evidence does not exclude them. A ball or a station has no covariates of its own.
     """
-    on: dict[str, str] = {}
-    for effect in effects:
-        other = [w for a in effect.alternatives if a.name == UNMODELLED and (a.odds or 0.0) > OPTIONS.odds for w in a.where]
-        for name in (*effect.where, *effect.equivalent, *other):
-            on.setdefault(name, effect.depends_on)
-            on.setdefault(joint_behind(context, name), effect.depends_on)
-    arm = {location.name: location for location in locations.of_arm(context)}
+    known = {location.name: location for location in locations.of_arm(context)}
     if context.scanner_on_flange:
-        arm["scanner"] = SCANNER
-    return [(arm[name], covariate) for name, covariate in on.items() if name in arm]
-
-
-class Validation:
-    """The search repeated without each part of the data, and scores of formulas on these parts."""
-
-    def __init__(self, here: Setting, spaces: Sequence[FormulaSpace]):
-        self.here = here
-        linear, pose = here.linear, here.linear.obs.pose
-        fold = split(linear, OPTIONS.folds)[0]
-        self.parts = [(linear.keep & (fold != k)[pose], linear.keep & (fold == k)[pose]) for k in range(int(fold.max()) + 1)]
-        self.before = self.total(here.model, ())
-        self.smooth = self.total(here.model, here.random) if here.random else self.before
-        self.found = [
-            FormulaSearch(here.point.restricted(train), here.others, spaces).run(final=False)[: OPTIONS.proposed] for train, _ in self.parts
-        ]
-
-    def total(self, model: EffectSet, random: Sequence[RandomEffect]) -> PredictiveScore:
-        here = self.here
-        scores = (held_out_score(here.linear, train, test, model, random, here.noise) for train, test in self.parts)
-        return sum(scores, NO_CENTRES)
-
-    def score(self, formula: Formula) -> PredictiveScore:
-        """Fitted without each part and evaluated on it."""
-        here = self.here
-        sigma = sigma_of(formula)
-        one = candidate(here.context, formula.placed, sigma / DIAGNOSIS.sizes[-1])
-        return self.total(EffectSet((*here.model.effects, (one, None))), ())
-
-    def found_in(self, formula: Formula) -> int:
-        """In how many repetitions a formula of the same terms is among the best."""
-        return sum(any(shapes(f.placed) == shapes(formula.placed) for f in each) for each in self.found)
-
-
-def shapes(placed: Sequence[PlacedTerm]) -> frozenset[str]:
-    """What a formula is a function of, whatever phase and location."""
-    return frozenset(p.term.shape for p in placed)
-
-
-def sigma_of(formula: Formula) -> np.ndarray:
-    """(k,) prior standard deviation of the coefficients, at the most probable size of each term."""
-    return np.concatenate([prior_sigma((m,)) for m in own_members(formula)])
-
-
-def own_members(formula: Formula) -> tuple[Member, ...]:
-    return formula.hypothesis.members[-len(formula.placed) :]
-
-
-def proposal(here: Setting, formula: Formula, odds: float, validation: Validation, score: PredictiveScore) -> Proposal:
-    """The formula with its coefficients and scores."""
-    found = coefficients(formula.hypothesis)
-    own = np.concatenate([np.arange(p.start, p.stop) for p in found.slices[-len(formula.placed) :]])
-    values, std = found.mean[own], np.sqrt(np.maximum(np.diag(found.covariance)[own], 0.0))
-    return Proposal(
-        where=tuple(dict.fromkeys(p.location.name for p in formula.placed)),
-        formula=text_of(formula.placed, values),
-        terms=tuple(sorted(shapes(formula.placed))),
-        log_bayes_factor=formula.log_bayes_factor,
-        odds=odds,
-        held_out_before_chi2_dof=validation.before.chi2_dof,
-        held_out_chi2_dof=score.chi2_dof,
-        held_out_rms_mm=score.rms,
-        smooth_chi2_dof=validation.smooth.chi2_dof,
-        found_in=validation.found_in(formula),
-        parts=len(validation.parts),
-        term=term_of(here.context, formula, values, std),
-    )
+        known["scanner"] = SCANNER
+    found: dict[str, Location] = {}
+    for effect in effects:
+        other = [w for a in effect.alternatives if a.name == UNMODELLED and (a.odds or 0.0) > DIAGNOSIS.undecided for w in a.where]
+        for name in (name for name in (*effect.where, *effect.equivalent, *other) if name in known):
+            behind = name if name == "scanner" else f"A{min(known[name].frame + 1, context.n)}"
+            found |= {name: known[name], behind: known[behind]}
+    return list(found.values())
 
 
 def text_of(placed: Sequence[PlacedTerm], values: np.ndarray) -> str:
-    """Each component that moves, with the sum of its terms: ``A5: 0.0004 sin(q4) sin(q6) rad``."""
+    """Each component that moves, with the sum of its terms: ``A5: 0.0004 sin(q4) sin(q6) rad``. values: (k,) of the coefficients."""
     sums: dict[tuple[str, str], list[str]] = {}
-    start = 0
-    for one in placed:
-        names = one.coefficients
-        turns = one.rotates
-        for (component, text), value, turn in zip(names, values[start : start + len(names)], turns, strict=True):
-            key = (component if component == one.location.name else f"{one.location.name} {component}", "rad" if turn else "mm")
-            sums.setdefault(key, []).append(f"{value:+.3g} {text}")
-        start += len(names)
+    for (component, text, unit), value in zip((c for p in placed for c in p.coefficients), values, strict=True):
+        sums.setdefault((component, unit), []).append(f"{value:+.3g} {text}")
     return "; ".join(f"{component}: {' '.join(terms).removeprefix('+')} {unit}" for (component, unit), terms in sums.items())
 
 
-def term_of(context: Context, formula: Formula, values: np.ndarray, std: np.ndarray) -> EffectTerm:
-    """The formula as an effect that is written down; typical sizes are the fitted ones, rounded, alike for all of a term's coefficients
-    of one unit.
-    """
+def term_of(context: Context, formula: Formula) -> EffectTerm:
+    """The formula with its coefficients as an effect that is written down; typical sizes are the most probable ones, rounded."""
+    found, k = coefficients(formula.hypothesis), len(formula.sigma)
     parts = tuple(described(formula.placed))
-    names, units, typical, start = [], [], [], 0
-    for one in formula.placed:
-        own, turns = values[start : start + len(one.coefficients)], one.rotates
-        for (component, text), turn in zip(one.coefficients, turns, strict=True):
-            at = one.location.name if component == one.location.name else f"{one.location.name}.{component}"
-            names.append(f"{at}.{plain_name(text)}_{'rad' if turn else 'mm'}")
-            units.append("rad" if turn else "mm")
-            size = float(np.sqrt(np.mean(own[turns == turn] ** 2)))
-            typical.append(float(f"{max(size, 1e-12):.1g}"))
-        start += len(one.coefficients)
-    first = formula.placed[0]
-    where = tuple(dict.fromkeys(p.location.name for p in formula.placed))
+    each = [c for p in formula.placed for c in p.coefficients]
     return EffectTerm(
         NAME,
-        where,
-        first.term.covariates[0],
+        tuple(dict.fromkeys(p.location.name for p in formula.placed)),
+        formula.placed[0].term.covariates[0],
         parts,
-        tuple(names),
-        tuple(units),
-        values,
-        std,
-        np.full(len(values), np.inf),
-        np.array(typical),
+        tuple(f"{component.replace(' ', '.')}.{plain_name(text)}_{unit}" for component, text, unit in each),
+        tuple(unit for _, _, unit in each),
+        found.mean[-k:],
+        np.sqrt(np.maximum(np.diag(found.covariance)[-k:], 0.0)),
+        np.full(k, np.inf),
+        np.array([float(f"{sigma:.1g}") for sigma in formula.sigma]),
         ranges=learnt_ranges(context, parts),
     )
 

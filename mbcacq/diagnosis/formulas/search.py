@@ -1,90 +1,128 @@
-"""Search for formulas by evidence: terms added one by one, each paying for its coefficients and for the size of the dictionary."""
+"""Formulas, and the search for them by evidence: terms added one by one, each paying for its coefficients and for the size of the
+dictionary.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
+from mbcacq.diagnosis.evidence.coefficients import prior_sigma
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, estimated, first_order
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.unmodelled import relative_to_best_determined
 from mbcacq.diagnosis.formulas import dictionary
 from mbcacq.diagnosis.formulas.dictionary import DictionaryEntry
-from mbcacq.diagnosis.formulas.formula import PlacedTerm, candidate
 from mbcacq.diagnosis.formulas.options import OPTIONS
 from mbcacq.diagnosis.nonparametric.basis_functions import Shape
-from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.locations import Location
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.effects.context import Context
-from mbcacq.effects.functions import Column, evaluate
+from mbcacq.effects.described import built, evaluated
+from mbcacq.effects.effect import Candidate
+from mbcacq.effects.functions import ZERO, Column, DescribedPart, scaled
 
-FINE, ROUNDS = 9, 3  # values of a finer grid for the order of a wave, and how often it is made finer
-WORTH_A_LOOK = 6  # entries for each extension: many of the best are neighbouring orders of one wave
+NAME = "formula"
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class PlacedTerm:
+    """A term that moves some components of a location: rows of its ``mix``."""
+
+    location: Location
+    rows: tuple[int, ...]
+    term: DictionaryEntry
+
+    @property
+    def label(self) -> str:
+        """Tells it apart from all others but waves of another order."""
+        columns = "" if self.term.is_wave else f"[{'; '.join(self.term.columns)}]"
+        return f"{self.location.name}{self.rows}:{self.term.shape}{columns}"
+
+    @property
+    def coefficients(self) -> list[tuple[str, str, str]]:
+        """(what moves, e.g. 'A2' or 'link3 rx'; text of the column; unit of the displacement) of each coefficient."""
+        name = self.location.name
+        if self.location.keys[0][0] == "joint":
+            return [(name, text, "rad") for text in self.term.columns]
+        return [(f"{name} {COMPONENTS[row]}", text, "mm" if row < 3 else "rad") for row in self.rows for text in self.term.columns]
+
+
+def described(placed: Sequence[PlacedTerm]) -> list[DescribedPart]:
+    """The parts that all terms displace together; coefficients are ordered term by term, and in each component by component."""
+    count, start = sum(len(p.coefficients) for p in placed), 0
+    columns: dict[tuple[str, int, int], list[Column]] = {}
+    for one in placed:
+        for row in one.rows:
+            for key, share in zip(one.location.keys, one.location.mix[row], strict=True):
+                if abs(share) > 1e-12:
+                    own = columns.setdefault(key, [ZERO] * count)
+                    own[start : start + len(one.term.columns)] = [scaled(column, float(share)) for column in one.term.columns.values()]
+            start += len(one.term.columns)
+    return [DescribedPart(*key, tuple(own)) for key, own in columns.items()]
+
+
+def candidate(context: Context, placed: Sequence[PlacedTerm], typical: np.ndarray) -> Candidate:
+    """The terms as one effect, whose coefficients have these typical sizes (k,)."""
+    parts, first = described(placed), placed[0]
+    return Candidate(
+        NAME,
+        (first.location.name,),
+        first.term.covariates[0],
+        built(context, parts),
+        lambda c, v, h: {},
+        typical,
+        several=True,
+        variant=" + ".join(f"{p.label}{list(p.term.columns)}" for p in placed),
+        described=lambda _: parts,
+    )
 
 
 @dataclass(frozen=True)
 class FormulaSpace:
-    """The terms of one location, laid out as design blocks, which stand in the order of ``placed``."""
+    """The terms of some locations, each at every choice of components, laid out as design blocks in the order of ``placed``."""
 
     context: Context
-    location: Location
-    per_pose: bool
-    terms: list[DictionaryEntry]
     placed: list[PlacedTerm]
-    log_priors: np.ndarray
-    blocks: BlockGroup
+    groups: list[BlockGroup]
 
     @classmethod
-    def of(cls, context: Context, location: Location, located: str) -> FormulaSpace:
-        """located: the covariate that the diagnosis found."""
-        per_pose = location.keys[0][0] != "point"
-        if per_pose:
-            terms = dictionary.of_pose(context, location.joint, location.frame, located)
-        else:
-            terms = dictionary.of_centre(context, located)
-        values, index, kept = table(context, terms, per_pose)
-        shapes = [Shape(term.shape, values[:, own], np.ones(len(own))) for term, own in zip(kept, index, strict=True)]
-        group = BlockGroup(location, shapes, OPTIONS.most_coefficients)
-        by_shape = dict(zip(map(id, shapes), kept, strict=True))
-        placed = [PlacedTerm(location, block.rows, by_shape[id(block.shape)]) for block in group.blocks]
-        logs = [one.term.log_prior - np.log(len(location.variants)) for one in placed]
-        return cls(context, location, per_pose, kept, placed, np.array(logs), group)
+    def of(cls, context: Context, locations: Sequence[Location]) -> FormulaSpace:
+        placed, groups = list[PlacedTerm](), list[BlockGroup]()
+        for location in locations:
+            terms = dictionary.entries(context, location)
+            columns = tuple(dict.fromkeys(column for term in terms for column in term.columns.values()))
+            (part,) = evaluated(context, [DescribedPart(*location.keys[0], columns)], cache(context.value))
+            kept = distinct(part.basis)
+            values, number = part.basis[:, kept], {columns[j]: i for i, j in enumerate(kept)}
+            unit = values / np.sqrt(np.mean(values**2, axis=0))
+            chosen = [term for term in terms if all(column in number for column in term.columns.values())]
+            each = [unit[:, [number[column] for column in term.columns.values()]] for term in chosen]
+            shapes = [Shape(term.shape, own, np.ones(own.shape[1])) for term, own in zip(chosen, each, strict=True)]
+            groups.append(BlockGroup(location, shapes))
+            term_of = dict(zip(map(id, shapes), chosen, strict=True))
+            placed += [PlacedTerm(location, block.rows, term_of[id(block.shape)]) for block in groups[-1].blocks]
+        return cls(context, placed, groups)
+
+    @property
+    def log_prior(self) -> float:
+        """Of one term: all of them are equally probable."""
+        return -float(np.log(len(self.placed)))
 
 
-def table(context: Context, terms: Sequence[DictionaryEntry], per_pose: bool) -> tuple[np.ndarray, list[np.ndarray], list[DictionaryEntry]]:
-    """(rows, f) all columns, each of unit size; which of them are each term's; the terms of which none is constant."""
-    rows = context.obs.n_poses if per_pose else context.obs.n_centres
-    known: dict[str, np.ndarray] = {}
-
-    def value(name: str) -> np.ndarray:
-        if name not in known:
-            values = np.asarray(context.value(name), dtype=float)
-            known[name] = values if per_pose or len(values) == rows and name in ("x", "y", "z") else values[context.obs.pose]
-        return known[name]
-
-    number: dict[Column, int] = {}
-    columns, index, kept, seen = [], [], [], dict[bytes, Column]()
-    for term in terms:
-        new = [c for c in term.columns if c not in number]
-        for column, values in zip(new, evaluate(tuple(new), value, rows).T, strict=True):
-            size, spread = float(np.sqrt(np.mean(values**2))), float(values.std())
-            if not (np.isfinite(size) and spread > 1e-9 * size > 0):
-                continue
-            # What varies as another column does is the same function: constants are the geometry's.
-            varying = np.round((values - values.mean()) / spread, 6)
-            alike = (varying * np.sign(varying[np.argmax(np.abs(varying))]) + 0.0).tobytes()
-            if seen.setdefault(alike, column) == column:
-                number[column] = len(columns)
-                columns.append(values / size)
-        if all(c in number for c in term.columns):
-            index.append(np.array([number[c] for c in term.columns]))
-            kept.append(term)
-    return np.stack(columns, axis=1), index, kept
+def distinct(columns: np.ndarray) -> np.ndarray:
+    """Which of the columns (rows, f) vary, and not as one before them, whatever their mean, which is the geometry's, and their scale."""
+    varies = np.flatnonzero(columns.std(axis=0) > 1e-9 * np.sqrt(np.mean(columns**2, axis=0)))
+    shape = columns[:, varies] - columns[:, varies].mean(axis=0)
+    shape = shape / shape[np.abs(shape).argmax(axis=0), np.arange(len(varies))]
+    return varies[np.sort(np.unique(np.round(shape, 6) + 0.0, axis=1, return_index=True)[1])]
 
 
 @dataclass(frozen=True)
@@ -93,107 +131,93 @@ class Formula:
 
     placed: tuple[PlacedTerm, ...]
     hypothesis: Hypothesis
-    log_prior: float
     log_bayes_factor: float
 
     @property
     def log_posterior(self) -> float:
         """Log posterior odds against no formula."""
-        return self.log_bayes_factor + self.log_prior
+        return self.log_bayes_factor + self.hypothesis.log_prior
 
     @property
-    def key(self) -> frozenset[str]:
-        return frozenset(p.label for p in self.placed)
+    def shapes(self) -> frozenset[str]:
+        """What it is a function of, whatever phase and location."""
+        return frozenset(p.term.shape for p in self.placed)
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(k,) prior standard deviation of the coefficients, at the most probable size of each term."""
+        return prior_sigma(self.hypothesis.members[-len(self.placed) :])
+
+
+def best_first(formulas: Sequence[Formula]) -> list[Formula]:
+    return sorted(formulas, key=lambda f: -f.log_posterior)
 
 
 class FormulaSearch:
     """Of one recording, or a part of it, under the noise of ``point``, with the other effects in place."""
 
-    def __init__(self, point: NoisePoint, others: Sequence[Member], spaces: Sequence[FormulaSpace]):
-        self.point, self.others, self.spaces = point, tuple(others), spaces
-        self.maps = [EvidenceMap(point.projected, [space.blocks]) for space in spaces]
+    def __init__(self, point: NoisePoint, others: Sequence[Member], space: FormulaSpace):
+        self.point, self.others, self.space = point, tuple(others), space
+        self.map = EvidenceMap(point.projected, space.groups)
+        self.none = first_order(self.others, point, 0.0)
 
-    def run(self, most_terms: int = OPTIONS.most_terms, final: bool = True) -> list[Formula]:
-        """The most probable formulas, best first; final: with the noise of each estimated anew."""
-        none = Formula((), first_order(self.others, self.point, 0.0), 0.0, 0.0)
-        known: dict[frozenset[str], Formula] = {}
-        beam = [none]
-        for _ in range(most_terms):
-            new: dict[frozenset[str], Formula] = {}
-            for node in beam:
-                for child in self.extensions(node, none):
-                    new.setdefault(child.key, child)
-            ranked = sorted(new.values(), key=lambda f: -f.log_posterior)[: OPTIONS.beam]
-            best = max((f.log_posterior for f in known.values()), default=0.0)
-            known |= {f.key: f for f in new.values()}
-            beam = ranked
-            if not beam or beam[0].log_posterior <= best:
-                break
-        ranked = sorted(known.values(), key=lambda f: -f.log_posterior)
-        if not final:
-            return ranked[: OPTIONS.estimated]
-        # Under a noise that still contains the effect every further term seems to gain: short ones are compared under their own as well.
-        plain, terms = estimated(self.others, self.point, 0.0), range(1, most_terms + 1)
-        best = {f.key: f for n in terms for f in [f for f in ranked if len(f.placed) == n][: OPTIONS.estimated_of_each]}
-        best |= {f.key: f for f in ranked[: OPTIONS.estimated]}
-        return sorted((self.estimated(f, plain) for f in best.values()), key=lambda f: -f.log_posterior)
+    def run(self, most_terms: int = OPTIONS.most_terms) -> list[Formula]:
+        """The most probable formulas, best first, each with the noise that is most probable with it, against none with its own.
 
-    def estimated(self, formula: Formula, plain: Hypothesis) -> Formula:
-        """The formula with the noise that is most probable with it, against the hypothesis without formula with its own."""
-        there = estimated(formula.hypothesis.members, self.point, 0.0)
-        return Formula(formula.placed, there, formula.log_prior, there.log_evidence - plain.log_evidence)
-
-    def extensions(self, node: Formula, none: Formula) -> list[Formula]:
-        """A formula with one term more: those that are most probable to first order."""
-        conditioned = node.hypothesis.conditioned
-        found: list[tuple[float, PlacedTerm, float]] = []
-        for space, evidence_map in zip(self.spaces, self.maps, strict=True):
-            logs = evidence_map.evaluate(conditioned).log_bayes_factor + space.log_priors
-            present = {distinct(p)[0] for p in node.placed if p.location.name == space.location.name}
-            chosen: dict[tuple[str, tuple[int, ...]], int] = {}
-            for e in np.argsort(-logs)[: WORTH_A_LOOK * OPTIONS.compared]:
-                if distinct(space.placed[e])[0] not in present:
-                    chosen.setdefault(distinct(space.placed[e]), int(e))
-            found += [(float(logs[e]), space.placed[e], float(space.log_priors[e])) for e in chosen.values()]
+        Under a noise that still contains the effect every further term seems to gain: so those of every length are compared.
+        """
+        plain = estimated(self.others, self.point, 0.0)
         out = []
-        for _, placed, log_prior in sorted(found, key=lambda one: -one[0])[: OPTIONS.compared]:
-            here = self.refined(conditioned, placed) if placed.term.wave else placed
-            members = (*node.hypothesis.members, self.member(here))
-            hypothesis = first_order(members, self.point, 0.0)
-            further = float(np.log(OPTIONS.further)) if node.placed else -float(np.log(len(self.spaces)))
-            log_factor = hypothesis.log_evidence - none.hypothesis.log_evidence
-            out.append(Formula((*node.placed, here), hypothesis, node.log_prior + log_prior + further, log_factor))
-        return out
+        for formula in (f for of_length in self.by_length(most_terms) for f in of_length):
+            there = estimated(formula.hypothesis.members, self.point, formula.hypothesis.log_prior)
+            out.append(Formula(formula.placed, there, there.log_evidence - plain.log_evidence))
+        return best_first(out)
+
+    def by_length(self, most_terms: int = OPTIONS.most_terms) -> list[list[Formula]]:
+        """The most probable formulas of one term, of two and so on to first order, as long as a further one gains."""
+        out = [[Formula((), self.none, 0.0)]]
+        while len(out) <= most_terms:
+            extended = {frozenset(p.label for p in new.placed): new for formula in out[-1] for new in self.extensions(formula)}
+            longer = best_first(list(extended.values()))[: DIAGNOSIS.beam]
+            if not longer:
+                break
+            out.append(longer)
+            if longer[0].log_posterior <= out[-2][0].log_posterior:
+                break
+        return out[1:]
+
+    def extensions(self, formula: Formula) -> list[Formula]:
+        """A formula with one term more: those that are most probable to first order."""
+        logs = self.map.evaluate(formula.hypothesis.conditioned).log_bayes_factor
+        present = {p.label for p in formula.placed}
+        chosen: dict[str, PlacedTerm] = {}
+        for placed in (self.space.placed[e] for e in np.argsort(-logs)):
+            if placed.label not in present:
+                chosen.setdefault(placed.label, placed)
+            if len(chosen) == DIAGNOSIS.beam:
+                break
+        return [self.refined(formula, placed) if placed.term.is_wave else self.extended(formula, placed) for placed in chosen.values()]
+
+    def extended(self, formula: Formula, placed: PlacedTerm) -> Formula:
+        """With this term as well, to first order."""
+        further = float(np.log(DIAGNOSIS.further)) if formula.placed else 0.0
+        log_prior = formula.hypothesis.log_prior + self.space.log_prior + further
+        hypothesis = first_order((*formula.hypothesis.members, self.member(placed)), self.point, log_prior)
+        return Formula((*formula.placed, placed), hypothesis, hypothesis.log_evidence - self.none.log_evidence)
+
+    def refined(self, formula: Formula, placed: PlacedTerm) -> Formula:
+        """With a wave as well, at its most probable order between the neighbours of one of the grid."""
+        name, step = placed.term.covariates[0], dictionary.wave_step(self.space.context, placed.term.covariates[0])
+
+        @cache
+        def at(order: float) -> Formula:
+            return self.extended(formula, replace(placed, term=dictionary.wave(name, float(f"{order:.4g}"))))
+
+        middle = next(iter(placed.term.columns.values()))[0].functions[0].numbers[0]
+        best = minimize_scalar(lambda order: -at(order).log_posterior, bounds=(middle - step, middle + step), method="bounded")
+        return at(best.x)
 
     def member(self, placed: PlacedTerm) -> Member:
         """A term as an effect; its sizes are relative to the best determined direction, as those of the evidence map."""
-        unit = candidate(self.context(placed), (placed,), np.ones(len(placed.coefficients)))
+        unit = candidate(self.space.context, (placed,), np.ones(len(placed.coefficients)))
         return relative_to_best_determined(self.point.projected, unit)
-
-    def context(self, placed: PlacedTerm) -> Context:
-        return next(s.context for s in self.spaces if s.location.name == placed.location.name)
-
-    def refined(self, conditioned: CandidateScoring, placed: PlacedTerm) -> PlacedTerm:
-        """A wave at its most probable order between the neighbours of one of the grid."""
-        orders = sorted({dictionary.order_of(s.term) for space in self.spaces for s in space.placed if s.term.wave})
-        middle, step = dictionary.order_of(placed.term), orders[1] - orders[0]
-        best = placed
-        for _ in range(ROUNDS):
-            values = [float(f"{v:.4g}") for v in np.linspace(middle - step, middle + step, FINE) if v > 0]
-            tried = [PlacedTerm(placed.location, placed.rows, dictionary.with_order(placed.term, v)) for v in values]
-            best = tried[int(np.argmax([self.evidence(conditioned, one) for one in tried]))]
-            middle, step = dictionary.order_of(best.term), 2 * step / (FINE - 1)
-        return best
-
-    def evidence(self, conditioned: CandidateScoring, placed: PlacedTerm) -> float:
-        """Log Bayes factor of one term beyond what a problem is conditioned on."""
-        unit = candidate(self.context(placed), (placed,), np.ones(len(placed.coefficients)))
-        X, S, b = conditioned.candidate_products(unit, None)
-        absorbed = conditioned.conditioned.T @ X
-        S, b, typical = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along, np.sum(X * X, axis=0) ** -0.5
-        return float(log_bayes_factors((S * np.outer(typical, typical))[None], (b * typical)[None])[0])
-
-
-def distinct(placed: PlacedTerm) -> tuple[str, tuple[int, ...]]:
-    """What tells terms of one location apart: waves of one covariate are one, whatever their order."""
-    return placed.term.shape if placed.term.wave else placed.term.label, placed.rows
