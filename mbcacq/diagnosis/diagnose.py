@@ -51,7 +51,7 @@ def diagnose(
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
         # The matrices are small: two threads of linear algebra take longer for them than one, and three times the work.
-        with threadpool_limits(1), WorkerPool(workers) as pool:
+        with threadpool_limits(1), WorkerPool(min(workers, OPTIONS.folds)) as pool:
             return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()), formulas, refit)
     except ContradictionError as error:
         raise with_likely_cause(error, first) from error

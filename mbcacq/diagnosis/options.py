@@ -59,8 +59,7 @@ class DiagnosisOptions:
     most_harmonics: int = 16  # of periodic errors over the width of the field
     harmonic_weight: float = 0.3  # prior sigma of a harmonic relative to a polynomial of the same group
 
-    noise_like_chi2: float = 1.5  # held-out chi2 per degree of freedom up to which a model may be said to leave only noise
-    most_workers: int = 8  # processes at most: each holds a problem of its own in memory
+    noticeable: float = 1.5  # factor by which a noise, or a variance of data left out, must be off to be spoken of
 
 
 OPTIONS = DiagnosisOptions()

@@ -18,8 +18,6 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Part
 from mbcacq.effects.pose import joint_compliance, payload
 
-LEAST_COMPLIANCE = 0.02  # of the softest joint: no loaded joint is stiffer than that
-
 
 def coupled(candidates: list[Candidate], context: Context, best: Hypothesis) -> Hypothesis:
     """The set with compliances and payload that agree with each other; the set itself where it has no wrong payload. candidates: of the
@@ -67,5 +65,5 @@ def compliances(hypothesis: Hypothesis, known: Coefficients | None = None) -> di
         for m, p in zip(hypothesis.members, solved.slices, strict=True)
         if m.candidate.name == joint_compliance.NAME
     }
-    least = max(LEAST_COMPLIANCE * max(found.values()), 1e-9)
+    least = max(OPTIONS.undecided * max(found.values()), 1e-9)  # a loaded joint gives way: none is that much stiffer than another
     return {i: float(f"{max(value, least):.4g}") for i, value in found.items()}

@@ -14,7 +14,7 @@ from mbcacq.effects.context import Context
 
 
 @dataclass(frozen=True)
-class Block:
+class DesignBlock:
     """Some components (rows of the mix) of a location by one shape. at: name of the location."""
 
     location: Location
@@ -80,10 +80,10 @@ class BlockGroup:
         return out
 
     @cached_property
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[DesignBlock]:
         """In the order of the batches."""
         return [
-            Block(self.location, tuple(one), self.shapes[j])
+            DesignBlock(self.location, tuple(one), self.shapes[j])
             for k, own in self._by_functions.items()
             for rows in self._by_components(k)
             for one in rows.tolist()

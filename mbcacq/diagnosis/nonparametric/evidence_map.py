@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors, log_mean
-from mbcacq.diagnosis.nonparametric.design_blocks import Block, BlockGroup
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlock
 from mbcacq.diagnosis.search.candidate_scoring import ROUNDING, CandidateScoring, UnitKey
 
 
@@ -31,7 +31,7 @@ class MapEvidence:
     first. total: log of the mean over all locations.
     """
 
-    blocks: list[Block]
+    blocks: list[DesignBlock]
     log_bayes_factor: np.ndarray
     at: dict[str, np.ndarray]
     locations: dict[str, float]

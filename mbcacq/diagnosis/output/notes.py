@@ -24,7 +24,6 @@ from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
 
 ROUNDING = 0.02  # of a sum of shares that are printed in per cent
-WRONG = 1.5  # factor from which a statement of the noise is said to be wrong
 SIGNIFICANT = 3.0  # standard deviations from which it is
 PAUSE_S = 900.0  # from pose to pose, from which the recording is said to pause
 
@@ -73,7 +72,7 @@ def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
         return None
     ratio = float(np.exp(np.mean(np.log(full.noise.point / stated.point))))
     sd = 1.0 / np.sqrt(2.0 * max(full.geometry_only.dof, 1.0))
-    if abs(np.log(ratio)) < max(np.log(WRONG), SIGNIFICANT * sd):
+    if abs(np.log(ratio)) < max(np.log(OPTIONS.noticeable), SIGNIFICANT * sd):
         return None
     instrument = "scanner" if linear.width == 3 and linear.obs.cell.measurement != "target_in_base" else "instrument"
     found = np.sqrt(np.mean(full.noise.point**2))
@@ -91,7 +90,7 @@ def unproven_places(setup: DiagnosisProblem) -> list[str]:
 def not_carried_over(verdict: str, proof: CrossValidation) -> list[str]:
     """A sentence where a recording is explained and yet what is learnt from a part of it does not predict the rest down to noise."""
     left_out = proof.after
-    if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noise_like_chi2:
+    if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noticeable:
         return []
     part = "a place" if proof.split == "station" else "a part of the poses"
     return [

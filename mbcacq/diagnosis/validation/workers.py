@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
-from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.errors import CalibrationError
 
 # loky takes 300 MB more than at first for a leak, and starts another process, which takes a second; a part of a long recording needs more.
@@ -24,7 +23,7 @@ def cores() -> int:
     """How many processes can run at the same time here."""
     from loky import cpu_count
 
-    return min(cpu_count(), OPTIONS.most_workers)
+    return cpu_count()
 
 
 class WorkerPool:
