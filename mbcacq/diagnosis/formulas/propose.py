@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +15,7 @@ from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.formulas.options import OPTIONS
-from mbcacq.diagnosis.formulas.search import NAME, Formula, FormulaSearch, FormulaSpace, PlacedTerm, best_first, candidate, described
+from mbcacq.diagnosis.formulas.search import NAME, Formula, FormulaSearch, FormulaSpace, PlacedTerm, candidate, described, different
 from mbcacq.diagnosis.nonparametric import locations
 from mbcacq.diagnosis.nonparametric.locations import SCANNER, Location
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
@@ -80,31 +81,31 @@ def propose(
 
     One effect that no smooth function describes often takes several smooth ones at several locations: a formula replaces all of them.
     """
-    found = located(problem.context, [e for e in effects if e.name == UNMODELLED])
-    if not found:
+    where = located(problem.context, [e for e in effects if e.name == UNMODELLED])
+    if not where:
         return ()
     progress("searching for formulas of the unmodelled effects")
     here = Setting.of(problem, full)
-    space = FormulaSpace.of(here.context, found)
-    formulas = [f for f in FormulaSearch(here.point, here.others, space).run() if f.log_posterior > 0]
+    space = FormulaSpace.of(here.context, where)
+    found = FormulaSearch(here.point, here.others, space).run()
+    formulas = different(f for f in found if f.log_posterior > 0)[: OPTIONS.proposed]
     if not formulas:
         return ()
     progress("searching for formulas without each part of the data")
-    again = [FormulaSearch(here.point.restricted(train), here.others, space).by_length() for train, _ in here.parts]
-    best_again = [{f.shapes for f in best_first(sum(each, []))[: OPTIONS.proposed]} for each in again]
+    again = [FormulaSearch(here.point.restricted(train), here.others, space).to_first_order() for train, _ in here.parts]
+    best_again = [{f.shapes for f in different(each)[: OPTIONS.proposed]} for each in again]
     before = here.score()
     smooth = here.score(None, here.random) if here.random else before
     out = []
-    for formula in different(formulas)[: OPTIONS.proposed]:
-        score = here.score(formula)
+    for formula in formulas:
+        score, term = here.score(formula), term_of(here.context, formula)
         if score.chi2 >= before.chi2:
             continue
-        term = term_of(here.context, formula)
         out.append(
             Proposal(
                 where=term.where,
                 formula=text_of(formula.placed, term.coefficients),
-                terms=tuple(sorted(formula.shapes)),
+                terms=formula.shapes,
                 log_bayes_factor=formula.log_bayes_factor,
                 odds=float(np.exp(formula.log_posterior - formulas[0].log_posterior)),
                 held_out_before_chi2_dof=before.chi2_dof,
@@ -117,16 +118,6 @@ def propose(
             )
         )
     return tuple(out)
-
-
-def different(formulas: Sequence[Formula]) -> list[Formula]:
-    """The most probable of those of the same functions at the same locations, without those that only add terms to a more probable one."""
-    out: dict[frozenset[tuple[str, str]], Formula] = {}
-    for formula in formulas:
-        functions = frozenset((p.location.name, p.term.shape) for p in formula.placed)
-        if not any(other <= functions for other in out):
-            out[functions] = formula
-    return list(out.values())
 
 
 def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
@@ -163,7 +154,7 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
         tuple(dict.fromkeys(p.location.name for p in formula.placed)),
         formula.placed[0].term.covariates[0],
         parts,
-        tuple(f"{component.replace(' ', '.')}.{plain_name(text)}_{unit}" for component, text, unit in each),
+        tuple(f"{component.replace(' ', '.')}.{re.sub(r'[^a-zA-Z0-9]+', '_', text).strip('_')}_{unit}" for component, text, unit in each),
         tuple(unit for _, _, unit in each),
         found.mean[-k:],
         np.sqrt(np.maximum(np.diag(found.covariance)[-k:], 0.0)),
@@ -171,9 +162,3 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
         np.array([float(f"{sigma:.1g}") for sigma in formula.sigma]),
         ranges=learnt_ranges(context, parts),
     )
-
-
-def plain_name(text: str) -> str:
-    """A text of a column as a part of a parameter's name: letters, digits and underscores."""
-    short = text.replace("^", "").replace("gravity_torque_", "tau").replace("gravity_moment_", "moment")
-    return "_".join("".join(c if c.isalnum() else " " for c in short).split())

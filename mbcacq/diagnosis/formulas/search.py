@@ -4,7 +4,7 @@ dictionary.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -42,9 +42,8 @@ class PlacedTerm:
 
     @property
     def label(self) -> str:
-        """Tells it apart from all others but waves of another order."""
-        columns = "" if self.term.is_wave else f"[{'; '.join(self.term.columns)}]"
-        return f"{self.location.name}{self.rows}:{self.term.shape}{columns}"
+        """What it is a function of and where, whatever the phase, the order of a wave and the components that move."""
+        return f"{self.location.name}:{self.term.shape}"
 
     @property
     def coefficients(self) -> list[tuple[str, str, str]]:
@@ -80,7 +79,7 @@ def candidate(context: Context, placed: Sequence[PlacedTerm], typical: np.ndarra
         lambda c, v, h: {},
         typical,
         several=True,
-        variant=" + ".join(f"{p.label}{list(p.term.columns)}" for p in placed),
+        variant=" + ".join(f"{p.label}{p.rows}{list(p.term.columns)}" for p in placed),
         described=lambda _: parts,
     )
 
@@ -111,11 +110,6 @@ class FormulaSpace:
             placed += [PlacedTerm(location, block.rows, term_of[id(block.shape)]) for block in groups[-1].blocks]
         return cls(context, placed, groups)
 
-    @property
-    def log_prior(self) -> float:
-        """Of one term: all of them are equally probable."""
-        return -float(np.log(len(self.placed)))
-
 
 def distinct(columns: np.ndarray) -> np.ndarray:
     """Which of the columns (rows, f) vary, and not as one before them, whatever their mean, which is the geometry's, and their scale."""
@@ -139,9 +133,14 @@ class Formula:
         return self.log_bayes_factor + self.hypothesis.log_prior
 
     @property
-    def shapes(self) -> frozenset[str]:
-        """What it is a function of, whatever phase and location."""
-        return frozenset(p.term.shape for p in self.placed)
+    def labels(self) -> frozenset[str]:
+        """Of its terms: formulas of the same ones differ in details."""
+        return frozenset(p.label for p in self.placed)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """What it is a function of, wherever."""
+        return tuple(sorted({p.term.shape for p in self.placed}))
 
     @property
     def sigma(self) -> np.ndarray:
@@ -149,8 +148,18 @@ class Formula:
         return prior_sigma(self.hypothesis.members[-len(self.placed) :])
 
 
-def best_first(formulas: Sequence[Formula]) -> list[Formula]:
+def ranked(formulas: Iterable[Formula]) -> list[Formula]:
+    """The most probable first."""
     return sorted(formulas, key=lambda f: -f.log_posterior)
+
+
+def different(formulas: Iterable[Formula]) -> list[Formula]:
+    """The most probable first, without those that only add terms to a more probable one."""
+    out: list[Formula] = []
+    for formula in ranked(formulas):
+        if not any(other.labels <= formula.labels for other in out):
+            out.append(formula)
+    return out
 
 
 class FormulaSearch:
@@ -167,41 +176,34 @@ class FormulaSearch:
         Under a noise that still contains the effect every further term seems to gain: so those of every length are compared.
         """
         plain = estimated(self.others, self.point, 0.0)
-        out = []
-        for formula in (f for of_length in self.by_length(most_terms) for f in of_length):
-            there = estimated(formula.hypothesis.members, self.point, formula.hypothesis.log_prior)
-            out.append(Formula(formula.placed, there, there.log_evidence - plain.log_evidence))
-        return best_first(out)
+        each = [(f, estimated(f.hypothesis.members, self.point, f.hypothesis.log_prior)) for f in self.to_first_order(most_terms)]
+        return ranked(Formula(f.placed, there, there.log_evidence - plain.log_evidence) for f, there in each)
 
-    def by_length(self, most_terms: int = OPTIONS.most_terms) -> list[list[Formula]]:
-        """The most probable formulas of one term, of two and so on to first order, as long as a further one gains."""
-        out = [[Formula((), self.none, 0.0)]]
-        while len(out) <= most_terms:
-            extended = {frozenset(p.label for p in new.placed): new for formula in out[-1] for new in self.extensions(formula)}
-            longer = best_first(list(extended.values()))[: DIAGNOSIS.beam]
-            if not longer:
+    def to_first_order(self, most_terms: int = OPTIONS.most_terms) -> list[Formula]:
+        """The most probable formulas of one term, of two and so on, as long as a further one gains."""
+        out, beam = [], [Formula((), self.none, 0.0)]
+        for _ in range(most_terms):
+            extended = {new.labels: new for formula in beam for new in self.extensions(formula)}
+            longer = ranked(extended.values())[: DIAGNOSIS.beam]
+            out += longer
+            if not longer or longer[0].log_posterior <= beam[0].log_posterior:
                 break
-            out.append(longer)
-            if longer[0].log_posterior <= out[-2][0].log_posterior:
-                break
-        return out[1:]
+            beam = longer
+        return out
 
     def extensions(self, formula: Formula) -> list[Formula]:
         """A formula with one term more: those that are most probable to first order."""
         logs = self.map.evaluate(formula.hypothesis.conditioned).log_bayes_factor
-        present = {p.label for p in formula.placed}
-        chosen: dict[str, PlacedTerm] = {}
-        for placed in (self.space.placed[e] for e in np.argsort(-logs)):
-            if placed.label not in present:
-                chosen.setdefault(placed.label, placed)
-            if len(chosen) == DIAGNOSIS.beam:
-                break
-        return [self.refined(formula, placed) if placed.term.is_wave else self.extended(formula, placed) for placed in chosen.values()]
+        best: dict[str, PlacedTerm] = {}
+        for e in np.argsort(-logs):
+            best.setdefault(self.space.placed[e].label, self.space.placed[e])
+        chosen = [placed for label, placed in best.items() if label not in formula.labels][: DIAGNOSIS.beam]
+        return [self.refined(formula, placed) if placed.term.is_wave else self.extended(formula, placed) for placed in chosen]
 
     def extended(self, formula: Formula, placed: PlacedTerm) -> Formula:
         """With this term as well, to first order."""
-        further = float(np.log(DIAGNOSIS.further)) if formula.placed else 0.0
-        log_prior = formula.hypothesis.log_prior + self.space.log_prior + further
+        further = DIAGNOSIS.further if formula.placed else 1.0
+        log_prior = formula.hypothesis.log_prior + float(np.log(further / len(self.space.placed)))
         hypothesis = first_order((*formula.hypothesis.members, self.member(placed)), self.point, log_prior)
         return Formula((*formula.placed, placed), hypothesis, hypothesis.log_evidence - self.none.log_evidence)
 
