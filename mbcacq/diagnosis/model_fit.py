@@ -46,7 +46,7 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
         found = model_of(problem, fit, reported_hypothesis(fit), linear)
         return found.model, found.random
     small = thinned(problem, keep, OPTIONS.searched_poses)
-    best = reported_hypothesis(compared(small, small.linear, pack(small.noise), narrow=True, staged=True))
+    best = reported_hypothesis(compared(small, small.linear, pack(small.noise), staged=True))
     random = random_effects_everywhere(problem, small, best, best.point.noise)[0] if unmodelled else ()
     return transferred(small, problem, effects_of(best)), random
 
@@ -59,7 +59,7 @@ def effects_of(hypothesis: Hypothesis) -> EffectSet:
 def fit_long_recording(problem: DiagnosisProblem) -> ModelFit:
     """The same for a long recording: effects are searched in a part of it, the remainder is random effects at every location."""
     small = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
-    fit = compared(small, small.linear, pack(small.noise), alternatives=True, narrow=True, staged=True)
+    fit = compared(small, small.linear, pack(small.noise), alternatives=True, staged=True)
     found = reported_hypothesis(fit)
     whole = on_the_whole(problem, small, found)
     linear, noise = whole.point.linear, whole.point.noise
@@ -68,7 +68,7 @@ def fit_long_recording(problem: DiagnosisProblem) -> ModelFit:
         random, noise = random_effects_everywhere(problem, small, found, noise)
         whole = under(replace(whole.point, theta=pack(noise)), whole.members, whole.log_prior)
     model = model_of(problem, fit, whole, linear)
-    return replace(model, random=random, cells=cells_of(found))
+    return replace(model, random=random, cells=cells_of(found) if random else ())
 
 
 def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis) -> Hypothesis:

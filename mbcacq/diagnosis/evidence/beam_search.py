@@ -34,8 +34,8 @@ class EvidenceSearch:
     """The candidates of a recording, and every hypothesis that was estimated, by the keys of its effects.
 
     alternatives: whether sets with another effect in the place of one of the best set's are compared as well. narrow: one set is followed
-    instead of a beam. staged: elastic joints first, since every arm has them and what they explain is not to be given to slow periodic
-    errors, then the catalogue, and an unmodelled effect at last, which in a recording of very many poses there always is.
+    instead of a beam. staged: so, and elastic joints first, since every arm has them and what they explain is not to be given to slow
+    periodic errors, then the catalogue, and an unmodelled effect at last, which in a recording of very many poses there always is.
     """
 
     candidates: list[Candidate]
@@ -98,7 +98,7 @@ class EvidenceSearch:
         Sets are proposed under the noise of the best one of the beam; those that may matter get a noise of their own.
         """
         point, proposed = beam[0].point, list[tuple[float, tuple[Member, ...]]]()
-        width, most = (1, 2) if self.narrow else (OPTIONS.beam, OPTIONS.estimated)
+        width, most = (1, 2) if self.narrow or self.staged else (OPTIONS.beam, OPTIONS.estimated)
         least = max(h.log_posterior for h in self.known.values()) - OPTIONS.reach
         for node in beam:
             there = under(point, node.members, node.log_prior)
