@@ -25,12 +25,8 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     otherwise by what explains more of the mismatch: effects of the catalogue, or unmodelled ones.
     """
     if not fit.significant:
-        return "none"
-    reported = reported_hypothesis(fit)
-    others = alternatives_to(fit, reported)
-    if full.everywhere:  # then the location of the unmodelled effect is only the one where most is left
-        others = [other for other in others if named_labels(other) != named_labels(reported)]
-    if others:
+        return "unexplained" if full.random else "none"
+    if alternatives_to(fit, reported_hypothesis(fit)):
         return "cannot_tell"
     if not full.random:
         return "explained"
@@ -39,8 +35,11 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     return "partly_explained" if full.model.gain > rest else "unexplained"
 
 
-def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
-    """The effects, each with the strongest others that could stand in its place."""
+def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
+    """The effects, each with the strongest others that could stand in its place; an unmodelled one of a long recording with the other
+    locations of most evidence.
+    """
+    fit = full.evidence
     reported = reported_hypothesis(fit)
     out = []
     for effect in effects:
@@ -51,12 +50,12 @@ def with_alternatives(fit: EvidenceFit, effects: Sequence[EffectFound]) -> list[
                     found[other.label] = max(other.odds, found.get(other.label, 0.0))
         best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
         ranked = [alternative(label, odds) for label, odds in best]
+        if full.everywhere and effect.name == UNMODELLED:
+            first, *others = full.cells
+            odds_of = [(c.location, float(np.exp(c.log_bayes_factor - first.log_bayes_factor))) for c in others[: OPTIONS.beam]]
+            ranked = [Alternative(UNMODELLED, (at,), 0.0, odds) for at, odds in odds_of]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return out
-
-
-def named_labels(hypothesis: Hypothesis) -> set[str]:
-    return {m.label for m in hypothesis.catalogued}
 
 
 def alternative(label: str, odds: float) -> Alternative:

@@ -12,12 +12,12 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel, noise_with
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare, thinned, transferred
-from mbcacq.diagnosis.reported_model import cells_of, model_of
+from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import unmodelled
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -47,7 +47,7 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
         return found.model, found.random
     small = thinned(problem, keep, OPTIONS.searched_poses)
     best = reported_hypothesis(compared(small, small.linear, pack(small.noise), staged=True))
-    random = random_effects_everywhere(problem, small, best, best.point.noise)[0] if unmodelled else ()
+    random = random_effects_everywhere(problem, small, best, best.point.noise, known=True)[0] if unmodelled else ()
     return transferred(small, problem, effects_of(best)), random
 
 
@@ -63,12 +63,10 @@ def fit_long_recording(problem: DiagnosisProblem) -> ModelFit:
     found = reported_hypothesis(fit)
     whole = on_the_whole(problem, small, found)
     linear, noise = whole.point.linear, whole.point.noise
-    random: tuple[RandomEffect, ...] = ()
-    if found.unmodelled:
-        random, noise = random_effects_everywhere(problem, small, found, noise)
+    random, noise, cells = random_effects_everywhere(problem, small, found, noise)
+    if random:
         whole = under(replace(whole.point, theta=pack(noise)), whole.members, whole.log_prior)
-    model = model_of(problem, fit, whole, linear)
-    return replace(model, random=random, cells=cells_of(found) if random else ())
+    return replace(model_of(problem, fit, whole, linear), random=random, cells=cells)
 
 
 def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis) -> Hypothesis:
@@ -82,10 +80,11 @@ def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypo
 
 
 def random_effects_everywhere(
-    problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis, noise: Noise
-) -> tuple[tuple[RandomEffect, ...], Noise]:
-    """The random effects at all locations that the data ask for beyond the parametric ones, and the noise that they leave.
-    found: of the thinned recording.
+    problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis, noise: Noise, known: bool = False
+) -> tuple[tuple[RandomEffect, ...], Noise, tuple[LocatedMismatch, ...]]:
+    """The random effects at all locations that the data ask for beyond the parametric ones, the noise that they leave, and their locations,
+    that of most evidence first. found: of the thinned recording. There are none, unless that is known, where their evidence does not
+    outweigh their prior, in which each group is one more effect.
 
     Sizes and noise are found in a thinned recording, to a few per cent; coefficients take all of it.
     """
@@ -94,16 +93,23 @@ def random_effects_everywhere(
     everywhere = [RandomEffect.of(problem.context, group) for group in unmodelled.everywhere(problem.context)]
     groups = [g.of_poses(chosen, whole.pose).of_unit_size(linear) for g in everywhere]
     sizes = np.full(len(groups), np.mean(noise.point))
-    for _ in range(2):
+    cells: tuple[LocatedMismatch, ...] = ()
+    for turn in range(2):
         alive = np.flatnonzero(sizes > 0)
         sizes[alive] = JointModel(linear, there, [groups[g] for g in alive], linear.whitener(noise)).group_sizes(sizes[alive])
         sized = [replace(groups[g], sigma=sizes[g] * groups[g].sigma) for g in np.flatnonzero(sizes > 0)]
         if not sized:
-            return (), noise
-        smooth = JointModel(linear, there, sized, linear.whitener(noise)).random_effects
-        noise = noise_left_by(linear, there, smooth, noise, problem.prior_noise)
+            return (), noise, ()
+        joint = JointModel(linear, there, sized, linear.whitener(noise))
+        if turn == 0:
+            together, each = joint.log_bayes_factors()
+            if not known and together + len(sized) * np.log(OPTIONS.further) + np.log(OPTIONS.unmodelled) < 0:
+                return (), noise, ()
+            best = {sized[g].location: LocatedMismatch(sized[g].location, sized[g].depends_on, float(each[g])) for g in np.argsort(each)}
+            cells = tuple(sorted(best.values(), key=lambda cell: -cell.log_bayes_factor))
+        noise = noise_left_by(linear, there, joint.random_effects, noise, problem.prior_noise)
     chosen_groups = ((e, s * g.sigma) for e, g, s in zip(everywhere, groups, sizes, strict=True) if s > 0)
-    return tuple(replace(e, sigma=sigma) for e, sigma in chosen_groups), noise
+    return tuple(replace(e, sigma=sigma) for e, sigma in chosen_groups), noise, cells
 
 
 def noise_left_by(linear: LinearProblem, model: EffectSet, smooth: RandomEffectsModel, start: Noise, prior: NoisePrior) -> Noise:

@@ -48,16 +48,10 @@ class DiagnosisOptions:
     resolved: float = 1.0  # log Bayes factor by which a peak may be above its neighbours on a grid that resolves it
 
     # Basis functions of unmodelled effects
-    harmonics: int = 4  # periods a turn, of any joint's angle at any location
-    own_harmonics: int = 9  # periods a turn, of the joint at, or before, the location
-    cosines: int = 5  # smooth functions over the range of a covariate
-    narrow_cosines: int = 16  # of a joint's own angle: narrow enough for a local bump
+    smooth: int = 5  # functions over the range of a covariate: a line and cosines
     fading_reaches: tuple[float, ...] = (0.1, 0.3, 1.0)  # rad of travel over which lost motion fades: grease, wind-up, pre-sliding
-    standing_rad: float = 1e-4  # less travel is no motion; what was before it lasts
-    parallel_cosine: float = 0.99  # from which two axes count as one, so that a link's rotation is left to the next joint
     shortest_period_mm: float = 8.0  # of periodic errors in the field of view
-    most_harmonics: int = 16  # of periodic errors over the width of the field
-    harmonic_weight: float = 0.3  # prior sigma of a harmonic relative to a polynomial of the same group
+    varies: float = 0.02  # rad, or of the largest: what varies by less counts as constant
 
     noticeable: float = 1.5  # factor by which a noise, or a variance of data left out, must be off to be spoken of
 

@@ -54,7 +54,7 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     fit, contributions = full.evidence, Contributions(full)
     found = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
-    effects, mismatch = with_alternatives(fit, found), mismatch_table(full, contributions, before)
+    effects, mismatch = with_alternatives(full, found), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     model = kept_model(setup, full, effects) or None
     return JudgedFit(full, proof, before, residual, verdict_of(full), mismatch, effects, not_separable, pairs, model)

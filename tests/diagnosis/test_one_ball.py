@@ -16,4 +16,4 @@ def test_the_shift_of_the_only_ball_is_no_block_of_its_own(plan):
     groups = of_scanner(Context(obs, state, forward_model.predict(obs, state)))
     assert groups
     assert all(group.functions.shape[1] for group in groups)
-    assert {at for group in groups for at in group.at} == {"scanner"}
+    assert {block.at for group in groups for block in group.blocks} == {"scanner"}

@@ -35,7 +35,7 @@ class EvidenceSearch:
 
     alternatives: whether sets with another effect in the place of one of the best set's are compared as well. narrow: one set is followed
     instead of a beam. staged: so, and elastic joints first, since every arm has them and what they explain is not to be given to slow
-    periodic errors, then the catalogue, and an unmodelled effect at last, which in a recording of very many poses there always is.
+    periodic errors, then the rest of the catalogue, and no unmodelled ones.
     """
 
     candidates: list[Candidate]
@@ -60,13 +60,10 @@ class EvidenceSearch:
             best = self.relieved(best)
         if self.staged:
             self.climbed(best, [c for c in self.candidates if c.name == joint_compliance.NAME])
-            best = self.climbed(self.ranked()[0], self.candidates)
-            if self.alternatives:
-                self.exchange(best)
-            self.extend_by_unmodelled(best)
-            return self.ranked()
+            best = self.ranked()[0]
         best = self.climbed(best, self.candidates)
-        for _ in range(OPTIONS.passes if self.alternatives else 0):
+        passes = 1 if self.staged else OPTIONS.passes
+        for _ in range(passes if self.alternatives else 0):
             self.exchange(best)
             if self.ranked()[0].key == best.key:
                 break
@@ -82,12 +79,6 @@ class EvidenceSearch:
                 break
             best = beam[0] = self.enriched(self.relieved(self.polished(beam[0])))
         return best
-
-    def extend_by_unmodelled(self, best: Hypothesis) -> None:
-        """The set with an unmodelled effect at each of the most probable locations."""
-        for _, member in self.unmodelled.evidence(best.conditioned):
-            members = (*best.members, member)
-            self.known[key_of(members)] = first_order(members, best.point, self.log_prior(members))
 
     def ranked(self) -> list[Hypothesis]:
         return sorted(self.known.values(), key=lambda h: -h.log_posterior)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,20 +57,10 @@ def payload_instead(fit: EvidenceFit, reported: Hypothesis) -> float | None:
 
 def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[RankedAlternative]:
     """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, or beside those of the
-    most probable set; where nothing was compared beside these, beside the reported ones of the catalogue.
+    most probable set.
     """
-    found = alternatives_beside(fit, (reported, fit.best), label)
-    if found:
-        return found
-    named = frozenset(m.label for m in reported.catalogued)
-    alone = next((h for h in fit.hypotheses if h.labels == named and label in named), None)
-    return alternatives_beside(fit, (alone,), label) if alone is not None else []
-
-
-def alternatives_beside(fit: EvidenceFit, bases: Sequence[Hypothesis], label: str) -> list[RankedAlternative]:
-    """Other effects in the place of one, beside the others of these sets."""
     best: dict[str, RankedAlternative] = {}
-    for base in bases:
+    for base in (reported, fit.best):
         rest = base.labels - {label}
         for h in fit.hypotheses:
             others = h.labels - rest

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member, conditioned
 from mbcacq.diagnosis.nonparametric import gaussian_process, locations
-from mbcacq.diagnosis.nonparametric.bayes_factor import log_mean, relative_sizes
+from mbcacq.diagnosis.nonparametric.bayes_factor import relative_sizes
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapEvidence, without_rounding
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.effects.described import evaluated
-from mbcacq.effects.effect import Candidate
+from mbcacq.effects.described import built
+from mbcacq.effects.effect import Candidate, Part
 
 
 @dataclass
@@ -45,11 +45,8 @@ class UnmodelledEffects:
         for at, log in [(at, log) for at, log in found.locations.items() if log > least][: OPTIONS.estimated]:
             best = found.best_at(at)
             block = found.blocks[best]
-            parts = block.location.parts(block.rows, block.shape.values)
-            weight, variant = np.tile(block.shape.weight, len(block.rows)), f"{best}"
-            candidate = Candidate(
-                UNMODELLED, (at,), block.shape.depends_on, lambda _, p=parts: p, nothing, weight, several=True, variant=variant
-            )
+            parts, weight = block.location.parts(block.rows, block.shape.values), np.tile(block.shape.weight, len(block.rows))
+            candidate = _candidate(at, block.shape.depends_on, lambda _, p=parts: p, weight, f"{best}")
             out.append((log, relative_to_best_determined(projected, candidate, log - float(found.log_bayes_factor[best]))))
         return out
 
@@ -60,13 +57,13 @@ class UnmodelledEffects:
         what is not looked at is as if it had no evidence.
         """
         context, at = self.design_blocks.context, member.candidate.where[0]
-        location = next((one for one in locations.of_arm(context) if one.name == at), None)
-        possible = [] if location is None else gaussian_process.processes(context, location, member.candidate.depends_on)
+        location = {one.name: one for one in locations.of_arm(context)}.get(at)
+        possible = gaussian_process.processes(context, location, member.candidate.depends_on) if location else []
         if location is None or not possible:
             return None
 
         def compared(chosen: Sequence[Process], variants: list[tuple[int, ...]]) -> MapEvidence:
-            shapes = [process.shape(context, gaussian_process.COMPARED) for process in chosen]
+            shapes = [process.shape(context) for process in chosen]
             return EvidenceMap(projected, [BlockGroup(replace(location, variants=tuple(variants)), shapes)]).evaluate(projected)
 
         found = compared(possible, [rows for rows in location.variants if len(rows) == 1])
@@ -79,21 +76,11 @@ class UnmodelledEffects:
             if found.log_bayes_factor.max() > logs.max():
                 rows = found.blocks[found.best_at(at)].rows
             logs = np.concatenate([logs, found.log_bayes_factor])
-        average = float(log_mean(logs)) + float(np.log(len(logs) / (len(location.variants) * len(possible))))
+        average = float(np.logaddexp.reduce(logs)) - float(np.log(len(location.variants) * len(possible)))
         columns, sigma = process.functions(gaussian_process.MOST_FUNCTIONS)
         parts = location.described(rows, columns)
-        basis = evaluated(context, parts)
-        candidate = Candidate(
-            UNMODELLED,
-            (at,),
-            process.depends_on,
-            lambda _: basis,
-            nothing,
-            np.tile(sigma, len(rows)),
-            several=True,
-            variant=f"{process.label} at {rows}",
-            described=lambda _: parts,
-        )
+        sigma, label = np.tile(sigma, len(rows)), f"{process.label} at {rows}"
+        candidate = replace(_candidate(at, process.depends_on, built(context, parts), sigma, label), described=lambda _: parts)
         return relative_to_best_determined(projected, candidate, average - float(logs.max()))
 
     def processes(self, best: Hypothesis) -> list[Member]:
@@ -107,9 +94,9 @@ class UnmodelledEffects:
         return list(found.values())
 
 
-def nothing(c: np.ndarray, v: np.ndarray, hyper: float | None) -> dict:
-    """An unmodelled effect has no parameters to report."""
-    return {}
+def _candidate(at: str, depends_on: str, build: Callable[[float | None], list[Part]], weight: np.ndarray, variant: str) -> Candidate:
+    """An unmodelled effect, which has no parameters to report."""
+    return Candidate(UNMODELLED, (at,), depends_on, build, lambda c, v, h: {}, weight, several=True, variant=variant)
 
 
 def relative_to_best_determined(projected: CandidateScoring, candidate: Candidate, log_mass: float = 0.0) -> Member:
@@ -118,6 +105,5 @@ def relative_to_best_determined(projected: CandidateScoring, candidate: Candidat
     """
     X, S, _ = projected.candidate_products(candidate, None)
     typical = candidate.typical / np.sqrt(without_rounding(np.sum(X * X, axis=0)))
-    largest = np.linalg.eigvalsh(S * np.outer(typical, typical))[-1:]
-    sizes = relative_sizes(largest)[0]
+    sizes = relative_sizes(np.linalg.eigvalsh(S * np.outer(typical, typical))[-1:])[0]
     return Member(replace(candidate, typical=typical), None, log_mass, tuple(sizes.tolist()))

@@ -20,6 +20,7 @@ from mbcacq.effects.covariates import LEAN
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.effect_term import is_angle
 from mbcacq.effects.functions import Column, Product, cosine, linear, of, sine
+from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
 
 HOUR = 3600.0  # s
 FIELD = "xyz"
@@ -54,14 +55,13 @@ def entries(context: Context, location: Location) -> list[DictionaryEntry]:
     if location.keys[0][0] == "point":
         field = varying(context, FIELD)
         measured = [*field, *slow(context), *varying(context, LEAN)]
-        orders = np.arange(4, 4 * DIAGNOSIS.most_harmonics + 1)
-        plain = [wave(e.shape, float(k)) for e in field[:2] for k in orders * wave_step(context, e.shape)]
+        plain = [wave(e.shape, float(k)) for e in field[:2] for k in wave_orders(context, e.shape)]
         pairs = [*product(field, [*periodic, *(power(e, 2) for e in field)])]
     else:
         of_joints = [f"{kind}{i + 1}" for kind in ("direction_", "qd", "tau", "gravity_torque_") for i in range(context.n)]
         of_frame = [f"{kind}_{axis}" for kind in (f"gravity_moment_{location.frame}", "payload_force") for axis in FIELD]
         measured = [*slow(context), *varying(context, [*of_joints, "payload_kg", *of_frame])]
-        highest = dict.fromkeys(angles, DIAGNOSIS.harmonics) | {f"q{location.joint + 1}": DIAGNOSIS.own_harmonics}
+        highest = dict.fromkeys(angles, UNMODELLED.other_order) | {f"q{location.joint + 1}": UNMODELLED.few_order}
         plain = [*straight, *fading(context), *(harmonic(name, k) for name in angles for k in range(1, highest[name] + 1))]
         pairs = [*combinations(periodic, 2), *product(periodic, measured)]
     pairs = [pair for pair in (*pairs, *combinations(measured, 2)) if pair[0].covariates != pair[1].covariates]
@@ -109,6 +109,12 @@ def wave(name: str, order: float) -> DictionaryEntry:
 def wave_step(context: Context, name: str) -> float:
     """A quarter of a period over the field of view, as an order (rad/mm): waves that differ by less are much alike."""
     return float(np.pi / 2 / np.ptp(context.value(name)))
+
+
+def wave_orders(context: Context, name: str) -> np.ndarray:
+    """From one period over the field of view to the shortest one, by quarters of a period."""
+    step = wave_step(context, name)
+    return step * np.arange(4, 2 * np.pi / DIAGNOSIS.shortest_period_mm / step + 1)
 
 
 def fading(context: Context) -> list[DictionaryEntry]:

@@ -17,7 +17,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.formulas.options import OPTIONS
 from mbcacq.diagnosis.formulas.search import NAME, Formula, FormulaSearch, FormulaSpace, PlacedTerm, candidate, described, different
 from mbcacq.diagnosis.nonparametric import locations
-from mbcacq.diagnosis.nonparametric.locations import SCANNER, Location
+from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem, thinned, transferred
@@ -126,7 +126,7 @@ def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
     """
     known = {location.name: location for location in locations.of_arm(context)}
     if context.scanner_on_flange:
-        known["scanner"] = SCANNER
+        known["scanner"] = locations.scanner()
     found: dict[str, Location] = {}
     for effect in effects:
         other = [w for a in effect.alternatives if a.name == UNMODELLED and (a.odds or 0.0) > DIAGNOSIS.undecided for w in a.where]

@@ -10,7 +10,9 @@ import numpy as np
 
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.candidate_scoring import ROUNDING
 from mbcacq.effects.context import Context
+from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
 
 
 @dataclass(frozen=True)
@@ -45,10 +47,11 @@ def standardized(functions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return centred / np.where(varies, spread, 1.0), varies
 
 
-def cosines(x: np.ndarray, count: int) -> np.ndarray:
-    """(P, count) cosines over the range of x (P,): smooth, and bounded where there are no data."""
-    low, span = float(np.min(x)), max(float(np.ptp(x)), 1e-12)
-    return np.cos(np.pi * ((np.asarray(x, dtype=float) - low) / span)[:, None] * np.arange(1, count + 1))
+def smooth(name: str, x: np.ndarray) -> list[Shape]:
+    """Smooth functions of a covariate x (P,): a straight line, alone and with few or more cosines over its range."""
+    turned = np.pi * (x - np.min(x)) / max(float(np.ptp(x)), 1e-12)
+    functions = np.c_[x, np.cos(turned[:, None] * np.arange(1, OPTIONS.smooth))]
+    return shapes(name, x) + shapes(name, functions[:, :3]) + shapes(name, functions, falling=True)
 
 
 def harmonics(q: np.ndarray, first: int, last: int) -> np.ndarray:
@@ -64,14 +67,12 @@ def of_poses(s: Context) -> list[Shape]:
     """Joint angles, gravity, directions of rotation, time, temperatures, velocities, torques: the same at every location."""
     out, obs = list[Shape](), s.obs
     for i in turning(s):
-        out += joint_angle(f"q{i + 1}", obs.q[:, i])
+        periodic = harmonics(obs.q[:, i], 1, UNMODELLED.other_order)
+        out += shapes(f"q{i + 1}", periodic, 2) + shapes(f"q{i + 1}", periodic[:, :4]) + smooth(f"q{i + 1}", obs.q[:, i])
     out += shapes(f"gravity_torque_{s.n}", s.flange_gravity)
     if obs.direction is not None:
-        for i in range(s.n):
-            if np.ptp(obs.direction[:, i]) > 0:
-                out += directions(s, i)
-    for name, functions in in_time(s):
-        out += shapes(name, functions[:, :1]) + shapes(name, functions, falling=True)
+        out += [shape for i in range(s.n) for shape in directions(s, i)]
+    out += [shape for name, x in in_time(s) for shape in smooth(name, x)]
     for name, values in (("qd", obs.velocity), ("tau", obs.torque)):
         if values is not None:
             out += [shape for i, column in enumerate(values.T) for shape in shapes(f"{name}{i + 1}", np.nan_to_num(column))]
@@ -83,31 +84,26 @@ def at_location(s: Context, location: Location, angles: list[Shape]) -> list[Sha
     out, is_joint = list[Shape](), len(location.mix) == 1
     for frame in {location.frame, max(location.frame - (not is_joint), 0)}:
         out += gravity_moments(s, frame)
-    own, name = s.obs.q[:, location.joint], f"q{location.joint + 1}"
     if location.joint in turning(s):
-        out += shapes(name, harmonics(own, OPTIONS.harmonics + 1, OPTIONS.own_harmonics), 2)
-        out += shapes(name, cosines(own, OPTIONS.narrow_cosines)) if is_joint else []
+        faster = harmonics(s.obs.q[:, location.joint], UNMODELLED.other_order + 1, UNMODELLED.few_order)
+        out += shapes(f"q{location.joint + 1}", faster, 2)
     if is_joint:
-        torque = s.gravity_torque
-        loaded = np.ptp(torque[:, location.joint]) > 0.02 * np.ptp(torque, axis=0).max() + 1e-9
-        out += angles + (thresholds(f"gravity_torque_{location.joint + 1}", torque[:, location.joint]) if loaded else [])
+        torque = s.gravity_torque[:, location.joint]
+        loaded = np.ptp(torque) > OPTIONS.varies * np.ptp(s.gravity_torque, axis=0).max() + 1e-9
+        out += angles + (thresholds(f"gravity_torque_{location.joint + 1}", torque) if loaded else [])
     return out
 
 
 def turning(s: Context) -> list[int]:
     """The joints whose angles vary."""
-    return [i for i in range(s.n) if np.ptp(s.obs.q[:, i]) > 0.02]
-
-
-def joint_angle(name: str, q: np.ndarray) -> list[Shape]:
-    """Harmonics and smooth functions of a joint's angle q (P,)."""
-    periodic, smooth = harmonics(q, 1, OPTIONS.harmonics), cosines(q, OPTIONS.cosines)
-    return [*shapes(name, periodic, 2), *shapes(name, periodic[:, :4]), *shapes(name, smooth[:, :2]), *shapes(name, smooth, falling=True)]
+    return [i for i in range(s.n) if np.ptp(s.obs.q[:, i]) > OPTIONS.varies]
 
 
 def directions(s: Context, i: int) -> list[Shape]:
     """The direction of rotation of joint i's last motion: alone, fading with the distance travelled, growing with the load."""
     assert s.obs.direction is not None, "the recording has directions of rotation"
+    if np.ptp(s.obs.direction[:, i]) == 0:
+        return []
     name, own = f"direction_{i + 1}", s.obs.direction[:, i].astype(float)
     travel, direction = (values[:, i] for values in travelled(s))
     fading = np.stack([own, *(direction * np.exp(-travel / reach) for reach in OPTIONS.fading_reaches)], axis=1)
@@ -124,7 +120,7 @@ def travelled(s: Context) -> tuple[np.ndarray, np.ndarray]:
     q, direction = s.obs.q[listed], s.obs.direction[listed].astype(float)
     travel = np.full(q.shape, np.inf)
     travel[1:] = np.abs(np.diff(q, axis=0))
-    moved = travel > OPTIONS.standing_rad
+    moved = travel > OPTIONS.varies * min(OPTIONS.fading_reaches)  # over less nothing fades
     last = np.maximum.accumulate(np.where(moved, np.arange(len(q))[:, None], 0), axis=0)
     out = np.empty(q.shape), np.empty(q.shape)
     out[0][listed], out[1][listed] = np.take_along_axis(travel, last, axis=0), np.take_along_axis(direction, last, axis=0)
@@ -138,31 +134,23 @@ def clock(s: Context) -> tuple[str, np.ndarray]:
 
 
 def in_time(s: Context) -> list[tuple[str, np.ndarray]]:
-    """(name, functions (P, f), straight line first) of time, or the order of the poses, and every temperature."""
-    name, x = clock(s)
-    out = [(name, np.c_[x, cosines(x, OPTIONS.cosines)])]
-    for name, T in s.obs.temperatures.items():
-        if np.ptp(T) > 0.2:
-            x = (T - T.mean()) / T.std()
-            out.append((name, np.stack([x, x * x], axis=1)))
-    return [(name, F[:, varies]) for name, (F, varies) in ((name, standardized(F)) for name, F in out)]
+    """(name, values (P,)) of time, or the order of the poses, and of every temperature that varies."""
+    return [clock(s), *((name, T) for name, T in s.obs.temperatures.items() if np.ptp(T) > 0.2)]
+
+
+def gravity_torque(s: Context, frame: int) -> str:
+    """Name of the covariate by which a frame's gravity moment is reported: a vertical first axis feels none, so the second does what tilts
+    the base.
+    """
+    return f"gravity_torque_{min(max(frame + 1, 2), s.n)}"
 
 
 def gravity_moments(s: Context, frame: int) -> list[Shape]:
-    """Components of the gravity moment of all that hangs behind a frame, about its origin: linear, and nonlinear."""
-    moment = s.gravity_moment(frame)
-    varying = [x for x in moment.T if np.ptp(x) > 0.005 * np.abs(moment).max()]
-    name = f"gravity_torque_{min(max(frame + 1, 2), s.n)}"  # a vertical first axis feels none: the second does what tilts the base
-    out = list[Shape]()
-    for x in varying:
-        nonlinear = np.c_[x, cosines(x, 4)]
-        out += shapes(name, x) + shapes(name, nonlinear[:, :3]) + shapes(name, nonlinear, falling=True)
-    return out + (shapes(name, np.stack(varying, axis=1)) if len(varying) > 1 else [])
-
-
-def thresholds_of_angles(s: Context) -> list[Shape]:
-    """What sets in at some angle of any joint."""
-    return [shape for i in turning(s) for shape in thresholds(f"q{i + 1}", s.obs.q[:, i])]
+    """Components of the gravity moment of all that hangs behind a frame, about its origin: each by itself, and together."""
+    moment, name = s.gravity_moment(frame), gravity_torque(s, frame)
+    varying = [x for x in moment.T if np.ptp(x) ** 2 > ROUNDING * np.max(moment**2)]
+    together = shapes(name, np.stack(varying, axis=1)) if len(varying) > 1 else []
+    return [shape for x in varying for shape in smooth(name, x)] + together
 
 
 def thresholds(name: str, x: np.ndarray) -> list[Shape]:
@@ -176,56 +164,46 @@ def thresholds(name: str, x: np.ndarray) -> list[Shape]:
 # Functions of the centre --------------------------------------------------------------------------------------------
 
 
-def of_field(s: Context) -> list[Shape]:
-    """Functions of the centre: polynomials over the field of view, the artefact's tilt, time and temperatures, periodic errors."""
-    out, obs = list[Shape](), s.obs
+def of_centres(s: Context) -> list[Shape]:
+    """Functions of a centre's position: polynomials; in a scanner's field of view also the artefact's tilt, time and temperatures, gravity
+    and periodic errors, far from an instrument its direction (errors along the line of sight).
+    """
+    obs = s.obs
     x, y, z = ((v - v.mean()) / max(float(v.std()), 1e-12) for v in obs.xyz.T)
-    for name, v in zip("xyz", (x, y, z), strict=True):
-        out += shapes(name, np.stack([v, v**2, v**3], axis=1), falling=True)
-    out += shapes("x", x * x + y * y)
-    out += shapes("x", np.stack([x * x + y * y, x * y, x * x - y * y], axis=1))
+    out = polynomials(x, y, z)
+    if not s.scanner_on_flange:
+        return out + shapes("x", obs.xyz / np.maximum(np.linalg.norm(obs.xyz, axis=1, keepdims=True), 1e-9))
+    if np.ptp(artefact_tilt(s)) > OPTIONS.varies:
+        out += artefact_tilts(s)
+    for name, values in in_time(s):
+        here = standardized(values[obs.pose])[0]
+        out += smooth(name, here[:, 0]) + shapes(name, here * np.stack([x, y, z], axis=1))
+    gravity = s.prediction.T_base_scanner[:, :3, :3].transpose(0, 2, 1) @ obs.cell.robot.gravity
+    out += shapes(f"gravity_torque_{s.n}", gravity[obs.pose])
+    return out + periodic_component("x", obs.xyz[:, 0]) + periodic_component("y", obs.xyz[:, 1])
+
+
+def polynomials(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> list[Shape]:
+    """Scale, curvature and refraction; (M,) each, centred and of unit size."""
+    out = [shape for name, v in zip("xyz", (x, y, z), strict=True) for shape in smooth(name, v)]
+    linear, radial = np.stack([x, y, z], axis=1), x * x + y * y
+    out += shapes("x", linear) + shapes("x", radial) + shapes("x", np.stack([radial, x * y, x * x - y * y], axis=1))
     out += shapes("x", np.stack([x**3, x * x * y, x * y * y, y**3], axis=1))
     out += shapes("z", np.stack([x * z, y * z], axis=1))
-    if np.ptp(artefact_tilt(s)) > 0.02:
-        out += artefact_tilts(s)
-    for name, functions in in_time(s):
-        here = functions[obs.pose]
-        out += shapes(name, here[:, :1]) + shapes(name, here, falling=True)
-        out += shapes(name, np.stack([here[:, 0] * v for v in (x, y, z)], axis=1))
-    gravity = s.prediction.T_base_scanner[:, :3, :3].transpose(0, 2, 1) @ s.obs.cell.robot.gravity
-    out += shapes(f"gravity_torque_{s.n}", gravity[obs.pose])
-    for name, v in zip("xy", obs.xyz.T[:2], strict=True):
-        periodic = periodic_component(v) if np.ptp(v) > 0 else np.zeros((len(v), 0))
-        if periodic.shape[1]:
-            out += shapes(name, periodic) + shapes(name, periodic, 2)
-    return out
+    return out + shapes("x", np.c_[linear, x * x, y * y, z * z, x * y, y * z, z * x])
 
 
-def periodic_component(values: np.ndarray) -> np.ndarray:
-    """(M, 2 K) sine and cosine of the position ``values`` (M,) mm along a field axis, by half periods down to the shortest one: fringes,
-    lens tiles and pixel grids leave what no polynomial follows.
+def periodic_component(name: str, values: np.ndarray) -> list[Shape]:
+    """Sine and cosine of the position ``values`` (M,) mm along a field axis, by half periods down to the shortest one: fringes, lens tiles
+    and pixel grids leave what no polynomial follows.
     """
-    shortest = OPTIONS.shortest_period_mm
     low, high = np.quantile(values, [0.05, 0.95])
-    width = float(high - low) / 0.9  # of the field that is used; a few balls far outside do not count
-    if width < 2 * shortest:
-        return np.zeros((len(values), 0))
-    periods = 0.5 * np.arange(2, 2 * min(np.floor(1.15 * width / shortest), OPTIONS.most_harmonics) + 1)
-    phase = 2 * np.pi * (values - low)[:, None] / (1.15 * width) * periods
-    return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(values), -1)
-
-
-def of_volume(s: Context) -> list[Shape]:
-    """Functions of a target's position far from the instrument: its direction (errors along the line of sight) and polynomials (scale,
-    refraction).
-    """
-    xyz = s.obs.xyz
-    out = shapes("x", xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-9))
-    x, y, z = ((v - v.mean()) / float(v.std()) for v in xyz.T)
-    for name, v in zip("xyz", (x, y, z), strict=True):
-        out += shapes(name, v) + shapes(name, np.stack([v, v * v], axis=1))
-    out += shapes("x", np.stack([x, y, z], axis=1))
-    return out + shapes("x", np.stack([x, y, z, x * x, y * y, z * z, x * y, y * z, z * x], axis=1))
+    width = 1.15 * float(high - low) / 0.9  # of the field that is used, and a little more; a few balls far outside do not count
+    shortest = np.floor(width / OPTIONS.shortest_period_mm)
+    if shortest < 2:
+        return []
+    phase = 2 * np.pi * (values - low)[:, None] / width * 0.5 * np.arange(2, 2 * shortest + 1)
+    return shapes(name, np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(values), -1), 2)
 
 
 def artefact_tilt(s: Context) -> np.ndarray:
@@ -239,12 +217,6 @@ def artefact_tilts(s: Context) -> list[Shape]:
     up = np.einsum("pji,pj->pi", s.prediction.T_base_scanner[:, :3, :3], s.prediction.T_base_station[:, :3, 2])[s.obs.pose]
     lean = np.abs(up[:, 2])
     leaning, across = 1 - lean**2, np.sign(up[:, 2:]) * up[:, :2]
-    strong = leaning[:, None] * up[:, :2]
     products = np.stack([up[:, 0] * up[:, 1], up[:, 0] ** 2 - up[:, 1] ** 2], axis=1)
-    return [
-        *shapes("tilt", leaning),
-        *shapes("tilt", np.stack([leaning, lean], axis=1)),
-        *shapes("tilt", across),
-        *shapes("tilt", np.c_[leaning, strong]),
-        *shapes("tilt", np.c_[leaning, across, products, strong]),
-    ]
+    whole = np.c_[leaning, across, products, leaning[:, None] * up[:, :2]]
+    return shapes("tilt", leaning) + shapes("tilt", np.c_[leaning, lean]) + shapes("tilt", across) + shapes("tilt", whole)

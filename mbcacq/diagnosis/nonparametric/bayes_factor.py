@@ -14,7 +14,6 @@ from scipy.special import log_ndtr
 from mbcacq.diagnosis.search.projected_solve import eigenvalues
 
 SIZES = np.sqrt(10.0 ** np.linspace(0.3, 6.0, 12))  # signal to noise ratios of the best determined direction of an unmodelled effect
-NOT_DETERMINED = 1e-6  # largest eigenvalue, of columns of unit size, of what the projection removed: it has no evidence
 
 
 def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray | None = None, positive: bool = False) -> np.ndarray:
@@ -32,8 +31,11 @@ def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray | None = N
 
 
 def relative_sizes(largest: np.ndarray) -> np.ndarray:
-    """(H, S) sizes of coefficients, the largest eigenvalue of whose normal matrix in typical sizes is given (H,)."""
-    return SIZES / np.sqrt(np.maximum(largest, NOT_DETERMINED))[:, None]
+    """(H, S) sizes of coefficients, the largest eigenvalue of whose normal matrix in typical sizes is given (H,).
+
+    Of columns of unit size, what the projection removed but for one over the largest size has no evidence.
+    """
+    return SIZES / np.maximum(np.sqrt(np.maximum(largest, 0.0)), 1 / SIZES[-1])[:, None]
 
 
 def log_mean(logs: np.ndarray) -> np.ndarray:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric import basis_functions, locations
 from mbcacq.diagnosis.nonparametric.basis_functions import Shape, shapes
-from mbcacq.diagnosis.nonparametric.locations import SCANNER, Location
+from mbcacq.diagnosis.nonparametric.locations import Location, components
 from mbcacq.effects.context import Context
 
 
@@ -20,16 +20,14 @@ class DesignBlock:
     location: Location
     rows: tuple[int, ...]
     shape: Shape
-
-    @property
-    def at(self) -> str:
-        return self.shape.at or self.location.name
+    at: str
 
 
 @dataclass(frozen=True)
-class Variants:
+class Batch:
     """Blocks of v choices of r components, rows (v, r), by n shapes of k functions: their columns and prior weights (v n, r k)."""
 
+    blocks: list[DesignBlock]
     rows: np.ndarray
     columns: np.ndarray
     weight: np.ndarray
@@ -38,14 +36,6 @@ class Variants:
         """(v n, r k, r k) of the products (n, c, c, k, k) of all components."""
         chosen = products[:, self.rows[:, :, None], self.rows[:, None, :]]
         return chosen.transpose(1, 0, 2, 4, 3, 5).reshape(*self.columns.shape, -1)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """The blocks of a group whose shapes have k functions: which of the group's these are (n, k)."""
-
-    functions: np.ndarray
-    variants: list[Variants]
 
 
 @dataclass(frozen=True)
@@ -65,47 +55,30 @@ class BlockGroup:
         return np.concatenate([shape.values for shape in self.shapes], axis=1)
 
     @cached_property
-    def batches(self) -> list[Batch]:
-        ends, f = np.cumsum([len(shape.weight) for shape in self.shapes]), self.functions.shape[1]
+    def batches(self) -> list[tuple[np.ndarray, list[Batch]]]:
+        """Of the shapes of as many functions k: which of the group's these are (n, k), and the batches of their blocks."""
+        sizes = np.array([len(shape.weight) for shape in self.shapes])
         out = []
-        for k, own in self._by_functions.items():
-            functions = ends[own][:, None] - k + np.arange(k)
-            weight, variants = np.array([self.shapes[j].weight for j in own]), []
-            for rows in self._by_components(k):
-                columns = rows[:, None, :, None] * f + functions[None, :, None, :]
-                weights = np.broadcast_to(weight[None, :, None, :], columns.shape)
-                flat = len(rows) * len(own), -1
-                variants.append(Variants(rows, columns.reshape(flat), weights.reshape(flat)))
-            out.append(Batch(functions, variants))
+        for k in np.unique(sizes):
+            own = np.flatnonzero(sizes == k)
+            functions = np.cumsum(sizes)[own][:, None] - k + np.arange(k)
+            possible = [rows for rows in self.location.variants if len(rows) * k <= self.most]
+            alike = [[rows for rows in possible if len(rows) == r] for r in sorted(set(map(len, possible)))]
+            out.append((functions, [self._batch(rows, [self.shapes[j] for j in own], functions) for rows in alike]))
         return out
+
+    def _batch(self, variants: list[tuple[int, ...]], shapes: list[Shape], functions: np.ndarray) -> Batch:
+        rows = np.array(variants)
+        columns = rows[:, None, :, None] * self.functions.shape[1] + functions[None, :, None, :]
+        weight = np.broadcast_to(np.array([shape.weight for shape in shapes])[None, :, None, :], columns.shape)
+        blocks = [DesignBlock(self.location, one, shape, shape.at or self.location.name) for one in variants for shape in shapes]
+        flat = len(blocks), -1
+        return Batch(blocks, rows, columns.reshape(flat), weight.reshape(flat))
 
     @cached_property
     def blocks(self) -> list[DesignBlock]:
         """In the order of the batches."""
-        return [
-            DesignBlock(self.location, tuple(one), self.shapes[j])
-            for k, own in self._by_functions.items()
-            for rows in self._by_components(k)
-            for one in rows.tolist()
-            for j in own
-        ]
-
-    @cached_property
-    def at(self) -> dict[str, np.ndarray]:
-        """Name of a location -> which of the blocks are there."""
-        names = [block.at for block in self.blocks]
-        return {name: np.flatnonzero([name == one for one in names]) for name in dict.fromkeys(names)}
-
-    @cached_property
-    def _by_functions(self) -> dict[int, list[int]]:
-        """Number of functions -> the shapes of so many."""
-        sizes = [len(shape.weight) for shape in self.shapes]
-        return {k: [j for j, size in enumerate(sizes) if size == k] for k in sorted(set(sizes))}
-
-    def _by_components(self, k: int) -> list[np.ndarray]:
-        """Choices of components (v, r) for shapes of k functions, those of as many components together."""
-        sizes = sorted({len(rows) for rows in self.location.variants if len(rows) * k <= self.most})
-        return [np.array([rows for rows in self.location.variants if len(rows) == r]) for r in sizes]
+        return [block for _, batches in self.batches for batch in batches for block in batch.blocks]
 
 
 @dataclass(frozen=True)
@@ -117,37 +90,32 @@ class DesignBlocks:
     @cached_property
     def groups(self) -> list[BlockGroup]:
         s = self.context
-        common, angles = basis_functions.of_poses(s), basis_functions.thresholds_of_angles(s)
+        common = basis_functions.of_poses(s)
+        angles = [shape for i in basis_functions.turning(s) for shape in basis_functions.thresholds(f"q{i + 1}", s.obs.q[:, i])]
         out = [BlockGroup(at, [*common, *basis_functions.at_location(s, at, angles)]) for at in locations.of_arm(s)]
-        out += of_stations(s)
-        return out + (of_scanner(s) if s.scanner_on_flange else of_instrument(s))
+        return out + of_stations(s) + of_scanner(s)
 
     @property
     def locations(self) -> set[str]:
-        return {name for group in self.groups for name in group.at}
+        return {block.at for group in self.groups for block in group.blocks}
 
 
 def of_stations(s: Context) -> list[BlockGroup]:
-    """Each station moving while it is measured: linearly and quadratically."""
+    """Each station moving while it is measured, where enough was measured to see it; they share their components."""
     (name, clock), found = basis_functions.clock(s), list[Shape]()
-    for k, station in locations.stations(s):
-        here = s.obs.station == k
-        x = np.where(here, (clock - clock[here].mean()) / max(float(clock[here].std()), 1e-12), 0.0)
-        found += shapes(name, x, at=station) + shapes(name, np.stack([x, np.where(here, x * x, 0.0)], axis=1), falling=True, at=station)
-    return [BlockGroup(locations.STATION, found)] if found else []
-
-
-def of_instrument(s: Context) -> list[BlockGroup]:
-    """Errors of an instrument that stands next to the arm, by the position of the target in its own frame."""
-    if np.ptp(s.obs.xyz, axis=0).min() == 0:
-        return []
-    return [BlockGroup(replace(SCANNER, variants=((0,), (1,), (2,), (0, 1, 2))), basis_functions.of_volume(s))]
+    measured, poses = np.unique(s.obs.station, return_counts=True)
+    for k in measured[poses > 6] if len(measured) > 1 else ():
+        here, at = s.obs.station == k, f"station{s.obs.cell.stations[k].id}"
+        x = np.where(here, clock - clock[here].mean(), 0.0)
+        found += shapes(name, x, at=at) + shapes(name, np.stack([x, x * x], axis=1), falling=True, at=at)
+    location = Location("station", components("station"), np.eye(6), ((0, 1, 2), tuple(range(6))))
+    return [BlockGroup(location, found)] if found else []
 
 
 def of_scanner(s: Context) -> list[BlockGroup]:
-    """Errors of the measured point by its position in the field of view, tilt, time; and each ball of an artefact of several."""
+    """Errors of the measured point by where it is, and when; and each ball of an artefact of several."""
     obs, owner = s.obs, s.obs.cell.ball_artefact
-    out = [BlockGroup(SCANNER, basis_functions.of_field(s), 59)] if np.ptp(obs.xyz, axis=0).max() > 0 else []
+    out = [BlockGroup(locations.scanner(), basis_functions.of_centres(s))] if np.ptp(obs.xyz, axis=0).max() > 0 else []
     station, shifted = obs.station[obs.pose], list[Shape]()
     for k, ball in enumerate(obs.cell.ball_ids):
         here = obs.ball == k
@@ -156,4 +124,5 @@ def of_scanner(s: Context) -> list[BlockGroup]:
         shift = shapes("x", here, at=f"ball{ball}")  # none where no other ball was measured: it is that of all points
         at_each_station = np.stack([here & (station == j) for j in np.unique(station[here])], axis=1)
         shifted += shift + (shapes("station", at_each_station, at=f"ball{ball}") if shift and at_each_station.shape[1] > 1 else [])
-    return [*out, BlockGroup(locations.BALL, shifted)] if shifted else out
+    balls = Location("ball", components("ball", count=3), np.eye(3), ((0, 1, 2),))  # they share their components
+    return [*out, BlockGroup(balls, shifted)] if shifted else out

@@ -71,25 +71,25 @@ class EvidenceMap:
         products = self._products(basis, lambda keys: _with_residual(projected, keys), projected.stations)
         absorbed, self.b = products[:, :-1], products[:, -1]
         self.raw = np.empty(len(self.b))
-        at: dict[str, list[np.ndarray]] = {}
         of_size: dict[int, list[tuple[np.ndarray, ...]]] = {}
         block, column = 0, 0
         for group in groups:
             mine = slice(column, column + len(group.location.mix) * group.functions.shape[1])
             squares, taken = np.empty((len(group.location.mix), group.functions.shape[1])), absorbed[mine]
-            for batch, whole in zip(group.batches, self._normal(group), strict=True):
-                squares[:, batch.functions] = np.einsum("nccaa->cna", whole)
-                for variant in batch.variants:
-                    S = projected_out(variant.of(whole), taken[variant.columns])
+            for (functions, batches), whole in zip(group.batches, self._normal(group), strict=True):
+                squares[:, functions] = np.einsum("nccaa->cna", whole)
+                for batch in batches:
+                    S = projected_out(batch.of(whole), taken[batch.columns])
                     number = block + np.arange(len(S))
-                    of_size.setdefault(S.shape[1], []).append((number, column + variant.columns, variant.weight, S))
+                    of_size.setdefault(S.shape[1], []).append((number, column + batch.columns, batch.weight, S))
                     block += len(S)
             self.raw[mine] = without_rounding(squares.reshape(-1))
-            for location, here in group.at.items():
-                at.setdefault(location, []).append(here + block - len(group.blocks))
             column = mine.stop
         self.sizes = [tuple(np.concatenate(one) for one in zip(*parts, strict=True)) for parts in of_size.values()]
-        self.at = {location: np.concatenate(here) for location, here in at.items()}
+        at: dict[str, list[int]] = {}
+        for number, one in enumerate(self.blocks):
+            at.setdefault(one.at, []).append(number)
+        self.at = {location: np.array(here) for location, here in at.items()}
 
     def evaluate(self, projected: CandidateScoring) -> MapEvidence:
         """projected: this map's problem, possibly conditioned on effects and groups."""
@@ -111,16 +111,14 @@ class EvidenceMap:
         """(K, z) products of all columns with a basis (rows, z). of_poses: its sums (P, c, z) over each pose with unit columns. stations:
         the poses of each, where the first columns of the basis, six of each station, vanish at the poses of all others.
         """
-        back, out = dict[tuple[UnitKey, ...], np.ndarray](), []
+        out = []
         by_centre = None if all(group.location.per_pose for group in self.groups) else self.projected.whiten.transpose(basis)
         for group in self.groups:
             keys = group.location.keys
             if group.location.per_pose:
                 out.append(by_functions(group, of_poses(keys), stations))
             else:
-                if keys not in back:
-                    back[keys] = np.swapaxes(self._unit(keys), 1, 2) @ by_centre
-                out.append(by_functions(group, back[keys]))
+                out.append(by_functions(group, np.swapaxes(self._unit(keys), 1, 2) @ by_centre))
         return np.concatenate(out)
 
     def _unit(self, keys: tuple[UnitKey, ...]) -> np.ndarray:
@@ -132,7 +130,7 @@ class EvidenceMap:
         """Of each batch of a group (n, c, c, k, k): products of its columns, before any projection, of every two components by every two of
         the functions of a shape.
         """
-        mix, together = group.location.mix, [batch.functions for batch in group.batches]
+        mix, together = group.location.mix, [functions for functions, _ in group.batches]
         if not group.location.per_pose:
             return self.projected.whiten.gram(self._unit(group.location.keys) @ mix.T, group.functions, together)
         A = mix @ self.projected.pose_products(group.location.keys)[1] @ mix.T

@@ -93,6 +93,17 @@ class JointModel:
         index = joined(self.groups)
         return RandomEffectsModel(self.random, self.posterior.solution[index], self.posterior.covariance_of(index))
 
+    def log_bayes_factors(self) -> tuple[float, np.ndarray]:
+        """Log Bayes factor of all groups together, and (G,) of each alone, against none, with geometry and parametric effects free."""
+        S, b = self.beyond(self.index(range(len(self.effects)), ()))
+
+        def log_factor(own: slice) -> float:
+            root = np.linalg.cholesky(S[own, own] + np.eye(own.stop - own.start))
+            half = solve_triangular(root, b[own], lower=True)
+            return 0.5 * float(half @ half) - float(np.log(np.diag(root)).sum())
+
+        return log_factor(slice(0, len(b))), np.array([log_factor(own) for own in slices_of(self.random)])
+
     def group_sizes(self, start: np.ndarray) -> np.ndarray:
         """(G,) size of each group, in units of its sigma, by which the centres are most probable; zero where the data do not ask for it.
         start: (G,) to begin with.

@@ -49,40 +49,31 @@ class Location:
         ]
 
 
-def frame(index: int) -> tuple[tuple[str, int, int], ...]:
-    return tuple(("frame", index, c) for c in range(6))
+def components(place: str, index: int = 0, count: int = 6) -> tuple[tuple[str, int, int], ...]:
+    return tuple((place, index, c) for c in range(count))
 
 
-SCANNER = Location("scanner", tuple(("point", 0, c) for c in range(3)), np.eye(3), ((0,), (1,), (2,), (0, 1), (0, 1, 2)))
-# Several of each share their components, and differ by when, or on what, these move.
-STATION = Location("station", tuple(("station", 0, c) for c in range(6)), np.eye(6), ((0, 1, 2), tuple(range(6))))
-BALL = Location("ball", tuple(("ball", 0, c) for c in range(3)), np.eye(3), ((0, 1, 2),))
+def scanner() -> Location:
+    """The measured point, in the frame of the instrument."""
+    return Location("scanner", components("point", count=3), np.eye(3), ((0,), (1,), (2,), (0, 1), (0, 1, 2)))
 
 
 def of_arm(s: Context) -> list[Location]:
     """Joints, links, base and mount."""
     n = s.n
-    out = [Location(f"A{i + 1}", (("joint", i, 0),), np.eye(1), ((0,),), i, i) for i in range(n)]
+    out = [Location(f"A{i + 1}", components("joint", i, 1), np.eye(1), ((0,),), i, i) for i in range(n)]
     chain = s.state.chain
     free = np.linalg.inv(chain.link_transforms(-chain.theta[None] * chain.sign)[:, :, :3, :3])[0]
+    shifts, turns = ((0,), (1,), (2,), (0, 1, 2)), ((3,), (4,), (3, 4))
     for i in range(1, n):
         across = free[i - 1]  # columns: axes of the frame of joint i, turned with it, in the frame behind link i
         mix = np.zeros((5, 6))
         mix[:3, :3] = across.T
         mix[3:, 3:] = across.T[:2]
-        singles = [(c,) for c in range(5) if c < 3 or abs(mix[c, 5]) < OPTIONS.parallel_cosine]
-        out.append(Location(f"link{i}", frame(i), mix, (*singles, (3, 4), (0, 1, 2), (0, 1, 2, 3, 4)), i, i - 1))
-    whole = ((0,), (1,), (2,), (3,), (4,), (3, 4), (0, 1, 2), (3, 4, 5), tuple(range(6)))
-    out.append(Location("base", frame(0), np.eye(6), whole, 0, 0))
-    if s.scanner_on_flange or s.obs.rotation is not None:
-        out.append(Location("mount", frame(n), np.eye(6), whole, n, n - 1))
-    else:
-        out.append(Location("mount", frame(n)[:3], np.eye(3), ((0,), (1,), (2,), (0, 1, 2)), n, n - 1))
-    return out
-
-
-def stations(s: Context) -> list[tuple[int, str]]:
-    """(index of the station, name of its location) where enough was measured to see it move."""
-    measured = np.unique(s.obs.station)
-    enough = [int(k) for k in measured if np.sum(s.obs.station == k) > 6]
-    return [(k, f"station{s.obs.cell.stations[k].id}") for k in enough] if len(measured) > 1 else []
+        own = [rows for rows in turns if len(rows) > 1 or np.hypot(*mix[rows[0], 3:5]) > OPTIONS.varies]
+        out.append(Location(f"link{i}", components("frame", i), mix, (*shifts, *own, (0, 1, 2, 3, 4)), i, i - 1))
+    six = (*shifts, *turns, (3, 4, 5), tuple(range(6)))
+    out.append(Location("base", components("frame", 0), np.eye(6), six, 0, 0))
+    turned = s.scanner_on_flange or s.obs.rotation is not None
+    whole = (np.eye(6), six) if turned else (np.eye(3), shifts)
+    return [*out, Location("mount", components("frame", n, len(whole[0])), *whole, n, n - 1)]

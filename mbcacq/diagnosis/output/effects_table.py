@@ -187,7 +187,7 @@ def mismatch_table(full: ModelFit, contributions: Contributions, before: Predict
     for (at, on), members in together.items():
         gain = contributions.of(members)
         entries.append((at, on, gain, likelihood_ratio_p(full, members, gain)))
-    for cell in full.cells:
+    for cell in full.cells[:1] if full.everywhere else full.cells:
         gain = contributions.of(contributions.groups_at(full, cell.location, cell.depends_on))
         entries.append((cell.location, cell.depends_on, gain, _bayes_p(cell.log_bayes_factor)))
     largest: dict[tuple[str, str], MismatchEntry] = {}
