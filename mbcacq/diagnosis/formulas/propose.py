@@ -145,10 +145,15 @@ def text_of(placed: Sequence[PlacedTerm], values: np.ndarray) -> str:
 
 
 def term_of(context: Context, formula: Formula) -> EffectTerm:
-    """The formula with its coefficients as an effect that is written down; typical sizes are the most probable ones, rounded."""
+    """The formula with its coefficients as an effect that is written down; typical sizes are the fitted ones, rounded, alike for all of a
+    term's coefficients of one unit.
+    """
     found, k = coefficients(formula.hypothesis), len(formula.sigma)
     parts = tuple(described(formula.placed))
     each = [c for p in formula.placed for c in p.coefficients]
+    values = found.mean[-k:]
+    alike = [(j, unit) for j, p in enumerate(formula.placed) for _, _, unit in p.coefficients]
+    sizes = {one: np.sqrt(np.mean([v**2 for v, other in zip(values, alike, strict=True) if other == one])) for one in alike}
     return EffectTerm(
         NAME,
         tuple(dict.fromkeys(p.location.name for p in formula.placed)),
@@ -156,9 +161,9 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
         parts,
         tuple(f"{component.replace(' ', '.')}.{re.sub(r'[^a-zA-Z0-9]+', '_', text).strip('_')}_{unit}" for component, text, unit in each),
         tuple(unit for _, _, unit in each),
-        found.mean[-k:],
+        values,
         np.sqrt(np.maximum(np.diag(found.covariance)[-k:], 0.0)),
         np.full(k, np.inf),
-        np.array([float(f"{sigma:.1g}") for sigma in formula.sigma]),
+        np.array([float(f"{sizes[one]:.1g}") for one in alike]),
         ranges=learnt_ranges(context, parts),
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -40,10 +40,11 @@ class PlacedTerm:
     rows: tuple[int, ...]
     term: DictionaryEntry
 
-    @property
+    @cached_property
     def label(self) -> str:
-        """What it is a function of and where, whatever the phase, the order of a wave and the components that move."""
-        return f"{self.location.name}:{self.term.shape}"
+        """Tells it apart from all others but waves of another order."""
+        columns = [] if self.term.is_wave else list(self.term.columns)
+        return f"{self.location.name}{self.rows}:{self.term.shape}{columns}"
 
     @property
     def coefficients(self) -> list[tuple[str, str, str]]:
@@ -79,7 +80,7 @@ def candidate(context: Context, placed: Sequence[PlacedTerm], typical: np.ndarra
         lambda c, v, h: {},
         typical,
         several=True,
-        variant=" + ".join(f"{p.label}{p.rows}{list(p.term.columns)}" for p in placed),
+        variant=" + ".join(f"{p.label}{list(p.term.columns)}" for p in placed),
         described=lambda _: parts,
     )
 
@@ -132,10 +133,15 @@ class Formula:
         """Log posterior odds against no formula."""
         return self.log_bayes_factor + self.hypothesis.log_prior
 
-    @property
+    @cached_property
     def labels(self) -> frozenset[str]:
-        """Of its terms: formulas of the same ones differ in details."""
+        """Of its terms."""
         return frozenset(p.label for p in self.placed)
+
+    @property
+    def functions(self) -> frozenset[tuple[str, str]]:
+        """What it is a function of and where, whatever the phase, the order of a wave and the components that move."""
+        return frozenset((p.location.name, p.term.shape) for p in self.placed)
 
     @property
     def shapes(self) -> tuple[str, ...]:
@@ -154,10 +160,10 @@ def ranked(formulas: Iterable[Formula]) -> list[Formula]:
 
 
 def different(formulas: Iterable[Formula]) -> list[Formula]:
-    """The most probable first, without those that only add terms to a more probable one."""
+    """The most probable first, without those that only add terms to a more probable one, or details."""
     out: list[Formula] = []
     for formula in ranked(formulas):
-        if not any(other.labels <= formula.labels for other in out):
+        if not any(other.functions <= formula.functions for other in out):
             out.append(formula)
     return out
 
