@@ -17,8 +17,6 @@ from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.result import TOGETHER, Alternative, EffectFound, NotSeparable
 
-SAME = 0.9999  # correlation of the displacements by two descriptions of one effect
-
 
 def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     """``none`` where the evidence of all effects is below what noise alone reaches; ``cannot_tell`` where another set is not excluded;
@@ -99,7 +97,7 @@ def _describes_the_same(reported: Hypothesis, other: Hypothesis) -> bool:
     places = [{label.partition(":")[2] for label in labels} for labels in (ours, theirs)]
     if places[0] != places[1] or any(label.partition(":")[0] != UNMODELLED for label in theirs):
         return False
-    return correlation(displaced(reported, reported, ours), displaced(reported, other, theirs)) > SAME
+    return bool(np.isclose(correlation(displaced(reported, reported, ours), displaced(reported, other, theirs)), 1.0))
 
 
 def displaced(reported: Hypothesis, hypothesis: Hypothesis, labels: frozenset[str]) -> np.ndarray:

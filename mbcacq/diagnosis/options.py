@@ -18,7 +18,6 @@ class DiagnosisOptions:
     # Prior of effects
     sizes: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of a coefficient's prior sigma, in typical sizes, equally probable
     further: float = 0.1  # prior probability of one more effect
-    same_kind: float = 0.5  # share of that for more of a kind that is there already: many joints of an arm are of one make
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
     preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
 

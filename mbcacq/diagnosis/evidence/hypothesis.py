@@ -179,7 +179,9 @@ class SetPrior:
         return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1))
 
     def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
-        """Of one more effect next to those present; of the first, given that there is one."""
+        """Of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm are of one
+        make; of the first, given that there is one.
+        """
         unmodelled = candidate.name == UNMODELLED
         locations = self.unmodelled_locations if unmodelled else max(self.locations[candidate.name], 1)
         kind = OPTIONS.unmodelled if unmodelled else 1.0 / max(len(self.locations), 1)
@@ -187,11 +189,11 @@ class SetPrior:
             return float(np.log(kind / locations))
         same = [c for c in present if c.name == candidate.name]
         if not same:
-            return float(np.log(OPTIONS.further * (1 - OPTIONS.same_kind) * kind / locations))
+            return float(np.log(OPTIONS.further / 2 * kind / locations))
         kinds = len({c.name for c in present})
         here = any(c.where == candidate.where for c in same)
         share = 1.0 / len({c.where for c in same}) if here else 1.0 / locations
-        return float(np.log(OPTIONS.further * OPTIONS.same_kind / kinds * share))
+        return float(np.log(OPTIONS.further / 2 / kinds * share))
 
     def log_probability_of_set(self, candidates: Sequence[Candidate]) -> float:
         return sum(self.log_probability(c, candidates[:j]) for j, c in enumerate(candidates))

@@ -23,7 +23,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
 
-ROUNDING = 0.02  # of a sum of shares that are printed in per cent
+UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
 PAUSE_S = 900.0  # from pose to pose, from which the recording is said to pause
 
@@ -110,11 +110,11 @@ def sum_of_shares(mismatch: Sequence[MismatchEntry], before: PredictiveScore, af
     total = sum(m.share for m in mismatch)
     explained = min(max((before.chi2 - after.chi2) / max(before.chi2 - before.dof, 1e-9), 0.0), 1.0)
     said = []
-    if explained > total + ROUNDING:
+    if explained > total + UNSAID:
         said.append(f"another {explained - total:.0%} is explained by several places alike")
-    elif total > explained + ROUNDING:
-        said.append(f"together they explain {explained:.0%}, since some compensate others" if explained > ROUNDING else "none is proven")
-    if explained < 1 - ROUNDING:
+    elif total > explained + UNSAID:
+        said.append(f"together they explain {explained:.0%}, since some compensate others" if explained > UNSAID else "none is proven")
+    if explained < 1 - UNSAID:
         said.append(f"{1 - explained:.0%} is not explained")
     return [f"the shares add up to {total:.0%}: {', '.join(said)}"] if said else []
 
