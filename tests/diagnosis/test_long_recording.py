@@ -35,3 +35,11 @@ def test_several_orders_of_a_joint_are_one_location(reported):
     assert locations[0] == ("A1", "q1")
     assert len(locations) == len(set(locations))
     assert reported.mismatch[0].share > 0.5
+
+
+def test_noise_alone_is_no_random_effect():
+    """With more than 350 poses random effects may stand at all locations, but only where their evidence outweighs their prior."""
+    reported = diagnose(simulated.observe(simulated.plan(stations=24, bars=8, each=12), 152))
+
+    assert reported.verdict == "none"
+    assert not reported.effects

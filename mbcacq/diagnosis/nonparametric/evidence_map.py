@@ -17,34 +17,20 @@ from mbcacq.diagnosis.search.candidate_scoring import ROUNDING, CandidateScoring
 
 
 @dataclass(frozen=True)
-class MapCell:
-    """An effect that depends on a covariate at a location, and the log Bayes factor for it."""
-
-    location: str
-    depends_on: str
-    log_bayes_factor: float
-
-
-@dataclass(frozen=True)
 class MapEvidence:
     """Of all B design blocks: log Bayes factor (B,). at: location -> its blocks. locations: location -> log of its mean Bayes factor, best
-    first. total: log of the mean over all locations.
+    first.
     """
 
     blocks: list[DesignBlock]
     log_bayes_factor: np.ndarray
     at: dict[str, np.ndarray]
     locations: dict[str, float]
-    total: float
 
     def best_at(self, location: str) -> int:
         """Number of the best block of a location."""
         here = self.at[location]
         return int(here[self.log_bayes_factor[here].argmax()])
-
-    def cell(self, number: int) -> MapCell:
-        block = self.blocks[number]
-        return MapCell(block.at, block.shape.depends_on, float(self.log_bayes_factor[number]))
 
     def strengths(self) -> dict[tuple[str, str], float]:
         """(location, covariate) -> log10 of the Bayes factor of the best block, corrected for the number of locations and of blocks there
@@ -103,7 +89,7 @@ class EvidenceMap:
             log[number] = log_bayes_factors(beyond * (typical[:, :, None] * typical[:, None, :]), b[columns] * typical)
         means = {location: float(log_mean(log[here])) for location, here in self.at.items()}
         ranked = dict(sorted(means.items(), key=lambda one: -one[1]))
-        return MapEvidence(self.blocks, log, self.at, ranked, float(log_mean(np.array(list(means.values())))))
+        return MapEvidence(self.blocks, log, self.at, ranked)
 
     def _products(
         self, basis: np.ndarray, of_poses: Callable[[tuple[UnitKey, ...]], np.ndarray], stations: Sequence[np.ndarray] = ()
