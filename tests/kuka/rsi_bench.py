@@ -21,7 +21,9 @@ class Bench:
         self.session = RsiSession(self.shared, RsiOptions(limits_deg=LIMITS, **options).settings())
         self.ipoc, self.delay, self.sent = 1000, 0, []
         self.q = START
-        for _ in range(8):
+        while not self.session.connected:
+            self.cycle()
+        for _ in range(2):
             self.cycle()
 
     def telegram(self, ipoc=None):

@@ -1,7 +1,9 @@
 """Everything that goes wrong has a name, and ends with an arm that stands still."""
 
+import socket
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -113,13 +115,35 @@ def test_a_controller_slower_than_the_plan_ends_the_run(cell):
 def test_a_wrong_sen_type_is_found(cell):
     port = free_port()
     with FakeKrc(client=("127.0.0.1", port), realtime=False) as krc:
-        robot = KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "sen_type": "Other", "follow_cycles": 10})
-        robot.connect()
-        robot.move_to(FAR, motion_limits())
-        error = until_error(robot)
-        assert type(error) is SafetyStop
+        robot = KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "sen_type": "Other"})
+        with pytest.raises(ConnectError, match=r"discards every answer .* sen_type 'Other'"):
+            robot.connect()
         assert krc.counters()["answers"] == 0
-        robot.close()
+
+
+def test_a_wrong_name_of_the_correction_is_found(cell):
+    krc, robot = cell({"correction": "AKorr"})
+    robot.move_to(FAR, motion_limits())
+    error = until_error(robot)
+    assert type(error) is SafetyStop
+    assert "no axis has moved at all" in str(error)
+    assert "correction 'AK'" in str(error)
+
+
+def test_a_few_telegrams_and_then_silence_are_no_firewall():
+    port = free_port()
+    robot = KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "connect_timeout_s": 1.0})
+
+    def one_telegram():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            sock.sendto(b'<Rob Type="KUKA"><AIPos A1="0" A2="0" A3="0" A4="0" A5="0" A6="0"/><IPOC>4</IPOC></Rob>', ("127.0.0.1", port))
+
+    sender = threading.Timer(0.5, one_telegram)
+    sender.start()
+    with pytest.raises(ConnectError, match=r"came from 127\.0\.0\.1:\d+ .* and then none.* smartPAD") as caught:
+        robot.connect()
+    sender.join()
+    assert "firewall" not in str(caught.value)
 
 
 def test_nobody_there():

@@ -84,7 +84,7 @@ EVENTS = st.sampled_from(["good"] * 12 + [*HARMLESS, *HARMFUL])
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(st.lists(EVENTS, min_size=20, max_size=200), targets())
 def test_no_disturbance_makes_the_arm_jump(bench, events, target):
-    """The controller uses accepted answers one after the other: two of them never differ by more than one cycle's motion."""
+    """Two answers that the controller uses one after the other never differ by more than one cycle's motion."""
     one = bench(late_limit=1000)
     one.move(target)
     for event in events:
@@ -118,10 +118,35 @@ def test_a_discarded_answer_is_given_again_and_a_lost_telegram_costs_one_cycle(b
         one.cycle()
     step = one.sent[-1][0] - one.sent[-2][0]
     assert step == pytest.approx(SPEED * T, abs=2e-6)
-    discarded = one.cycle(accepted=False)
-    assert one.cycle() == discarded
+    held = one.sent[-1]
+    one.cycle(accepted=False)
+    assert one.cycle() == held
+    for _ in range(100):
+        one.cycle()
+    last = one.sent[-1]
     one.ipoc, one.delay = one.ipoc + 4, one.delay + 1  # a telegram that never came; the controller missed its answer
-    assert one.cycle()[0] == pytest.approx(discarded[0] + step, abs=2e-6)
+    assert one.cycle() == last
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(st.lists(st.sampled_from(["good"] * 12 + ["lost", "rejected", "late", "stop", "turn"]), min_size=50, max_size=300), targets())
+def test_no_set_point_accelerates_beyond_the_limit_on_the_path_that_the_controller_saw(bench, events, target):
+    """It holds its last set point where an answer is missing. What it does then is its own; every set point that it is given is judged."""
+    one = bench(late_limit=10_000)
+    one.move(target)
+    path, given = [one.sent[-1]] * 3, []
+    for event in events:
+        used = len(one.sent)
+        if event in ("stop", "turn"):
+            one.stop() if event == "stop" else one.move(START)
+        else:
+            HARMLESS[event](one)
+            path.append(one.sent[-1])
+            given.append(len(one.sent) > used)
+    new = np.array(given)
+    assert np.abs(np.diff(path, axis=0)).max() <= SPEED * T * 1.001 + 2e-6
+    acceleration = np.abs(np.diff(path, 2, axis=0)).max(axis=1)[-len(given) :]
+    assert acceleration[new].max(initial=0.0) <= ACCELERATION * T**2 * 1.001 + 4e-6
 
 
 def test_a_restarted_program_is_never_answered(bench):

@@ -133,5 +133,5 @@ def test_the_fake_controller_forgives_a_step_after_a_missing_answer():
     session = FakeRsiSession(KrcSettings(acceleration_deg_s2=(1000.0,) * 6), START)
     for k in range(5):
         asked(session, k, 0.0)
-    session.miss()
+    session.miss(False)
     assert asked(session, 6, 0.5) is None

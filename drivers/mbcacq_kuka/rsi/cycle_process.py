@@ -72,6 +72,15 @@ class CycleProcess:
         """The session is connected: its telegrams' layout is known."""
         self._reader.begin()
 
+    @property
+    def decimals(self) -> int:
+        """With how many decimals the controller writes joint angles."""
+        return 0 if self._shared is None else self._shared.decimals
+
+    def noted(self) -> tuple[int, str, int]:
+        """Of a session that has not begun: how many datagrams came, from where the last, how many answers the controller discarded."""
+        return (0, "", 0) if self._shared is None else self._shared.noted()
+
     def fault(self) -> dict[str, Any] | None:
         return None if self._shared is None else self._shared.fault()
 

@@ -45,17 +45,20 @@ _FAULTS: dict[str, type[MbcacqError]] = {
     "late": DeviceFault,
     "follow": SafetyStop,
     "refused": SafetyStop,
+    "relative": SafetyStop,
     "coarse": DeviceFault,
 }
 _AFTER = {
     "silence": "look at the smartPAD for the controller's message, then start its RSI program again",
     "late": "the arm was stopped",
     "follow": "the arm was stopped",
+    "relative": "the arm was stopped",
     "protocol": "the arm was stopped",
     "implausible": "the arm was stopped",
 }
 _SESSION_ENDED = ("silence", "restart")  # faults after which the controller may offer a new session
 _POLL_S = 0.002
+_FINE_DECIMALS = 4  # with which rounding is below the repeatability of any joint
 _log = logging.getLogger("mbcacq.kuka_rsi")
 
 
@@ -189,13 +192,34 @@ class KukaRsi:
             if (error := self._find_error(process, connecting=True)) is not None:
                 raise error
             if time.monotonic() > deadline:
-                raise ConnectError(
-                    f"robot '{self._name}': no RSI telegram arrived on {self._options.bind}:{self.port} within "
-                    f"{wait_s:g} s; start the RSI program on the controller, and check that its Ethernet "
-                    "configuration names this computer's address and port and that no firewall blocks UDP"
-                )
+                raise ConnectError(f"robot '{self._name}': {self._nothing_came(process, wait_s)}")
             time.sleep(_POLL_S)
         process.begin()
+        if process.decimals < _FINE_DECIMALS:
+            _log.warning(
+                "robot '%s': the controller writes joint angles with %d decimals only, which is rounding to %g deg: as much as the "
+                "joints of some arms scatter; set Precision to 6 at the ETHERNET object of its RSI context",
+                self._name,
+                process.decimals,
+                10.0**-process.decimals,
+            )
+
+    def _nothing_came(self, process: CycleProcess, wait_s: float) -> str:
+        """Why the session has not begun in time: what came, and what did not."""
+        heard, sender, discarded = process.noted()
+        if not heard:
+            return (
+                f"no RSI telegram arrived on {self._options.bind}:{self.port} within {wait_s:g} s; start the RSI program on the "
+                "controller, and check that its Ethernet configuration names this computer's address and port and that no firewall "
+                "blocks UDP"
+            )
+        came = "one telegram came" if heard == 1 else f"{heard} telegrams came"
+        unused = f"; it discarded {discarded} of the answers (its Delay), so compare sen_type '{self._options.sen_type}' with its SENTYPE"
+        return (
+            f"{came} from {sender} within {wait_s:g} s, and then none, too few to begin a session: the network is fine in this direction, "
+            "but the controller ended its RSI program, as after the Timeout of its ETHERNET object or a stop; read the message on the "
+            "smartPAD, then start the program again" + (unused if discarded else "")
+        )
 
     def _command(self, target: np.ndarray, limits: MotionLimits) -> RsiCommand:
         dynamics = [np.degrees(np.broadcast_to(np.asarray(v, dtype=float), (6,))) for v in (limits.speed, limits.acceleration, limits.jerk)]

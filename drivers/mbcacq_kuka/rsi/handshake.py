@@ -1,4 +1,5 @@
-"""The first telegrams of a session: who sends them, what they carry, by how much IPOC grows. All are answered without a correction."""
+"""The first telegrams of a session: who sends them, what they carry, by how much IPOC grows, how noisy and how finely written the joints
+are; and whether the controller takes corrections as absolute. But for the probe of that (see mode) no correction is answered."""
 
 from __future__ import annotations
 
@@ -7,13 +8,17 @@ from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any
 
-from mbcacq_kuka.rsi.sequence import Counts
-from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, finite
+from mbcacq_kuka.rsi.mode import AXIS, ModeProbe
+from mbcacq_kuka.rsi.sequence import Counts, advance
+from mbcacq_kuka.rsi.standstill import noise_of
+from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, decimals, finite
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6
 WAITING_CYCLES = 2.5  # a network repeats a datagram within less; a peer that repeats itself later waits for its answer
-_LEARN = 5  # telegrams answered with zero before the session counts as connected
+_LEARN = 7  # telegrams answered with zero before the controller is probed
+_ANOTHER = 10_000  # IPOC further away than so many counts, some 10 s, is of another start of the program
+_DISCARDED_SHARE = 0.95  # of our answers, by the controller's Delay: it never takes one
 _USELESS = 50  # telegrams that are no use before we say so: a controller sends as many in 0.2 s, a stray sender hardly
 _SET_POINT_DEG = 0.1  # more between AIPos and ASPos is a correction that is still applied
 
@@ -29,7 +34,8 @@ class SessionFault(Exception):
 @dataclass(frozen=True)
 class Layout:
     """What one session's telegrams look like. reference: axis angles (6,) deg without correction; planned: where ASPos stands in a row, or
-    None; step: of IPOC; tick_s: seconds of one count of IPOC."""
+    None; step: of IPOC; tick_s: seconds of one count of IPOC; noise_deg: standard deviation (6,) of the angles at rest; decimals:
+    with how many they are written."""
 
     source: Any
     parser: Parser
@@ -39,22 +45,45 @@ class Layout:
     delay: int | None
     step: int = 0
     tick_s: float = 0.0
+    noise_deg: tuple[float, ...] = ZERO
+    decimals: int = 0
 
 
 class Handshake:
-    """``take`` every datagram until ``layout`` is there and ``done``. Raises SessionFault."""
+    """``take`` every datagram until ``layout`` is there and ``done``. Raises SessionFault; after a ``fault`` every answer is a correction
+    of zero and Stop."""
 
     def __init__(self, composer: Composer, settings: dict[str, Any], counts: Counts) -> None:
         self._composer, self._settings, self._counts = composer, settings, counts
-        self._useless = 0
+        self._useless = self.heard = 0
+        self._heard_at = 0.0
+        self.source: Any = None
+        self.fault: SessionFault | None = None
+        self._start_over()
+
+    def _start_over(self) -> None:
         self._answer, self._answered = b"", 0.0
         self._ipocs: list[int] = []
+        self._rows: list[tuple[float, ...]] = []
+        self._delays: list[float] = []
+        self._decimals = 0
+        self._probe: ModeProbe | None = None
         self.layout: Layout | None = None
         self.done: Layout | None = None
 
+    @property
+    def discarded(self) -> float:
+        """By how much the controller's Delay has risen."""
+        return self._delays[-1] - self._delays[0] if self._delays else 0.0
+
     def take(self, data: bytes, source: Any, now: float) -> bytes | None:
         """The answer, or None for a datagram that gets none: also one that the network repeats."""
+        if self.layout is not None and self.fault is None and now - self._heard_at > self._settings["silence_s"]:
+            self._start_over()  # the program was started again
+        self.heard, self.source = self.heard + 1, source
         answer = self._take(data, source)
+        if self.layout is not None and source == self.layout.source:
+            self._heard_at = now
         if answer is None or answer == self._answer and now - self._answered < WAITING_CYCLES * self._settings["cycle_ms"] * 1e-3:
             return None
         self._answer, self._answered = answer, now
@@ -70,9 +99,11 @@ class Handshake:
             digits, row = self.layout.parser.parse(data)
         except Malformed as error:
             raise SessionFault("protocol", f"the controller sent a malformed telegram: {error}") from error
+        if self.fault is not None:
+            return self._composer.compose(ZERO, digits, stop=True)
         if not finite(self.layout.axes(row)):
             raise SessionFault("protocol", "a telegram came without AIPos")
-        return self._learn(digits)
+        return self._learn(data, digits, row)
 
     def _first(self, data: bytes, source: Any) -> bytes | None:
         try:
@@ -100,25 +131,76 @@ class Handshake:
             # A small correction may still be applied, of a program that was not restarted: ASPos is where the arm goes without it.
             layout = replace(layout, reference=itemgetter(*planned)(row))
         self.layout = layout
-        return self._learn(digits)
+        return self._learn(data, digits, row)
 
     def _no_use(self, reason: str) -> None:
         self._useless += 1
         if self._useless >= _USELESS:
             raise SessionFault("protocol", reason)
 
-    def _learn(self, digits: bytes) -> bytes:
-        ipoc, known = int(digits), self._ipocs
-        if not known or ipoc > known[-1]:
-            known.append(ipoc)
-        if len(known) > _LEARN:
-            self.done = self._finish()
-        return self._composer.compose(ZERO, digits)
+    def _learn(self, data: bytes, digits: bytes, row: Sequence[float]) -> bytes | None:
+        layout, ipoc, known = self.layout, int(digits), self._ipocs
+        assert layout is not None  # telegrams are learnt from once their layout is known
+        if known and abs(advance(known[-1], ipoc)) > _ANOTHER:
+            self._start_over()
+            return self._first(data, layout.source)
+        if known and advance(known[-1], ipoc) <= 0:  # repeated by the network, or late
+            return self._answer if self._answer.endswith(b"<IPOC>" + digits + b"</IPOC></Sen>") else None
+        known.append(ipoc)
+        self._rows.append(layout.axes(row))
+        self._decimals = max(self._decimals, decimals(data, "AIPos"))
+        if layout.delay is not None and finite((row[layout.delay],)):
+            self._delays.append(row[layout.delay])
+        if len(known) <= _LEARN:
+            return self._composer.compose(ZERO, digits)
+        if self._probe is None:
+            self._probe = self._begin_probe(layout)
+        correction = self._probe.next(self._rows[-1])
+        if self._probe.done:
+            self.fault = self._judge(self._probe)
+            if self.fault is None:
+                self.done = self._finish()
+        return self._composer.compose(correction, digits, stop=self.fault is not None)
+
+    def _begin_probe(self, layout: Layout) -> ModeProbe:
+        layout = self.layout = self._with_step(layout)
+        if not (layout.planned is not None and self._settings["check_set_point"]):  # else it is ASPos, which is known better than AIPos
+            mean = tuple([sum(values) / len(values) for values in zip(*self._rows, strict=True)])
+            self.layout = replace(layout, reference=mean)
+        low, high = self._settings["limits_deg"][AXIS]
+        direction = 1.0 if layout.reference[AXIS] < 0.5 * (low + high) else -1.0
+        wait = round(self._settings["follow_lag_s"] * 1e3 / self._settings["cycle_ms"])
+        return ModeProbe(self._rows, noise_of(self._rows)[AXIS], wait, direction)
+
+    def _judge(self, probe: ModeProbe) -> SessionFault | None:
+        if probe.relative:
+            return SessionFault(
+                "connect",
+                "the controller adds each correction to the ones before, as RSI_ON(#RELATIVE) does; mbcacq sends absolute corrections, "
+                "which would make such an arm run away: use RSI_ON(#ABSOLUTE) in the controller's program. Nothing was moved",
+            )
+        if self._delays and self.discarded >= _DISCARDED_SHARE * (len(self._delays) - 1):
+            return SessionFault(
+                "connect",
+                f"the controller discards every answer (its Delay rose by {self.discarded:.0f} in {len(self._delays) - 1} cycles); is "
+                f"sen_type '{self._settings['sen_type']}' the SENTYPE of its RSI Ethernet configuration? If so, the answers come too late: "
+                "look at the network and the load of this computer",
+            )
+        if not probe.conclusive:
+            return SessionFault(
+                "connect",
+                f"A{AXIS + 1} is too restless, by {noise_of(self._rows)[AXIS]:.3f} deg, to tell whether the controller takes corrections "
+                "as absolute; connect when the arm stands",
+            )
+        return None
 
     def _finish(self) -> Layout:
-        assert self.layout is not None  # telegrams are learnt from once their layout is known
+        assert self.layout is not None  # as above
+        return replace(self.layout, noise_deg=tuple(noise_of(self._rows)), decimals=self._decimals)
+
+    def _with_step(self, layout: Layout) -> Layout:
         cycle_ms, known = self._settings["cycle_ms"], self._ipocs
-        steps = {b - a for a, b in zip(known, known[1:], strict=False)}
+        steps = {advance(a, b) for a, b in zip(known, known[1:], strict=False)}
         if steps == {1}:  # simulators that count telegrams
             step, tick_s = 1, cycle_ms * 1e-3
         elif min(steps) == cycle_ms and all(s % cycle_ms == 0 for s in steps):
@@ -129,7 +211,7 @@ class Handshake:
                 f"IPOC advances by {min(steps)} a telegram, expected {cycle_ms}; set cycle_ms to 4 for #IPO_FAST, to 12 for #IPO",
                 muted=True,
             )
-        return replace(self.layout, step=step, tick_s=tick_s)
+        return replace(layout, step=step, tick_s=tick_s)
 
 
 def _refuse_correction(layout: Layout, row: Sequence[float]) -> None:

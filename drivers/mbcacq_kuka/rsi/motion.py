@@ -26,6 +26,7 @@ class RsiMotion:
         self._dynamics: tuple[list[float], list[float], list[float]] | None = None
         self._velocity = self._acceleration = [0.0] * n
         self._target: list[float] | None = None
+        self._pending = False  # the way to the target is to be planned again
         self._before = (tuple(start), [0.0] * n, [0.0] * n)
         self.position: tuple[float, ...] = tuple(start)
         self.moving = False
@@ -39,6 +40,9 @@ class RsiMotion:
         if not self.moving or self._dynamics is None:
             return
         self._target = None
+        if self._pending:
+            self.freeze(self.position)
+            return
         ask = self._ask(self._dynamics)
         ask.control_interface = ControlInterface.Velocity
         ask.synchronization = Synchronization.No
@@ -49,16 +53,22 @@ class RsiMotion:
             return  # the motion under way ends at rest in any case
         self._begin(trajectory)
 
-    def resume(self, position: Sequence[float]) -> None:
-        """The controller had no new set point for so long that the arm stands at ``position``: go on from there, from rest. Raises
-        MotionRefused; then the arm stays where it is."""
-        self.position, self.moving = tuple(position), False
+    def hold(self, position: Sequence[float]) -> None:
+        """The controller held the set point ``position`` for a cycle or more, so the motion goes on from there, from rest."""
+        target = self._target
+        self.freeze(position)
+        if target is not None and tuple(target) != self.position:
+            self._target, self._pending, self.moving = target, True, True
+
+    def freeze(self, position: Sequence[float]) -> None:
+        """Stay at ``position``: no set point changes any more."""
+        self.position, self.moving, self._pending, self._target = tuple(position), False, False, None
         self._velocity = self._acceleration = [0.0] * self._n
-        if self._target is not None and self._dynamics is not None:
-            self._plan(self._target, self._dynamics)
 
     def step(self) -> tuple[float, ...]:
-        """The set point of the next cycle, (n,) deg."""
+        """The set point of the next cycle, (n,) deg. Raises MotionRefused where a motion that was held cannot go on: it is given up."""
+        if self._pending:
+            self._plan_again()
         self._before = self.position, self._velocity, self._acceleration
         if self.moving:
             self._elapsed += self._cycle_s
@@ -69,10 +79,16 @@ class RsiMotion:
             self.position = tuple(position)
         return self.position
 
+    def _plan_again(self) -> None:
+        target, dynamics = self._target, self._dynamics
+        self.freeze(self.position)
+        if target is not None and dynamics is not None:
+            self._plan(target, dynamics)
+
     def brake_instead(self, limits: tuple[list[float], list[float], list[float]]) -> None:
         """The last step must not be made: brake from where the motion was before it, within these limits."""
         self.position, self._velocity, self._acceleration = self._before
-        self.moving, self._dynamics = True, limits
+        self.moving, self._pending, self._dynamics = True, False, limits
         self.stop()
 
     def _plan(self, target: list[float], limits: tuple[list[float], list[float], list[float]]) -> None:
@@ -102,10 +118,10 @@ class RsiMotion:
             try:
                 if self._otg.calculate(ask, trajectory) in (Result.Working, Result.Finished):
                     return
-            except RuckigError:
+            except (RuckigError, ValueError):  # a result that its Python bindings do not know, of a duration that is too long
                 continue
         raise MotionRefused("no motion to this target exists within the limits of speed, acceleration and jerk")
 
     def _begin(self, trajectory: Trajectory) -> None:
         self._trajectory, self._duration, self._elapsed = trajectory, trajectory.duration, 0.0
-        self.moving = True
+        self.moving, self._pending = True, False

@@ -1,8 +1,12 @@
 """One RSI session: which answer each telegram gets, and what ends the motion. No sockets, no clock of its own.
 
 Corrections are absolute: offset of every axis (deg) from its position at RSI_ON, which is the first AIPos received. They
-advance by one set point an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. The first
-fault is kept; it brakes the arm, and where the controller may have begun a new session nothing is answered any more.
+advance by one set point an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. Where an answer
+was not used, or a telegram never came, the controller has held the set point before it: the motion goes on from there, from rest, so
+that the path it sees stays within the limits.
+
+The first fault is kept. It brakes the arm, then ends the controller's session; where the arm does not do what it is told, the session
+is ended at once, and where the controller may have begun a new one nothing is answered any more. docs/safety.md has the argument.
 
 The answer to the next telegram is rendered while the controller waits for nothing: ``reply`` only compares bytes with what is
 expected and hands it out; everything else, which is parsing, watching, recording and planning, is done by ``digest`` after it was
@@ -13,35 +17,43 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from math import isfinite, nan
 from typing import Any
 
-from mbcacq_kuka.rsi.arrival import Arrival
-from mbcacq_kuka.rsi.handshake import WAITING_CYCLES, Handshake, Layout, SessionFault, set_point_moved
+from mbcacq_kuka.rsi.arrival import Arrival, too_coarse
+from mbcacq_kuka.rsi.handshake import WAITING_CYCLES, ZERO, Handshake, Layout, SessionFault, set_point_moved
 from mbcacq_kuka.rsi.lateness import Lateness
+from mbcacq_kuka.rsi.mode import Runaway
 from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
 from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, Shared
+from mbcacq_kuka.rsi.standstill import Standstill
 from mbcacq_kuka.rsi.step_limits import StepLimits
 from mbcacq_kuka.rsi.telegram import Composer, Malformed, finite
 from mbcacq_kuka.rsi.watch import Follow, Jump
 
-_STILL_DEG = 1e-3  # less motion in a cycle is standing still
 _REST_CYCLES = 5  # standing still so long is being at rest
 _END_CYCLES = 12  # and so long, before the session is ended
 _STOP_CYCLES = 125
-_CLOSE_S = 5.0
-_HELD_S = 0.02  # without a new set point for so long the arm has all but stopped: the motion begins again from rest
+_SETTLE_S = 0.5  # after the last set point a session is ended in any case
+_AT_ONCE = ("follow", "relative")  # faults of an arm that does not do what it is told: no set point may move it any more
+_MOVED_DEG = 0.2  # more than noise and rounding
+_LIMITED = "look for a correction limit of the controller (AXISCORR, AXISCORRMON) or a stopped program"
+_IGNORED = (
+    "no axis has moved at all. Compare sen_type '{sen_type}' with SENTYPE, and correction '{correction}' with the names in the RECEIVE "
+    "section, of the controller's RSI Ethernet configuration; see that RSI_MOVECORR runs (in T1 its message must be "
+    "acknowledged) and that AXISCORR is connected and not limited to 0 deg"
+)
 _DELAY = re.compile(rb"<Delay[\s/>][^<]*")
 
 
 @dataclass(frozen=True)
 class Taken:
-    """A telegram of the session: its numbers, how many cycles it is after the one before, whether the last answer was not used, and
-    whether this one was answered while the controller waited."""
+    """A telegram of the session: its numbers, how many cycles it is after the one before, whether it was answered while the controller
+    waited."""
 
     row: list[float]
     steps: int = 1
-    late: bool = False
     in_time: bool = True
 
 
@@ -57,12 +69,12 @@ class RsiSession:
         self._handshake = Handshake(self._composer, settings, self.counts)
         self._layout: Layout | None = None
         self.over = False
-        self._muted = self._closing = False
+        self._muted = self._closing = self._relative = False
         self._seq = shared.command_seq
         self._arrival = Arrival()
         self.last_heard = self._close_began = 0.0
-        self._stops = self._still = self._held = self._unanswered = 0
-        self._rejected = False  # the last answer that was sent was not used, and is to be repeated
+        self._stops = self._unanswered = 0
+        self._rest_since: float | None = None  # since when the controller has had its last set point
         self._ready: tuple[bytes, bytes, bytes] | None = None  # what the next telegram must contain (IPOC, Delay), and its answer
         self._data = b""  # the last telegram
         self._unparsed = False  # it was answered before it was parsed
@@ -74,8 +86,8 @@ class RsiSession:
 
     @property
     def controller(self) -> Any:
-        """Address of the sender, as soon as it is known; None before."""
-        return None if self._handshake.layout is None else self._handshake.layout.source
+        """Address of the sender, as soon as the session has begun; None before."""
+        return None if self._layout is None else self._layout.source
 
     # what the cycle calls
 
@@ -129,13 +141,7 @@ class RsiSession:
     def _reply_slowly(self, data: bytes, source: Any, now: float, in_time: bool) -> bytes | None:
         layout = self._layout
         if layout is None:
-            answer = self._handshake.take(data, source, now)
-            if self.controller == source:
-                self.last_heard = now
-            if self._handshake.done is not None:
-                self._data = data
-                self._begin(self._handshake.done)
-            return answer
+            return self._shake_hands(data, source, now)
         if source != layout.source:
             self.counts.foreign += 1
             return None
@@ -155,25 +161,40 @@ class RsiSession:
                 muted=True,
             )
         if kind == REPEATED and silent > WAITING_CYCLES * self.cycle_s:  # a peer that waits for its answer before it goes on
-            return self._compose(digits, self._sent)
+            return self._compose(digits, self._sent, self._stop)
         return self._reply_next(layout, digits, row, steps, in_time) if kind == NEXT else None
+
+    def _shake_hands(self, data: bytes, source: Any, now: float) -> bytes | None:
+        shake, failed = self._handshake, self._handshake.fault is not None
+        try:
+            answer = shake.take(data, source, now)
+        finally:
+            self._shared.note(shake.heard, source, shake.discarded)
+        self.last_heard = now
+        if shake.fault is not None and not failed:
+            self._fail(shake.fault)
+        if shake.done is not None:
+            self._data = data
+            self._begin(shake.done)
+        return answer
 
     def _reply_next(self, layout: Layout, digits: bytes, row: list[float], steps: int, in_time: bool) -> bytes:
         if steps > 1 and set_point_moved(layout, row):
             raise SessionFault("restart", "ASPos has changed, so the RSI program was restarted during the run", muted=True)
         self._unanswered += steps - 1
-        rise = 0.0 if layout.delay is None else self._lateness.rise(row[layout.delay], self._sequence.ipoc * layout.tick_s)
-        self._rejected = self._rejected or rise > self._unanswered
-        late = self._rejected or not in_time
-        if in_time:
-            self._rejected = False  # it is repeated now
-        self._unanswered = 0 if in_time else self._unanswered + 1
-        self._held += steps - 1 + late
-        if not late:  # else the last answer was not used: repeat it
-            if self._held * self.cycle_s > _HELD_S:
-                self._resume()
+        delay = nan if layout.delay is None else row[layout.delay]
+        rise = self._lateness.rise(delay, self._sequence.count * layout.tick_s) if isfinite(delay) else 0.0
+        rejected = rise > self._unanswered
+        if rejected:
+            self._sent, self._sent_moving = self._used, self._used_moving
+        else:
+            self._used, self._used_moving = self._sent, self._sent_moving
+        if rejected or self._unanswered:
+            self._go_on_from_rest()
+        elif in_time:
             self._advance()
-        self._taken = Taken(row, steps, late, in_time)
+        self._unanswered = 0 if in_time else self._unanswered + 1
+        self._taken = Taken(row, steps, in_time)
         if self._lateness.too_many:
             self._fail(
                 SessionFault(
@@ -196,11 +217,14 @@ class RsiSession:
         self._follow = Follow(
             layout.reference, settings["follow_tolerance_deg"], settings["follow_cycles"], settings["follow_lag_s"], self.cycle_s
         )
-        self._previous = layout.axes(row)
-        self._jump = Jump(self._previous, settings["dynamics"][0], self.cycle_s)
-        self._sent = self._next = layout.reference
-        self._sent_moving = self._next_moving = self._stop = self._faulted = False
-        self._consumed = self._delivered = self._target_used = True
+        measured = layout.axes(row)
+        self._jump = Jump(measured, settings["dynamics"][0], self.cycle_s)
+        self._standstill = Standstill(measured, layout.noise_deg, self.cycle_s)
+        self._runaway = Runaway(layout.reference, max(layout.noise_deg))
+        self._sent = self._used = self._next = layout.reference
+        self._sent_moving = self._used_moving = self._next_moving = self._stop = self._faulted = self._at_once = self._moved = False
+        self._consumed = True
+        self._shared.decimals = layout.decimals
         self._command = self._seq
         self._shared.begin(layout.parser.names)
         self._layout, self._taken = layout, Taken(row)
@@ -210,8 +234,8 @@ class RsiSession:
     def _parse_answered(self) -> Taken:
         layout = self._layout
         assert layout is not None  # nothing is rendered in advance before the session has begun
-        self._sequence.take(self._sequence.ipoc + self._sequence.step)
-        self._unanswered = 0
+        self._sequence.take(self._sequence.next)
+        self._used, self._used_moving = self._sent, self._sent_moving
         self._advance()
         try:
             _, row = layout.parser.parse(self._data)
@@ -223,19 +247,21 @@ class RsiSession:
 
     def _advance(self) -> None:
         """The prepared set point goes to the controller."""
-        self._sent, self._sent_moving, self._consumed, self._held = self._next, self._next_moving, True, 0
+        self._sent, self._sent_moving, self._consumed = self._next, self._next_moving, True
 
-    def _resume(self) -> None:
-        try:
-            self._motion.resume(self._sent)
-        except MotionRefused as error:
-            self._fail(SessionFault("refused", str(error)))
+    def _go_on_from_rest(self) -> None:
+        """The controller held ``sent`` meanwhile. It gets it once more; from the next answer on the motion goes on."""
+        self._motion.hold(self._sent)
         self._step_limits.rest(self._sent)
-        self._step()
+        self._sent_moving, self._consumed = self._motion.moving, True
 
     def _step(self) -> None:
         """The next set point, once it was seen to be within the axes' limits; one that is not is replaced by braking."""
-        position = self._motion.step()
+        try:
+            position = self._motion.step()
+        except MotionRefused as error:
+            self._fail(SessionFault("refused", str(error)))
+            position = self._motion.step()
         if refusal := self._step_limits.refusal(position):
             self._motion.brake_instead(self._step_limits.dynamics)
             position = self._motion.step()
@@ -258,33 +284,37 @@ class RsiSession:
             self._step()
             if self._muted:
                 return
-        self._stop = self._closing and self._ending(now)
+        self._stop = self._ending(now)
+        if self._unanswered or self._muted:  # a controller that counts nothing must not get the next set point as if it had the last
+            self._ready = None
+            return
         delay = b""
         if layout.delay is not None:
             found = _DELAY.search(self._data)
             delay = found[0] if found else b"?"
-        digits = b"%d" % (self._sequence.ipoc + self._sequence.step)
+        digits = b"%d" % self._sequence.next
         self._ready = (b"<IPOC>" + digits + b"</IPOC>", delay, self._compose(digits, self._next, self._stop))
 
     def _judge(self, taken: Taken, now: float) -> None:
         layout = self._layout
         assert layout is not None  # as above
-        measured, time_s = layout.axes(taken.row), self._sequence.ipoc * layout.tick_s
-        still = all(abs(a - b) < _STILL_DEG for a, b in zip(measured, self._previous, strict=True))
-        self._previous = measured
-        self._still = self._still + 1 if still and not self._sent_moving else 0
-        self._delivered = not self._sent_moving and (self._delivered or self._target_used and not taken.late)
-        self._target_used = not self._sent_moving
-        coarse = self._arrival.judge(measured, self._still, time_s) if self._delivered else None
-        flags = 0 if self._still >= _REST_CYCLES else MOVING
+        measured, time_s = layout.axes(taken.row), self._sequence.count * layout.tick_s
+        self._standstill.take(measured, self._sent_moving)
+        if not self._used_moving:
+            self._arrival.judge(self._standstill.mean, time_s)
+        flags = 0 if self._standstill.cycles >= _REST_CYCLES else MOVING
         flags |= (ARRIVED if self._arrival.arrived else 0) | (ANSWERED if taken.in_time else 0)
         self._shared.append(now, time_s, flags, self._command, self.counts, self._sent, taken.row)
         self._command = self._seq
-        if coarse:
-            raise SessionFault("coarse", coarse)
         self._check_plausible(measured, taken.steps)
 
     def _check_plausible(self, measured: tuple[float, ...], steps: int) -> None:
+        if not self._runaway.sure and (axis := self._runaway.check(self._used, measured)) is not None:
+            raise SessionFault(
+                "relative",
+                f"A{axis + 1} goes further than it was ever told to, as under RSI_ON(#RELATIVE), which adds each correction to the ones "
+                "before; use RSI_ON(#ABSOLUTE) in the controller's program",
+            )
         jumped = self._jump.check(measured, steps)
         if jumped is not None:
             raise SessionFault(
@@ -295,16 +325,21 @@ class RsiSession:
         if steps > 1:
             self._follow.skip(measured, steps - 1)
         axis = self._follow.check(self._sent, measured)
+        self._moved = self._moved or max(abs(a - b) for a, b in zip(measured, self._layout_now.reference, strict=True)) > _MOVED_DEG
         if axis is not None:
             raise SessionFault(
                 "follow",
                 f"A{axis + 1} does not follow: commanded {self._sent[axis]:.3f} deg, measured {measured[axis]:.3f} deg; "
-                "look for a correction limit of the controller (AXISCORR, AXISCORRMON) or a stopped program",
+                + (_LIMITED if self._moved else _IGNORED.format(**self._settings)),
             )
 
-    def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
+    @property
+    def _layout_now(self) -> Layout:
         assert self._layout is not None  # as above
-        correction = tuple([p - r for p, r in zip(position, self._layout.reference, strict=True)])
+        return self._layout
+
+    def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
+        correction = ZERO if self._relative else tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
         return self._composer.compose(correction, digits, stop)
 
     def _poll_command(self, now: float) -> None:
@@ -320,9 +355,12 @@ class RsiSession:
             self._arrival.abandon()
         elif command.kind == MOVE:
             self._arrival.begin(command)
-            self._delivered = self._target_used = False
+            self._used_moving = self._sent_moving = True  # nothing of it has been sent yet
             if refusal := self._step_limits.too_fast(command):
                 self._fail(SessionFault("refused", refusal))
+                return
+            if coarse := too_coarse(self._layout_now.decimals, command):
+                self._fail(SessionFault("coarse", coarse))
                 return
             try:
                 self._motion.move(command)
@@ -330,12 +368,24 @@ class RsiSession:
                 self._fail(SessionFault("refused", str(error)))
 
     def _ending(self, now: float) -> bool:
-        """While closing: True once the arm stands and the controller may end the session."""
-        standing = self._still >= _END_CYCLES or now - self._close_began > _CLOSE_S
-        if standing:
-            self._stops += 1
-            self.over = not self._settings["stop_at_close"] or self._stops > _STOP_CYCLES
-        return standing and bool(self._settings["stop_at_close"])
+        """Whether the controller is to end its session: at once after a fault of an arm that does not do what it is told, else once the arm
+        stands. Where it cannot be told to, it is not answered any more."""
+        if not (self._closing or self._faulted):
+            return False
+        if self._used_moving and not self._at_once:
+            self._rest_since = None
+            return False
+        self._rest_since = now if self._rest_since is None else self._rest_since
+        standing = self._standstill.cycles >= _END_CYCLES or now - self._rest_since > _SETTLE_S
+        if not (standing or self._faulted):
+            return False
+        can_stop = bool(self._settings["stop_element"]) and (self._settings["stop_at_close"] or self._at_once)
+        if not can_stop:
+            self._muted, self.over = self._faulted, self._closing
+            return False
+        self._stops += self._closing
+        self.over = self._stops > _STOP_CYCLES
+        return True
 
     def _fail(self, fault: SessionFault) -> None:
         """The first fault is kept; it brakes the arm."""
@@ -344,5 +394,10 @@ class RsiSession:
         if fault.muted:
             self._muted, self._ready = True, None
         if self.connected and not self._faulted:
-            self._faulted = True
-            self._motion.stop()
+            self._faulted, self._at_once, self._relative = True, fault.kind in _AT_ONCE, fault.kind == "relative"
+            if self._at_once:
+                self._motion.freeze(self._sent)
+                self._step_limits.rest(self._sent)
+                self._sent_moving, self._consumed = False, True
+            else:
+                self._motion.stop()

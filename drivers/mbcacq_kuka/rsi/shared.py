@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import struct
 import sys
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ MOVING, ARRIVED, ANSWERED = 1, 2, 4
 COUNTED = ("lost", "repeated", "old", "foreign")  # see sequence.Counts
 FIXED = ("host_time_s", "time_s", "flags", "command", *COUNTED, "cA1", "cA2", "cA3", "cA4", "cA5", "cA6")
 
-_COMMAND_SEQ, _HEAD, _WIDTH, _CAPACITY, _FAULT_SIZE, _NAMES_SIZE = range(6)
+_COMMAND_SEQ, _HEAD, _WIDTH, _CAPACITY, _FAULT_SIZE, _NAMES_SIZE, _HEARD, _SENDER, _DISCARDED, _DECIMALS = range(10)
 _COMMAND = struct.Struct("<27d")
 _COMMAND_AT = (128, 512)
 _NAMES_AT, _FAULT_AT, _RING_AT = 1024, 24576, 32768
@@ -55,7 +56,7 @@ class Shared:
         self.name = memory.name
         assert memory.buf is not None  # it is None only once the memory is closed
         self._buffer = memory.buf
-        self._header = self._buffer[:64].cast("q")
+        self._header = self._buffer[:128].cast("q")
 
     @classmethod
     def create(cls) -> Shared:
@@ -156,6 +157,28 @@ class Shared:
 
     def names(self) -> list[str]:
         return json.loads(bytes(self._buffer[_NAMES_AT : _NAMES_AT + self._header[_NAMES_SIZE]]))
+
+    # what a session that has not begun yet has heard
+
+    def note(self, heard: int, source: Any, discarded: float) -> None:
+        """How many datagrams came, the address (IPv4, port) of the last, by how much the controller's Delay has risen."""
+        self._header[_SENDER] = int.from_bytes(socket.inet_aton(source[0]), "big") << 16 | source[1]
+        self._header[_DISCARDED], self._header[_HEARD] = int(discarded), heard
+
+    def noted(self) -> tuple[int, str, int]:
+        """As given to ``note``, the address as text."""
+        sender = self._header[_SENDER]
+        address = f"{socket.inet_ntoa((sender >> 16).to_bytes(4, 'big'))}:{sender & 0xFFFF}"
+        return self._header[_HEARD], address, self._header[_DISCARDED]
+
+    @property
+    def decimals(self) -> int:
+        """With how many decimals the controller writes joint angles."""
+        return self._header[_DECIMALS]
+
+    @decimals.setter
+    def decimals(self, value: int) -> None:
+        self._header[_DECIMALS] = value
 
     # the first fault of a session
 

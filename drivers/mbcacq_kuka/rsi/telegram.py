@@ -1,7 +1,8 @@
 """The two RSI telegrams: ``<Rob>`` (controller to us) parsed by name, ``<Sen>`` (our answer) composed.
 
 Hand-written, because GPIO attributes (``<GPIO 01="1"/>``) are no legal XML names, and because a 4 ms deadline is no place for a
-general parser. Nothing is accepted that an RSI controller does not send: no DTD, no entities, no nesting, bounded sizes.
+general parser. Nothing is accepted that an RSI controller does not send: no DTD, no nesting, bounded sizes. Only IPOC and AIPos have to be
+numbers in every telegram; whatever else is sent, strings too, may change its kind at any time.
 """
 
 from __future__ import annotations
@@ -15,15 +16,19 @@ MAX_VALUES = 192
 MAX_DATAGRAM = 65535
 
 _NAME = rb"[\w.:\-]{1,64}"
-_ATTRIBUTE = re.compile(rb"\s+(" + _NAME + rb")\s*=\s*(?:\"([^\"<&]{0,256})\"|'([^'<&]{0,256})')")
+_ATTRIBUTE = re.compile(rb"\s+(" + _NAME + rb")\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
 _ROOT = re.compile(rb"\s*(?:<\?xml[^<>&]{0,200}\?>\s*)?<Rob(?=[\s>])")
 _CHILD = re.compile(rb"\s*<([A-Za-z_][\w.\-]{0,63})(?=[\s/>])")
 _CLOSE = re.compile(rb"\s*(/?)>")
-_TEXT = re.compile(rb"\s*([^<&]{0,256}?)\s*</(" + _NAME + rb")\s*>")
+_TEXT = re.compile(rb"([^<]*)</(" + _NAME + rb")\s*>")  # blanks around the text are taken off later: one pass, however many there are
 _END = re.compile(rb"\s*</Rob\s*>[\s\0]*")
 _NUMBER = re.compile(rb"[-+]?(?:\d{1,20}\.?\d{0,32}|\.\d{1,32})(?:[eE][-+]?\d{1,3})?")
-_NUMBER_GROUP = rb"([-+.\deE]{1,48})"
-_TEXT_GROUP = rb"[^\"'<&]{0,256}"
+_NO_NUMBER = re.compile(rb"[-+]?(?:nan(?:\(\w*\))?|inf(?:inity)?|1\.#[a-z]{1,8}\d{0,8})", re.IGNORECASE)  # of several systems' printf
+_IPOC = re.compile(rb"-?\d{1,20}")  # signed where a controller prints its 32 bits so
+_NEEDED_GROUP = rb"([-+.\deE]{1,48})"
+_NUMBER_GROUP = rb"([-+.\dA-Za-z#]{0,48})"
+_TEXT_GROUP = rb"[^\"'<]*"
+_MAX_NUMBER = 64
 
 
 class Malformed(ValueError):
@@ -32,7 +37,8 @@ class Malformed(ValueError):
 
 @dataclass(frozen=True)
 class Value:
-    """One value of a telegram: ``name`` is 'AIPos.A1' for an attribute, 'IPOC' for element text; data[start:end] is its text."""
+    """One value of a telegram: ``name`` is 'AIPos.A1' for an attribute, 'IPOC' for element text; data[start:end] is its text; ``numeric``:
+    it is a number, or says that it is none ('nan')."""
 
     name: str
     start: int
@@ -78,7 +84,7 @@ def _element(data: bytes, child: re.Match[bytes], values: list[Value]) -> int:
     text = _TEXT.match(data, close.end())
     if text is None or text[2] != tag:
         raise Malformed(f"</{tag.decode()}> is missing at byte {close.end()}")
-    if text[1] or len(values) == first:
+    if text[1].strip() or len(values) == first:
         values.append(_value(data, tag.decode(), *text.span(1)))
     return text.end()
 
@@ -88,7 +94,17 @@ def _value(data: bytes, name: str, start: int, end: int) -> Value:
         start += 1
     while end > start and data[end - 1] in b" \t\r\n":
         end -= 1
-    return Value(name, start, end, _NUMBER.fullmatch(data, start, end) is not None)
+    number = _NUMBER.fullmatch(data, start, end) is not None
+    if _needed(name):
+        if end - start > _MAX_NUMBER or b"&" in data[start:end]:
+            raise Malformed(f"{name} is no number")
+        return Value(name, start, end, number)
+    return Value(name, start, end, number or _NO_NUMBER.fullmatch(data, start, end) is not None)
+
+
+def _needed(name: str) -> bool:
+    """Whether no telegram is of use without this number."""
+    return name == "IPOC" or name.startswith("AIPos.")
 
 
 def _close(data: bytes, position: int, tag: bytes, allow_empty: bool) -> int:
@@ -107,22 +123,24 @@ class Parser:
 
     def __init__(self, first: bytes) -> None:
         """``first``: a telegram that shows what the session sends. Raises Malformed."""
-        numeric = [v for v in scan(first) if v.numeric]
+        values = scan(first)
+        numeric = [v for v in values if v.numeric]
         self.names = tuple(v.name for v in numeric)
         self._slot = {name: i for i, name in enumerate(self.names)}
-        if not any(v.name == "IPOC" and first[v.start : v.end].isdigit() for v in numeric):
+        if not any(v.name == "IPOC" and _IPOC.fullmatch(first, v.start, v.end) for v in numeric):
             raise Malformed("IPOC is missing")
         self._ipoc = self._slot["IPOC"]
         pattern, position = [], 0
-        for value in scan(first):
-            pattern += [re.escape(first[position : value.start]), _NUMBER_GROUP if value.numeric else _TEXT_GROUP]
+        for value in values:
+            group = (_NEEDED_GROUP if _needed(value.name) else _NUMBER_GROUP) if value.numeric else _TEXT_GROUP
+            pattern += [re.escape(first[position : value.start]), group]
             position = value.end
         self._match = re.compile(b"".join(pattern) + re.escape(first[position:])).fullmatch
 
     def parse(self, data: bytes) -> tuple[bytes, list[float]]:
-        """IPOC as its digits, and all numbers by ``names`` (NaN where missing). Raises Malformed."""
+        """IPOC as its digits, and all numbers by ``names`` (NaN where missing, or no number). Raises Malformed."""
         match = self._match(data)
-        if match is not None and (groups := match.groups())[self._ipoc].isdigit():
+        if match is not None and _IPOC.fullmatch((groups := match.groups())[self._ipoc]):
             try:
                 return groups[self._ipoc], list(map(float, groups))
             except ValueError:
@@ -132,17 +150,14 @@ class Parser:
     def _parse_slowly(self, data: bytes) -> tuple[bytes, list[float]]:
         row, ipoc = [nan] * len(self.names), b""
         for value in scan(data):
-            if not value.numeric:
-                if value.name in self._slot:
-                    raise Malformed(f"{value.name} is no number")
-                continue
-            if value.name not in self._slot:
-                raise Malformed(f"a new element {value.name} appeared during the session")
-            text = data[value.start : value.end]
-            row[self._slot[value.name]] = float(text)
+            slot, text = self._slot.get(value.name), data[value.start : value.end]
+            if not value.numeric and slot is not None and _needed(value.name):
+                raise Malformed(f"{value.name} is no number")
+            if slot is not None and _NUMBER.fullmatch(text):
+                row[slot] = float(text)
             if value.name == "IPOC":
                 ipoc = text
-        if not ipoc.isdigit():
+        if not _IPOC.fullmatch(ipoc):
             raise Malformed("IPOC is missing")
         return ipoc, row
 
@@ -150,6 +165,12 @@ class Parser:
         """Where the named attributes of an element are in a row; None if the session does not send all of them."""
         names = [f"{element}.{a}" for a in attributes]
         return [self._slot[n] for n in names] if all(n in self._slot for n in names) else None
+
+
+def decimals(data: bytes, element: str) -> int:
+    """With how many decimals a telegram writes the attributes of ``element`` at most; 0 where it has none. Raises Malformed."""
+    texts = [data[v.start : v.end] for v in scan(data) if v.numeric and v.name.startswith(f"{element}.")]
+    return max((len(re.split(rb"[eE]", text.partition(b".")[2])[0]) for text in texts), default=0)
 
 
 def finite(values: Sequence[float]) -> bool:

@@ -21,6 +21,7 @@ from mbcacq_fakes.protocols.krc.session import OPERATOR, FakeRsiSession
 from mbcacq_fakes.protocols.krc.settings import COUNTED, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
+_TURN = 1 << 32  # the counter has 32 bits
 _STALE_MS = 2000  # an answer to a telegram of so long ago is just late
 _IDLE = (
     (1.0, 0.004),
@@ -54,7 +55,7 @@ class RsiController:
     def cycle(self) -> None:
         if self._control.fault_seq != self._fault_seq:
             self._read_faults()
-        self._ipoc += self._settings.cycle_ms
+        self._ipoc = (self._ipoc + self._settings.cycle_ms) % _TURN
         self._cycles += 1
         session, arm, faults = self._session, self._arm, self._faults
         if self._stopped_by_operator():
@@ -96,8 +97,8 @@ class RsiController:
         else:
             self._missed += 1
             self._rejected += answer is not None
-            self._late += session.active
-            session.miss()
+            self._late += session.active or answer is not None
+            session.miss(answer is not None)
         if self._control.log_rows > 1:
             correction = [answer.correction.get(a, 0.0) for a in ("A1", "A2", "A3", "A4", "A5", "A6")] if answer else [0.0] * 6
             self._control.log(ipoc, latency, accepted, *self._arm.q, *correction)

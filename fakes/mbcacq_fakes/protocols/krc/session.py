@@ -47,9 +47,9 @@ class FakeRsiSession:
         self._asked = (*self._asked[-2:], self._correction)
         return True
 
-    def miss(self) -> None:
-        """A cycle without a valid answer."""
-        if not self.active:
+    def miss(self, rejected: bool) -> None:
+        """A cycle without a valid answer; ``rejected``: one came that was thrown away."""
+        if not (self.active or rejected):
             return
         self._asked = ()
         self.delay += 1

@@ -64,7 +64,7 @@ class SenReader:
 
     def __init__(self, correction: str, stop_element: str) -> None:
         self._root = re.compile(rb"\s*<Sen\s+Type\s*=\s*[\"']([^\"'<>&]{0,80})[\"']\s*>(.*)</Sen\s*>[\s\0]*", re.S)
-        self._ipoc = re.compile(rb"<IPOC\s*>\s*(\d{1,20})\s*</IPOC\s*>")
+        self._ipoc = re.compile(rb"<IPOC\s*>\s*(-?\d{1,20})\s*</IPOC\s*>")
         self._correction = re.compile(rb"<" + correction.encode() + rb"\s([^<>]*?)/?>")
         self._axis = re.compile(rb"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
         self._stop = re.compile(b"<" + stop_element.encode() + rb"\s*>\s*(\d+)\s*</") if stop_element else None

@@ -1,0 +1,180 @@
+"""Absolute or relative, moving or still: what the session learns of the controller and of its arm before and while it moves."""
+
+import re
+
+import numpy as np
+import pytest
+from mbcacq_kuka.rsi.mode import Runaway
+from mbcacq_kuka.rsi.options import RsiOptions
+from mbcacq_kuka.rsi.session import RsiSession
+from mbcacq_kuka.rsi.shared import CLOSE, MOVE, MOVING, RsiCommand, Shared
+from rsi_bench import LIMITS, SOURCE, START, Bench
+
+FAR = (100.0, *START[1:])
+
+
+class Arm:
+    """A controller of either kind with an arm that lags, and measured angles with noise. ``ended``: Stop was received."""
+
+    def __init__(self, relative=False, lag_s=0.0, noise_deg=0.0, decimals=6, **options):
+        self.shared = Shared.create()
+        self.session = RsiSession(self.shared, RsiOptions(limits_deg=LIMITS, **options).settings())
+        self.relative, self.share, self.noise, self.decimals = relative, 1.0 - np.exp(-0.004 / lag_s) if lag_s else 1.0, noise_deg, decimals
+        self.set_point, self.q, self.ipoc, self.ended, self.delay = np.array(START), np.array(START), 1000, False, 0
+        self.rng = np.random.default_rng(3)
+        self.deaf = False
+
+    def cycle(self, cycles=1):
+        for _ in range(cycles):
+            self.ipoc += 4
+            shown = self.q + self.noise * self.rng.standard_normal(6)
+            axes = " ".join(f'A{i + 1}="{v:.{self.decimals}f}"' for i, v in enumerate(shown))
+            answer = self.session.reply(
+                f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{self.delay}"/><IPOC>{self.ipoc}</IPOC></Rob>'.encode(),
+                SOURCE,
+                self.ipoc * 1e-3,
+            )
+            self.session.digest(self.ipoc * 1e-3)
+            if answer is not None and not self.ended and not self.deaf:
+                correction = np.array([float(v) for v in re.findall(rb'A\d="([^"]+)"', answer)])
+                self.ended = b"<Stop>1<" in answer
+                self.set_point = correction + (self.set_point if self.relative else START)
+            self.q = self.q + self.share * (self.set_point - self.q)
+
+    def connect(self):
+        while not self.session.connected and self.shared.fault() is None:
+            self.cycle()
+
+    def move(self, target=FAR):
+        self.shared.send(RsiCommand(MOVE, target, (100.0,) * 6, (400.0,) * 6, (4000.0,) * 6, 0.01, 0.1))
+
+
+@pytest.fixture
+def arm():
+    made = []
+
+    def make(**given):
+        made.append(Arm(**given))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.shared.close()
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.012, 0.1])
+@pytest.mark.parametrize(("noise_deg", "decimals"), [(0.0, 6), (0.0005, 4), (0.002, 3), (0.0005, 2)])
+def test_a_relative_controller_is_named_before_anything_moves(arm, lag_s, noise_deg, decimals):
+    one = arm(relative=True, lag_s=lag_s, noise_deg=noise_deg, decimals=decimals)
+    one.connect()
+    assert "RSI_ON(#RELATIVE)" in one.shared.fault()["text"]
+    stands = one.set_point
+    one.cycle(200)
+    np.testing.assert_array_equal(one.set_point, stands)
+    assert np.abs(stands - START).max() <= 0.05
+    assert one.ended
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.012, 0.1])
+@pytest.mark.parametrize(("noise_deg", "decimals"), [(0.0, 6), (0.0005, 4), (0.002, 3), (0.0005, 2)])
+def test_an_absolute_controller_is_back_where_it_was(arm, lag_s, noise_deg, decimals):
+    one = arm(lag_s=lag_s, noise_deg=noise_deg, decimals=decimals)
+    one.connect()
+    assert one.shared.fault() is None
+    np.testing.assert_allclose(one.set_point, START, atol=5e-3)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.012, 0.05])
+def test_a_relative_controller_that_was_not_yet_moving_when_it_was_probed_stops_within_two_degrees(arm, lag_s):
+    one = arm(relative=True, lag_s=lag_s)
+    one.deaf = True  # RSI_MOVECORR was not reached
+    one.connect()
+    one.deaf = False
+    one.move()
+    while one.shared.fault() is None:
+        one.cycle()
+    assert one.shared.fault()["kind"] == "relative"
+    one.cycle(300)
+    assert np.abs(one.q - START).max() < 2.0
+    assert one.ended
+
+
+def test_an_absolute_arm_is_never_taken_for_a_relative_one(arm):
+    one = arm(lag_s=0.02, noise_deg=0.001)
+    one.connect()
+    one.move()
+    one.cycle(600)
+    assert one.shared.fault() is None
+    one.move(START)
+    one.cycle(600)
+    assert one.shared.fault() is None
+    assert isinstance(one.session._runaway, Runaway)
+    assert one.session._runaway.sure
+
+
+def test_an_arm_that_does_not_follow_gets_no_set_point_any_more(arm):
+    one = arm()
+    one.connect()
+    one.move()
+    one.cycle(40)
+    one.deaf = True
+    while one.shared.fault() is None:
+        one.cycle()
+    stood, one.deaf = one.q, False
+    one.cycle(2)
+    assert one.ended
+    assert one.shared.fault()["kind"] == "follow"
+    assert np.abs(one.session._sent[0] - stood[0]) < 12.0
+    asked = one.set_point
+    one.cycle(300)
+    np.testing.assert_array_equal(one.set_point, asked)
+
+
+def test_an_arm_that_never_moves_has_the_names_to_compare_named(arm):
+    one = arm()
+    one.connect()
+    one.deaf = True
+    one.move()
+    while one.shared.fault() is None:
+        one.cycle()
+    assert "sen_type 'ImFree'" in one.shared.fault()["text"]
+    assert "correction 'AK'" in one.shared.fault()["text"]
+
+
+def test_a_controller_that_discards_every_answer_is_found_at_once(arm):
+    one = arm()
+    one.deaf = True
+    while one.shared.fault() is None:
+        one.cycle()
+        one.delay += 1
+    assert "discards every answer" in one.shared.fault()["text"]
+    assert "sen_type 'ImFree'" in one.shared.fault()["text"]
+
+
+def moving(one):
+    ring = np.frombuffer(one.shared.ring).reshape(one.shared.capacity, one.shared.width)
+    flags = int(ring[(one.shared.head - 1) % one.shared.capacity][2])
+    del ring
+    return bool(flags & MOVING)
+
+
+@pytest.mark.parametrize("noise_deg", [0.0, 0.0005, 0.002, 0.005])
+def test_an_arm_stands_whatever_the_noise_of_its_encoders(arm, noise_deg):
+    one = arm(lag_s=0.012, noise_deg=noise_deg)
+    one.connect()
+    one.move((20.0, *START[1:]))
+    one.cycle(60)
+    assert moving(one)
+    one.cycle(400)
+    assert not moving(one)
+    one.shared.send(RsiCommand(CLOSE))
+    one.cycle(40)
+    assert one.ended
+
+
+def test_the_bench_is_absolute():
+    one = Bench()
+    try:
+        assert one.sent[-1] == (0.0,) * 6
+    finally:
+        one.shared.close()
