@@ -85,10 +85,13 @@ def rsi_guide(options: RsiOptions, facts: Mapping[str, Any], reach: Sequence[flo
         _head("RobotSensorInterface, driver kuka-rsi", facts, warnings)
         + f"""
 WHERE EACH FILE GOES
-  KSS 8.5 or newer, RSI 4.1 or newer: folder kss85
+  The version of RSI decides, not that of KSS (smartPAD: Help > Info > Options):
+  up to 4.0 it reads .rsi contexts, from 4.1 on .rsix. KSS 8.5.5 with RSI 4.0.6,
+  say, takes kss_older; RSI_CREATE "file not found" means the other folder.
+  RSI 4.1 or newer, 5.x (KSS 8.5 and newer as a rule): folder kss85
     SensorInterface/*                C:\\KRC\\ROBOTER\\Config\\User\\Common\\SensorInterface
     Program/*                        KRC:\\R1\\Program
-  KSS older than 8.5, RSI 3.x and 4.0: folder kss_older
+  RSI 3.x and 4.0 (KSS older than 8.5 as a rule): folder kss_older
     SensorInterface/* (four files, inseparable) and Program/* as above
   iiQKA.OS2 with RSI 6: folder iiqka
     Context/*                        Config/RobotSensorInterface/Context

@@ -10,6 +10,7 @@ import numpy as np
 import ruckig
 
 from mbcacq.devices import MotionLimits
+from mbcacq.errors import ConfigError
 from mbcacq.plan.motion_limits import motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 
@@ -53,11 +54,21 @@ def motion_time(start: np.ndarray, end: np.ndarray, limits: MotionLimits) -> flo
 
 
 def joint_motion(start: np.ndarray, end: np.ndarray, limits: MotionLimits) -> ruckig.Trajectory:
-    """The jerk-limited joint motion (n,) rad from rest to rest."""
+    """The jerk-limited joint motion (n,) rad from rest to rest. Raises ConfigError for limits with which it cannot be timed."""
     wanted = ruckig.InputParameter(len(start))
     wanted.current_position, wanted.target_position = start.tolist(), end.tolist()
     wanted.max_velocity, wanted.max_acceleration = limits.speed.tolist(), limits.acceleration.tolist()
     wanted.max_jerk = limits.jerk.tolist()
     trajectory = ruckig.Trajectory(len(start))
-    ruckig.Ruckig(len(start)).calculate(wanted, trajectory)
+    try:
+        result = ruckig.Ruckig(len(start)).calculate(wanted, trajectory)
+    except (ruckig.RuckigError, ValueError):  # the latter: a result that its Python bindings do not know
+        result = ruckig.Result.Error
+    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+        axis = int(np.argmax(np.abs(end - start) / limits.speed))
+        raise ConfigError(
+            f"a motion of {np.degrees(abs(end - start)[axis]):.3g} deg of A{axis + 1} at {np.degrees(limits.speed[axis]):.3g} deg/s cannot "
+            "be timed: it would take hours, or its acceleration_time_s or jerk_time_s is extreme; set robot: speed higher (0.05 is slow), "
+            "and these times to 0.1 s to 1 s"
+        )
     return trajectory

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 import yaml
 
+from mbcacq.devices import MotionLimits
 from mbcacq.errors import ConfigError
 from mbcacq.plan import expand, load
 from mbcacq.plan.axis_extremes import axis_extremes
 from mbcacq.plan.feasibility import check_motion_limits, refuse_errors
 from mbcacq.plan.motion_limits import axis_limits, motion_limits
 from mbcacq.plan.routing import find_paths
+from mbcacq.plan.timing import motion_time
 
 PLANS = Path(__file__).parents[2] / "plans"
 
@@ -89,3 +91,10 @@ def test_the_largest_values_of_each_axis_are_those_of_the_motions():
     # the slowest axis of a long motion takes the whole of what the plan asks for
     assert max(row.acceleration / np.degrees(limits.acceleration[k]) for k, row in enumerate(rows)) > 0.95
     assert max(row.jerk / np.degrees(limits.jerk[k]) for k, row in enumerate(rows)) > 0.95
+
+
+@pytest.mark.parametrize("speed", [1e-4, 1e-7, 1e-12])
+def test_a_motion_that_would_take_hours_is_refused_by_a_sentence(speed):
+    limits = MotionLimits(np.full(6, speed), np.full(6, speed / 0.3), np.full(6, speed / 0.03))
+    with pytest.raises(ConfigError, match="set robot: speed higher"):
+        motion_time(np.zeros(6), np.ones(6), limits)

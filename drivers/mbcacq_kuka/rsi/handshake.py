@@ -18,7 +18,7 @@ ZERO = (0.0,) * 6
 WAITING_CYCLES = 2.5  # a network repeats a datagram within less; a peer that repeats itself later waits for its answer
 _LEARN = 7  # telegrams answered with zero before the controller is probed
 _ANOTHER = 10_000  # IPOC further away than so many counts, some 10 s, is of another start of the program
-_DISCARDED_SHARE = 0.95  # of our answers, by the controller's Delay: it never takes one
+_DISCARDED_SHARE = 0.6  # of our answers, by the Delay: it never takes one, and a busy computer or controller leaves out some of the count
 _USELESS = 50  # telegrams that are no use before we say so: a controller sends as many in 0.2 s, a stray sender hardly
 _SET_POINT_DEG = 0.1  # more between AIPos and ASPos is a correction that is still applied
 

@@ -120,7 +120,7 @@ class RsiMotion:
                     return
             except (RuckigError, ValueError):  # a result that its Python bindings do not know, of a duration that is too long
                 continue
-        raise MotionRefused("no motion to this target exists within the limits of speed, acceleration and jerk")
+        raise MotionRefused("no motion to this target exists within the limits of speed, acceleration and jerk, or it would take hours")
 
     def _begin(self, trajectory: Trajectory) -> None:
         self._trajectory, self._duration, self._elapsed = trajectory, trajectory.duration, 0.0

@@ -97,8 +97,9 @@ class RsiController:
         else:
             self._missed += 1
             self._rejected += answer is not None
-            self._late += session.active or answer is not None
-            session.miss(answer is not None)
+            thrown_away = answer is not None and answer.ipoc == str(ipoc)  # in time, but of another SENTYPE
+            self._late += session.active or thrown_away
+            session.miss(thrown_away)
         if self._control.log_rows > 1:
             correction = [answer.correction.get(a, 0.0) for a in ("A1", "A2", "A3", "A4", "A5", "A6")] if answer else [0.0] * 6
             self._control.log(ipoc, latency, accepted, *self._arm.q, *correction)

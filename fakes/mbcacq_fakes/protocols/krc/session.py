@@ -48,7 +48,7 @@ class FakeRsiSession:
         return True
 
     def miss(self, rejected: bool) -> None:
-        """A cycle without a valid answer; ``rejected``: one came that was thrown away."""
+        """A cycle without a valid answer; ``rejected``: one came in time and was thrown away."""
         if not (self.active or rejected):
             return
         self._asked = ()
