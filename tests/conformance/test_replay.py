@@ -80,7 +80,7 @@ def test_the_beginning_of_an_rsi_session_is_answered_byte_for_byte_the_same(save
     lines = lock_step(saved(trace).lines)
     port = free_port()
     robot = KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": port, "stop_at_close": False})
-    with Replay(Trace(lines[:40]), {"rsi": ("127.0.0.1", port)}) as replay:
+    with Replay(Trace(lines[:140]), {"rsi": ("127.0.0.1", port)}) as replay:
         with robot:
             np.testing.assert_allclose(np.degrees(robot.state().q), HOME_DEG, atol=1e-9)
         assert replay.played >= 12
