@@ -141,7 +141,7 @@ class RsiSession:
     def _reply_slowly(self, data: bytes, source: Any, now: float, in_time: bool) -> bytes | None:
         layout = self._layout
         if layout is None:
-            return self._shake_hands(data, source, now)
+            return self._shake_hands(data, source, now) if in_time else None  # its answer would not be sent
         if source != layout.source:
             self.counts.foreign += 1
             return None
