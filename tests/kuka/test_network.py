@@ -5,7 +5,7 @@ import pytest
 from mbcacq_kuka.rsi.lateness import Lateness
 from mbcacq_kuka.rsi.options import read_options
 from mbcacq_kuka.rsi.sequence import NEXT, OLD, REPEATED, STRANGE, Counts, Sequence
-from rsi_bench import ACCELERATION, LIMITS, SOURCE, SPEED, START, Bench, T
+from rsi_bench import ACCELERATION, LIMITS, SOURCE, START, Bench, T
 
 from mbcacq.devices import ConfigError
 
@@ -49,21 +49,21 @@ def test_two_telegrams_that_change_places_cost_one_answer(moving):
     first = moving.telegram(moving.ipoc + 4)
     moving.ipoc, moving.delay = moving.ipoc + 4, 1  # the later one arrives first; the controller has missed the answer to the first
     before = moving.sent[-1]
-    after = moving.cycle()
-    assert after[0] - before[0] == pytest.approx(SPEED * T, abs=2e-6)
+    assert moving.cycle() == before  # which the controller held
     assert moving.reply(first) is None
     assert moving.cycle() is not None
     assert counts(moving) == (1, 0, 1, 0)
     assert moving.shared.fault() is None
 
 
-def test_an_answer_that_was_rejected_before_a_stall_is_repeated_after_it(moving):
+def test_after_an_answer_that_was_rejected_before_a_stall_the_controller_gets_what_it_holds(moving):
     """The telegram that tells of it cannot be answered in time itself."""
-    rejected = moving.cycle(accepted=False)
+    held = moving.sent[-1]
+    moving.cycle(accepted=False)
     moving.ipoc += 4
     moving.reply(moving.telegram(), in_time=False)
     moving.delay += 1
-    assert moving.cycle() == rejected
+    assert moving.cycle() == held
 
 
 def test_other_senders_are_counted_and_dropped(moving):
@@ -96,11 +96,13 @@ def test_a_gap_that_the_controller_rides_out_is_ridden_out_from_rest(moving):
     assert np.all(first <= ACCELERATION * T * np.arange(1, 11) + 1e-3)  # the arm stood: it must not be asked for full speed at once
 
 
-@pytest.mark.parametrize("cycles", [2, 5])
-def test_after_a_short_gap_the_motion_goes_on_at_its_speed(moving, cycles):
+@pytest.mark.parametrize("cycles", [1, 2, 5])
+def test_after_a_short_gap_the_motion_goes_on_from_rest(moving, cycles):
     moving.ipoc, moving.delay = moving.ipoc + cycles * 4, moving.delay + cycles
-    before = moving.sent[-1][0]
-    assert moving.cycle()[0] - before == pytest.approx(SPEED * T, abs=2e-6)
+    held = moving.sent[-1][0]
+    steps = np.diff([held, *(moving.cycle()[0] for _ in range(20))])
+    assert np.diff([0.0, *steps]).max() <= ACCELERATION * T**2 * 1.001 + 4e-6
+    assert steps[-1] > 0.0
 
 
 def test_after_a_longer_gap_the_session_is_another_one(moving):
@@ -126,7 +128,7 @@ def test_a_program_that_was_restarted_within_a_gap_is_not_answered():
 
         one.telegram, one.session = telegram, RsiSession(one.shared, RsiOptions(limits_deg=LIMITS).settings())
         one.q = START
-        for _ in range(8):
+        while not one.session.connected:
             one.cycle()
         one.move(FAR)
         for _ in range(80):
