@@ -14,7 +14,8 @@ from pydantic import model_validator
 
 from mbcacq.devices import Aborted, ConfigError, Description, DeviceFault, DeviceTimeout, Field
 from mbcacq_bus.idle import IdlePoll
-from mbcacq_bus.modbus_link import Connection, ModbusLink
+from mbcacq_bus.modbus_connection import Connection
+from mbcacq_bus.modbus_link import ModbusLink
 from mbcacq_bus.options import parse
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.registers import Register

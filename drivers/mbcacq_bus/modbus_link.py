@@ -7,13 +7,11 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
-
-from pydantic import Field, model_validator
+from typing import Any
 
 from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError
+from mbcacq_bus.modbus_connection import Connection, Identity
 from mbcacq_bus.modbus_transport import Closed, Transport
-from mbcacq_bus.options import BusOptions
 from mbcacq_bus.registers import Register
 
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its failures reach the user as our errors, once
@@ -25,47 +23,6 @@ REASONS = {
     4: "the device failed",
     6: "the device is busy",
 }
-
-
-class Identity(BusOptions):
-    """A register that must hold a certain value, so that the wrong box is noticed before anything moves."""
-
-    where: Register
-    equals: float
-
-
-class Connection(BusOptions):
-    """Either ``host`` (Modbus TCP) or ``serial`` (RTU: a device name, or socket://host:port for a serial server).
-
-    idle_poll_s: a connection that nobody has used for so long is read once, since many controllers close an idle one; 0 for never.
-    """
-
-    host: str | None = None
-    port: int = Field(default=502, ge=1, le=65535)
-    serial: str | None = None
-    baudrate: int = 19200
-    parity: Literal["N", "E", "O"] = "E"
-    stopbits: Literal[1, 2] = 1
-    device_id: int = Field(default=1, ge=0, le=247)
-    timeout_s: float = Field(default=1.0, gt=0)
-    retries: int = Field(default=2, ge=0)
-    idle_poll_s: float = Field(default=2.0, ge=0)
-    identity: Identity | None = None
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Connection:
-        if (self.host is None) == (self.serial is None):
-            raise ValueError("give either host or serial")
-        return self
-
-    @property
-    def address(self) -> str:
-        return f"{self.host}:{self.port}" if self.host else str(self.serial)
-
-    @property
-    def has_connection(self) -> bool:
-        """Whether there is a connection that the far end can close."""
-        return self.host is not None or "://" in str(self.serial)
 
 
 _QUIET = 1.1  # of the time-out: silence for longer than an answer may take

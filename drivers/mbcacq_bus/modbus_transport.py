@@ -10,13 +10,11 @@ import socket
 import threading
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbcacq.devices import ConnectError
+from mbcacq_bus.modbus_connection import Connection
 from mbcacq_bus.serial_port import close_port, open_port, waiting_bytes
-
-if TYPE_CHECKING:
-    from mbcacq_bus.modbus_link import Connection
 
 _PEEK = 4096
 _STEP_S = 0.005

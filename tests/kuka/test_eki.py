@@ -195,7 +195,9 @@ class Scripted:
                     for telegram in cutter.feed(data):
                         self.requests.append(telegram)
                         if len(self.requests) > 1:
-                            client.sendall(b"".join(b'<Robot><Response EventID="%d">x</Response></Robot>' % e for e in self._answers.pop(0)))
+                            client.sendall(
+                                b"".join(b'<Robot><Response EventID="%d">x</Response></Robot>' % e for e in self._answers.pop(0))
+                            )
         except OSError:
             return
 
