@@ -13,8 +13,11 @@ from pydantic import Field as Option
 from pydantic import model_validator
 
 from mbcacq.devices import Aborted, ConfigError, Description, DeviceFault, DeviceTimeout, Field
-from mbcacq_bus.modbus_link import Connection, ModbusLink
+from mbcacq_bus.idle import IdlePoll
+from mbcacq_bus.modbus_connection import Connection
+from mbcacq_bus.modbus_link import ModbusLink
 from mbcacq_bus.options import parse
+from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.registers import Register
 
 POLL_S = 0.02
@@ -58,18 +61,22 @@ class SensorOptions(Connection):
 
 
 class _ModbusDevice:
-    """Connection life cycle, common to both kinds."""
+    """Connection life cycle, common to both kinds. harmless: what is read to keep an idle connection alive."""
 
-    def __init__(self, device: str, options: Connection) -> None:
+    def __init__(self, device: str, options: Connection, harmless: Register) -> None:
         self._device, self._link = device, ModbusLink(device, options)
+        after_s = options.idle_poll_s if options.has_connection else 0.0
+        self._idle = IdlePoll(lambda: self._link.read(harmless), lambda: self._link.used, after_s)
 
     def connect(self) -> None:
         self._link.open()
+        self._idle.start()
 
     def stop(self) -> None:
         pass
 
     def close(self) -> None:
+        self._idle.stop()
         self.stop()
         self._link.close()
 
@@ -86,7 +93,7 @@ class ModbusPositioner(_ModbusDevice):
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(PositionerOptions, "the Modbus positioner", options)
-        super().__init__(f"positioner {model}".strip(), self._options)
+        super().__init__(f"positioner {model}".strip(), self._options, self._options.in_position)
         self._targets = {str(k): v for k, v in self._options.stations.items()}
         self._model, self._stopped = model, threading.Event()
 
@@ -121,7 +128,7 @@ class ModbusPositioner(_ModbusDevice):
         self._stopped.set()
         if self._options.halt is not None and self._link.connected:
             try:
-                self._link.write(self._options.halt, 1)
+                self._link.write(self._options.halt, 1, urgent=True)
             except Exception:  # stop never raises; the positioner's own watchdog is the last line
                 return
 
@@ -161,13 +168,28 @@ class ModbusSensor(_ModbusDevice):
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(SensorOptions, "the Modbus sensor", options)
-        super().__init__(f"sensor {model}".strip(), self._options)
+        registers = self._options.values
+        super().__init__(f"sensor {model}".strip(), self._options, next(iter(registers.values())))
+        rates = {name: r.max_rate for name, r in registers.items() if r.max_rate is not None}
+        self._plausible = Plausibility({name: r.unit for name, r in registers.items()}, rates)
         self._model = model
 
     def describe(self) -> Description:
         return Description("sensor", self._model, tuple(Field(k, r.unit) for k, r in self._options.values.items()))
 
     def read(self) -> dict[str, float]:
+        """Values by name. Raises DeviceTimeout, DeviceFault (also where they cannot follow the last ones, read twice)."""
+        values = self._read_all()
+        if self._plausible.doubt(values, time.monotonic()) is not None:
+            self._link.keep_in_step()
+            values = self._read_all()
+            doubt = self._plausible.doubt(values, time.monotonic())
+            if doubt is not None and doubt.sure:
+                raise DeviceFault(f"{self._device}: {doubt.text}; check its probes, and that nothing else asks on this line")
+        self._plausible.believe(values, time.monotonic())
+        return values
+
+    def _read_all(self) -> dict[str, float]:
         values = {name: self._link.read(register) for name, register in self._options.values.items()}
         for name, value in values.items():
             low, high = self._options.values[name].valid or (-math.inf, math.inf)

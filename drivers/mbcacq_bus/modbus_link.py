@@ -1,17 +1,17 @@
-"""A Modbus connection, TCP or serial RTU: pymodbus with named errors, one call at a time."""
+"""A Modbus connection, TCP or serial RTU: one request at a time, and never an answer taken for another's."""
 
 from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
-from contextlib import suppress
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
-from pydantic import Field, model_validator
-
-from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
-from mbcacq_bus.options import BusOptions
+from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError
+from mbcacq_bus.modbus_connection import Connection, Identity
+from mbcacq_bus.modbus_transport import Closed, Transport
 from mbcacq_bus.registers import Register
 
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # its failures reach the user as our errors, once
@@ -25,130 +25,257 @@ REASONS = {
 }
 
 
-class Identity(BusOptions):
-    """A register that must hold a certain value, so that the wrong box is noticed before anything moves."""
+_QUIET = 1.1  # of the time-out: silence for longer than an answer may take
+_LONGEST = 5.0  # time-outs waited for a line to fall silent, and for a second answer
+_FUNCTIONS = {"holding": 3, "input": 4, "coil": 1, "discrete": 2}
+_MULTIPLE_REGISTERS, _ONE_COIL = 16, 5
 
-    where: Register
-    equals: float
+
+class _NoAnswer(Exception):
+    """No answer to this request came; it may still come."""
 
 
-class Connection(BusOptions):
-    """Either ``host`` (Modbus TCP) or ``serial`` (RTU: a device name, or socket://host:port for a serial server)."""
+@dataclass(frozen=True)
+class _Request:
+    """send: the call of pymodbus. function: its code. fits: whether an answer is of the shape asked for. moves: it is no mere reading."""
 
-    host: str | None = None
-    port: int = Field(default=502, ge=1, le=65535)
-    serial: str | None = None
-    baudrate: int = 19200
-    parity: Literal["N", "E", "O"] = "E"
-    stopbits: Literal[1, 2] = 1
-    device_id: int = Field(default=1, ge=0, le=247)
-    timeout_s: float = Field(default=1.0, gt=0)
-    retries: int = Field(default=2, ge=0)
-    identity: Identity | None = None
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Connection:
-        if (self.host is None) == (self.serial is None):
-            raise ValueError("give either host or serial")
-        return self
-
-    @property
-    def address(self) -> str:
-        return f"{self.host}:{self.port}" if self.host else str(self.serial)
+    send: Callable[[Any], Any]
+    function: int
+    fits: Callable[[Any], bool]
+    what: str
+    moves: bool = False
 
 
 class ModbusLink:
-    """Reads and writes ``Register`` values. Raises ConnectError, DeviceTimeout, DeviceFault, ProtocolError."""
+    """Reads and writes ``Register`` values. Safe to use from several threads; they take turns.
+
+    An answer is that to the request just sent: what came before it is discarded; after a time-out TCP connects anew, and a serial line
+    is left alone until it has been silent for longer than the time-out. An answer of another unit, function or length is none. The first
+    answer after a time-out is confirmed: if a second one follows, the request is made again.
+
+    A connection that the far end has closed, e.g. as idle, is opened again before a request, and for a reading also where it breaks
+    meanwhile. A request to write is not repeated after its connection has broken.
+    """
 
     def __init__(self, device: str, options: Connection) -> None:
         self._device, self._options = device, options
-        self._lock = threading.Lock()
-        self._client: Any = None
+        self._where = f"{device} at {options.address}"
+        self._lock = threading.RLock()
+        self._transport: Transport | None = None
+        self._hurry = threading.Event()
+        # When they were sent, time.monotonic; a line brings their answers after it was closed and opened, too.
+        self._unanswered: list[float] = []
+        self.used = time.monotonic()
 
     @property
     def connected(self) -> bool:
-        return self._client is not None
+        return self._transport is not None
 
     def open(self) -> None:
-        """Connect and identify."""
-        from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-        from pymodbus.exceptions import ModbusException
-
-        o = self._options
-        common: dict[str, Any] = {"timeout": o.timeout_s, "retries": o.retries}
-        client = (
-            ModbusTcpClient(o.host, port=o.port, **common)
-            if o.host
-            else ModbusSerialClient(str(o.serial), baudrate=o.baudrate, parity=o.parity, stopbits=o.stopbits, **common)
-        )
-        try:
-            reached = client.connect()
-        except (ModbusException, OSError, ValueError) as error:
-            raise ConnectError(f"{self._device} at {o.address} cannot be reached: {error}; check address and cable") from error
-        if not reached:
-            client.close()
-            raise ConnectError(f"{self._device} does not answer at {o.address}; is it on, and is the address right?")
-        self._client = client
-        if o.identity is not None:
-            self._identify(o.identity)
+        """Connect and identify. Raises ConnectError, IdentityError."""
+        with self._lock:
+            self.close()
+            self._hurry.clear()
+            self._transport = Transport(self._device, self._options)
+            try:
+                self._connect(self._transport)
+            except BaseException:
+                self.close()
+                raise
 
     def close(self) -> None:
-        client, self._client = self._client, None
-        if client is not None:
-            with suppress(Exception):
-                client.close()
+        transport, self._transport = self._transport, None
+        if transport is not None:
+            transport.close()
 
     def read(self, register: Register) -> float:
-        c, n = self._client, register.count
-        call = {
-            "holding": lambda: c.read_holding_registers(register.address, count=n, device_id=self._options.device_id),
-            "input": lambda: c.read_input_registers(register.address, count=n, device_id=self._options.device_id),
-            "coil": lambda: c.read_coils(register.address, count=n, device_id=self._options.device_id),
-            "discrete": lambda: c.read_discrete_inputs(register.address, count=n, device_id=self._options.device_id),
-        }[register.table]
-        answer = self._ask(call, f"reading {register.table} {register.address}")
-        words = list(answer.bits if register.is_bit else answer.registers)
-        if len(words) < n:
-            raise ProtocolError(f"{self._device} sent {len(words)} of {n} values for {register.table} {register.address}")
-        return register.decode(words)
+        """Its value in its unit. Raises ConnectError, DeviceTimeout, DeviceFault."""
+        return _value(register, self._ask(self._reading(register)))
 
-    def write(self, register: Register, value: float) -> None:
-        where = f"writing {register.table} {register.address}"
-        if register.table == "coil":
-            self._ask(lambda: self._client.write_coil(register.address, bool(value), device_id=self._options.device_id), where)
-        else:
-            words = register.encode(value)
-            self._ask(lambda: self._client.write_registers(register.address, words, device_id=self._options.device_id), where)
+    def write(self, register: Register, value: float, urgent: bool = False) -> None:
+        """Write a value in its unit. urgent: whoever waits for a line to fall silent makes room.
 
-    def _ask(self, call: Callable[[], Any], what: str) -> Any:
-        from pymodbus.exceptions import ConnectionException, ModbusException
-
-        if self._client is None:
-            raise ConnectError(f"{self._device} is not connected")
+        Raises ValueError where it does not fit, ConnectError, DeviceTimeout, DeviceFault.
+        """
+        request = self._writing(register, value)
+        if urgent:
+            self._hurry.set()
         try:
-            with self._lock:
-                answer = call()
-        except ConnectionException as error:
-            raise DeviceTimeout(f"{self._device} at {self._options.address} broke the connection while {what}") from error
-        except ModbusException as error:
-            raise DeviceTimeout(f"{self._device} at {self._options.address} gave no valid answer while {what}: {error}") from error
-        except OSError as error:
-            raise DeviceTimeout(f"{self._device} at {self._options.address} was lost while {what}: {error}") from error
+            self._ask(request, urgent)
+        finally:
+            if urgent:
+                self._hurry.clear()
+
+    def keep_in_step(self) -> None:
+        """Have the next request wait until the line is silent, as after a time-out."""
+        with self._lock:
+            self._miss(time.monotonic())
+
+    def _reading(self, register: Register) -> _Request:
+        where, n = {"address": register.address, "count": register.count, "device_id": self._options.device_id}, register.count
+        send: Callable[[Any], Any] = {
+            "holding": lambda client: client.read_holding_registers(**where),
+            "input": lambda client: client.read_input_registers(**where),
+            "coil": lambda client: client.read_coils(**where),
+            "discrete": lambda client: client.read_discrete_inputs(**where),
+        }[register.table]
+
+        def fits(answer: Any) -> bool:
+            return len(answer.bits) == 8 if register.is_bit else len(answer.registers) == n
+
+        return _Request(send, _FUNCTIONS[register.table], fits, f"reading {register.table} {register.address}")
+
+    def _writing(self, register: Register, value: float) -> _Request:
+        what, at, unit = f"writing {register.table} {register.address}", register.address, self._options.device_id
+        if register.table == "coil":
+            on = bool(value)
+            return _Request(
+                lambda client: client.write_coil(at, on, device_id=unit),
+                _ONE_COIL,
+                lambda answer: answer.address == at and list(answer.bits[:1]) == [on],
+                what,
+                moves=True,
+            )
+        words = register.encode(value)
+        return _Request(
+            lambda client: client.write_registers(at, words, device_id=unit),
+            _MULTIPLE_REGISTERS,
+            lambda answer: (answer.address, answer.count) == (at, len(words)),
+            what,
+            moves=True,
+        )
+
+    def _ask(self, request: _Request, urgent: bool = False) -> Any:
+        with self._lock:
+            why = "was not asked"
+            self._restore()
+            for _ in range(self._options.retries + 1):
+                if self._hurry.is_set() and not urgent:
+                    break
+                try:
+                    if not self._opened().is_open:
+                        self._restore()
+                    return self._accepted(request)
+                except _NoAnswer as error:
+                    why = str(error)
+                except Closed as error:
+                    why = "broke the connection"
+                    if request.moves:
+                        raise DeviceTimeout(f"{self._where} {why} while {request.what}") from error
+                    self._restore()
+            raise DeviceTimeout(f"{self._where} {why} while {request.what}")
+
+    def _accepted(self, request: _Request) -> Any:
+        """The answer to this request. Raises _NoAnswer, Closed, DeviceFault."""
+        self._settle()
+        answer, sent = self._exchange(request)
+        if self._unanswered and self._second_answer(sent) and not request.moves:
+            answer, _ = self._exchange(request)
+        self.used = time.monotonic()
         if answer.isError():
             code = getattr(answer, "exception_code", 0)
             reason = REASONS.get(code, f"exception code {code}")
-            raise DeviceFault(f"{self._device} refused {what}: {reason}; check the registers in the plan")
+            raise DeviceFault(f"{self._device} refused {request.what}: {reason}; check the registers in the plan")
         return answer
 
-    def _identify(self, identity: Identity) -> None:
+    def _exchange(self, request: _Request) -> tuple[Any, float]:
+        """The first answer of the right unit, function and length, and when the request was sent."""
+        from pymodbus.exceptions import ConnectionException, ModbusException
+
+        transport = self._opened()
+        transport.discard()
+        sent = time.monotonic()
         try:
-            value = self.read(identity.where)
-        except (DeviceTimeout, DeviceFault, ProtocolError) as error:
-            self.close()
-            raise IdentityError(f"{self._device} at {self._options.address} cannot be identified: {error}") from error
+            answer = request.send(transport.client)
+        except ModbusException as error:
+            if isinstance(error, ConnectionException):
+                transport.close()
+                raise Closed from error
+            self._miss(sent)
+            raise _NoAnswer("gave no valid answer") from error
+        except (OSError, TypeError, AttributeError) as error:  # the last two come where another thread closes the port
+            transport.close()
+            raise Closed from error
+        if answer.function_code & 0x7F != request.function or not (answer.isError() or request.fits(answer)):
+            self._miss(sent)
+            raise _NoAnswer("sent the answer to another request")
+        return answer, sent
+
+    def _miss(self, sent: float) -> None:
+        """An answer is outstanding: a connection is closed with it, a line brings it later."""
+        if self._options.host is None:
+            self._unanswered.append(sent)
+        elif self._transport is not None:
+            self._transport.close()
+
+    def _settle(self) -> None:
+        """Let late answers come and go."""
+        if not self._unanswered or self._hurry.is_set():
+            return
+        quiet_s, longest_s = _QUIET * self._options.timeout_s, _LONGEST * self._options.timeout_s
+        came, silent = self._opened().wait_for_silence(quiet_s, longest_s, 0.0, self._hurry)
+        if not silent:
+            raise _NoAnswer("does not fall silent (does another program ask on this line?)")
+        del self._unanswered[:came]
+
+    def _second_answer(self, sent: float) -> bool:
+        """Whether the answer just had was that to an earlier request, so that another one follows.
+
+        That one would come as late after its request as the first came after the oldest one that was not answered.
+        """
+        quiet_s, longest_s = _QUIET * self._options.timeout_s, _LONGEST * self._options.timeout_s
+        delay_s = min(time.monotonic() - self._unanswered[0], longest_s)
+        self._unanswered = []
+        came, _ = self._opened().wait_for_silence(quiet_s, longest_s, sent + delay_s + quiet_s, self._hurry)
+        return came > 0
+
+    def _restore(self) -> None:
+        """Connect and identify again where the far end has closed the connection. Raises DeviceTimeout, IdentityError."""
+        transport = self._opened()
+        try:
+            transport.discard()
+        except Closed:
+            transport.close()
+            try:
+                self._connect(transport)
+            except IdentityError:
+                raise
+            except ConnectError as error:
+                raise DeviceTimeout(f"{self._where} was lost and takes no new connection: {error}") from error
+
+    def _connect(self, transport: Transport) -> None:
+        transport.open()
+        try:
+            if self._options.identity is not None:
+                self._identify(transport, self._options.identity)
+        except BaseException:
+            transport.close()
+            raise
+
+    def _identify(self, transport: Transport, identity: Identity) -> None:
+        request, why = self._reading(identity.where), ""
+        for _ in range(self._options.retries + 1):
+            try:
+                if not transport.is_open:
+                    transport.open()
+                value = _value(identity.where, self._accepted(request))
+                break
+            except _NoAnswer as error:
+                why = f"it {error}"
+            except Closed:
+                why = "it broke the connection"
+            except DeviceFault as error:
+                why = str(error)
+        else:
+            raise IdentityError(f"{self._where} cannot be identified: {why}")
         if abs(value - identity.equals) > 1e-6 * max(abs(identity.equals), 1.0):
-            self.close()
-            raise IdentityError(
-                f"{self._device} at {self._options.address} identifies itself as {value:g}, "
-                f"not as {identity.equals:g}; is this the right box?"
-            )
+            raise IdentityError(f"{self._where} identifies itself as {value:g}, not as {identity.equals:g}; is this the right box?")
+
+    def _opened(self) -> Transport:
+        if self._transport is None:
+            raise ConnectError(f"{self._device} is not connected")
+        return self._transport
+
+
+def _value(register: Register, answer: Any) -> float:
+    return register.decode(list(answer.bits if register.is_bit else answer.registers))

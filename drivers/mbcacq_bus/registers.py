@@ -16,7 +16,8 @@ _CODES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "
 
 class Register(BusOptions):
     """value = raw * scale + offset. ``word_order`` big: the high word comes first. ``bit`` picks one bit of a 16-bit register. ``valid``:
-    what a sensor may read; beyond it its probe is taken to be broken."""
+    what a sensor may read; beyond it its probe is taken to be broken. ``max_rate``: how fast it can change, unit/s; a faster change is
+    read again and then refused."""
 
     address: int = Field(ge=0, le=65535)
     table: Table = "holding"
@@ -27,6 +28,7 @@ class Register(BusOptions):
     bit: int | None = Field(default=None, ge=0, le=15)
     unit: str = ""
     valid: tuple[float, float] | None = None
+    max_rate: float | None = Field(default=None, gt=0)
 
     @property
     def is_bit(self) -> bool:

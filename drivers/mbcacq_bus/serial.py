@@ -6,7 +6,6 @@ import math
 import threading
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -15,10 +14,13 @@ from pydantic import Field as Option
 from mbcacq.devices import ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, IdentityError, ProtocolError
 from mbcacq_bus.options import BusOptions, parse
 from mbcacq_bus.serial_link import SerialIdentity, compiled
+from mbcacq_bus.serial_port import close_port, open_port
 
 MAX_LINE = 1024
 DEVICE = "the serial sensor"
 ASKED = 3  # times, for its identity
+_QUIET = 1.1  # of the time-out: silence for longer than an answer may take
+_LONGEST = 5.0  # time-outs waited for silence
 
 
 class SerialOptions(BusOptions):
@@ -52,23 +54,19 @@ class SerialSensor:
                 raise ConfigError(f"options of the serial sensor: {option} names '{min(unknown)}', which line does not; correct the plan")
         identity = self._options.identity
         self._identity = None if identity is None else (identity, compiled(identity.expect, DEVICE, "identity.expect"))
-        self._device = f"sensor {model}".strip() + f" at {self._options.port}"
+        self._name = f"sensor {model}".strip()
+        self._device = f"{self._name} at {self._options.port}"
         self._model = model
         self._port: Any = None
         self._thread: threading.Thread | None = None
         self._news = threading.Condition()
         self._values: dict[str, float] = {}
-        self._stamp, self._failure, self._quit = -math.inf, "", threading.Event()
+        self._stamp, self._failure, self._quit, self._late = -math.inf, "", threading.Event(), False
 
     def connect(self) -> None:
         """Raises ConnectError, IdentityError."""
-        import serial
-
         o = self._options
-        try:
-            self._port = serial.serial_for_url(o.port, baudrate=o.baudrate, parity=o.parity, stopbits=o.stopbits, timeout=0.2)
-        except (serial.SerialException, ValueError, OSError) as error:
-            raise ConnectError(f"{self._device} cannot be opened: {error}; check the port's name and the cable") from error
+        self._port = open_port(self._name, o.port, o.baudrate, o.parity, o.stopbits, timeout=0.2)
         try:
             self._identify()
         except BaseException:
@@ -86,10 +84,12 @@ class SerialSensor:
         """The newest complete line's values. Raises DeviceTimeout, ProtocolError."""
         if self._port is None:
             raise ConnectError(f"{self._device} is not connected")
+        self._restore()
         o, now = self._options, time.monotonic()
         oldest = now - o.timeout_s
         if o.ask is not None:
-            oldest = now
+            self._await_silence()
+            oldest = time.monotonic()
             self._send(o.ask)
         with self._news:
             self._news.wait_for(lambda: self._stamp >= oldest or bool(self._failure), timeout=o.timeout_s)
@@ -97,7 +97,35 @@ class SerialSensor:
                 return self._believed(dict(self._values))
             if self._failure:
                 raise ProtocolError(f"{self._device}: {self._failure}")
+            self._late = o.ask is not None
         raise DeviceTimeout(f"{self._device} sent nothing that matches '{o.line}' for {o.timeout_s:g} s; is it on, is the baud rate right?")
+
+    def _restore(self) -> None:
+        """Open the port again where its far end has closed it since the last reading, e.g. a serial server an idle connection."""
+        if self._thread is None or self._thread.is_alive():
+            return
+        lost = self._failure
+        self.close()
+        try:
+            self.connect()
+        except IdentityError:
+            raise
+        except ConnectError as error:
+            raise DeviceTimeout(f"{self._device}: {lost}, and {error}") from error
+
+    def _await_silence(self) -> None:
+        """After a question that was not answered, wait until nothing has come for longer than the time-out: its answer may come late."""
+        if not self._late:
+            return
+        quiet_s = _QUIET * self._options.timeout_s
+        end, silent_at = time.monotonic() + _LONGEST * self._options.timeout_s, time.monotonic() + quiet_s
+        with self._news:
+            while (now := time.monotonic()) < min(silent_at, end) and not self._failure:
+                stamp = self._stamp
+                self._news.wait(min(silent_at, end) - now)
+                if self._stamp != stamp:
+                    silent_at = self._stamp + quiet_s
+        self._late = False
 
     def _believed(self, values: dict[str, float]) -> dict[str, float]:
         for name, (low, high) in self._options.valid.items():
@@ -114,12 +142,7 @@ class SerialSensor:
         if self._thread is not None:
             self._thread.join(timeout=2.0)
             self._thread = None
-        if port is not None:
-            sock = getattr(port, "_socket", None)  # pyserial leaves the socket of a lost connection open
-            with suppress(Exception):
-                port.close()
-            if sock is not None:
-                sock.close()
+        close_port(port)
 
     def __enter__(self) -> Self:
         self.connect()

@@ -5,17 +5,20 @@ from __future__ import annotations
 import re
 import threading
 import time
-from contextlib import suppress
 from typing import Any, Literal
 
 from pydantic import Field
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceTimeout, IdentityError, ProtocolError
 from mbcacq_bus.options import BusOptions
+from mbcacq_bus.serial_port import close_port, open_port, waiting_bytes
 
 MAX_LINE = 1024
 POLL_S = 0.05
 _TRIES, _QUIET_S = 3, 0.3
+_QUIET = 1.1  # of the time-out: silence for longer than an answer may take
+_LONGEST = 5.0  # time-outs waited for a line to fall silent
+_STEP_S = 0.005
 
 
 class SerialIdentity(BusOptions):
@@ -26,7 +29,10 @@ class SerialIdentity(BusOptions):
 
 
 class SerialConnection(BusOptions):
-    """port: a device's name (/dev/ttyUSB0, COM3), or socket://host:port of a serial server. terminator: ends each line it sends."""
+    """port: a device's name (/dev/ttyUSB0, COM3), or socket://host:port of a serial server. terminator: ends each line it sends.
+
+    idle_poll_s: a connection to a serial server that nobody has used for so long is used once, since many close an idle one; 0 for never.
+    """
 
     port: str
     baudrate: int = 9600
@@ -35,76 +41,129 @@ class SerialConnection(BusOptions):
     stopbits: Literal[1, 2] = 1
     terminator: str = Field(default="\n", min_length=1, max_length=4)
     timeout_s: float = Field(default=2.0, gt=0)
+    idle_poll_s: float = Field(default=2.0, ge=0)
     identity: SerialIdentity | None = None
+
+    @property
+    def has_connection(self) -> bool:
+        """Whether there is a connection that the far end can close."""
+        return "://" in self.port
 
 
 class SerialLink:
-    """``ask`` sends a text and returns the line that comes back. Raises ConnectError, DeviceTimeout, ProtocolError, IdentityError."""
+    """``ask`` sends a text and returns the line that comes back. Raises ConnectError, DeviceTimeout, ProtocolError, IdentityError.
 
-    def __init__(self, device: str, options: SerialConnection) -> None:
-        self.name, self._options = f"{device} at {options.port}", options
+    A question that was not answered in time may be answered late: the next one waits until the line has been silent for longer than the
+    time-out, and its own answer is the last line before another such silence. A connection that the far end has closed is opened again
+    before anything is sent.
+
+    stopped: ends such a wait while it is set.
+    """
+
+    def __init__(self, device: str, options: SerialConnection, stopped: threading.Event | None = None) -> None:
+        self.name, self._device, self._options = f"{device} at {options.port}", device, options
         self._identity = None
         if options.identity is not None:
             self._identity = options.identity, compiled(options.identity.expect, device, "identity.expect")
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._port: Any = None
+        # When they were asked, time.monotonic; a line brings their answers after it was closed and opened, too.
+        self._unanswered: list[float] = []
+        self._stopped = stopped or threading.Event()
+        self.used = time.monotonic()
 
     @property
     def connected(self) -> bool:
         return self._port is not None
 
     def open(self) -> None:
-        """Open the port and identify what is there."""
-        import serial
-
-        o = self._options
-        try:
-            self._port = serial.serial_for_url(
-                o.port,
-                baudrate=o.baudrate,
-                bytesize=o.bytesize,
-                parity=o.parity,
-                stopbits=o.stopbits,
-                timeout=POLL_S,
-                write_timeout=o.timeout_s,
-            )
-        except (serial.SerialException, ValueError, OSError) as error:
-            raise ConnectError(
-                f"{self.name} cannot be opened: {error}; check the port's name, the cable and your right to use it"
-            ) from error
-        if self._identity is not None:
+        """Open the port and identify what is there. Raises ConnectError, IdentityError."""
+        with self._lock:
+            self.close()
             try:
-                self._identify(*self._identity)
+                self._open()
             except BaseException:
                 self.close()
                 raise
 
+    def _open(self) -> None:
+        o = self._options
+        line = {"baudrate": o.baudrate, "parity": o.parity, "stopbits": o.stopbits, "bytesize": o.bytesize}
+        self._port = open_port(self._device, o.port, **line, timeout=POLL_S, write_timeout=o.timeout_s)
+        if self._identity is not None:
+            self._identify(*self._identity)
+
     def close(self) -> None:
         port, self._port = self._port, None
-        if port is not None:
-            sock = getattr(port, "_socket", None)  # pyserial leaves the socket of a lost connection open
-            with suppress(Exception):
-                port.close()
-            if sock is not None:
-                sock.close()
+        close_port(port)
 
     def send(self, text: str) -> None:
         """Send, and expect nothing; does not wait for a question under way."""
+        if self._lock.acquire(blocking=False):  # else somebody is asking, on a connection that stands
+            try:
+                self._restore()
+            finally:
+                self._lock.release()
         self._write(text)
 
     def ask(self, text: str) -> str:
         """Send, and return the next complete line that is neither empty nor an echo, without its end."""
         with self._lock:
-            self._forget()
-            self._write(text)
-            return self._line(text.strip())
+            self._restore()
+            return self._asked(text)
+
+    def _asked(self, text: str) -> str:
+        if self._unanswered:
+            self._wait_for_silence(0.0)
+        waiting_bytes(self._opened())
+        sent = time.monotonic()
+        self._write(text)
+        try:
+            line = self._line(text.strip())
+        except DeviceTimeout:
+            self._unanswered.append(sent)
+            raise
+        if self._unanswered:
+            line = self._last_line(line, text.strip(), sent)
+        self.used = time.monotonic()
+        return line
+
+    def _last_line(self, line: str, echo: str, sent: float) -> str:
+        """The last of the lines that follow ``line``: the first may be the late answer to an earlier question.
+
+        This question's own answer comes as late after it as the first line came after the oldest question that was not answered.
+        """
+        timeout_s, now = self._options.timeout_s, time.monotonic()
+        until = sent + min(now - self._unanswered[0], _LONGEST * timeout_s) + _QUIET * timeout_s
+        self._unanswered = []
+        heard = self._wait_for_silence(until).decode("ascii", "replace").split(self._options.terminator)
+        lines = [text for part in heard[:-1] if (text := part.strip()) and text != echo]
+        return lines[-1] if lines else line
+
+    def _wait_for_silence(self, until: float) -> bytes:
+        """What comes until nothing has come for longer than the time-out, and not before ``until`` (time.monotonic)."""
+        now, quiet_s, heard = time.monotonic(), _QUIET * self._options.timeout_s, b""
+        end, silent_at = now + _LONGEST * self._options.timeout_s, max(now + quiet_s, until)
+        while (now := time.monotonic()) < silent_at and not self._stopped.is_set():
+            if now > max(end, until):
+                raise DeviceTimeout(f"{self.name} does not fall silent after a question it had not answered; does it talk unasked?")
+            try:
+                came = waiting_bytes(self._opened())
+            except ConnectError:
+                raise
+            except Exception as error:
+                raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
+            if came:
+                heard, silent_at = (heard + came)[-MAX_LINE:], max(now + quiet_s, until)
+            self._stopped.wait(_STEP_S)
+        return heard
 
     def _identify(self, identity: SerialIdentity, expected: re.Pattern[str]) -> None:
         """A line has no connections: the first thing heard may be a late reply to whoever asked before us, so it is asked again."""
         line = ""
         for _ in range(_TRIES):
             try:
-                line = self.ask(identity.ask)
+                line = self._asked(identity.ask)
             except (DeviceTimeout, ProtocolError) as error:
                 raise IdentityError(f"{self.name} cannot be identified: {error}") from error
             if expected.fullmatch(line):
@@ -120,14 +179,22 @@ class SerialLink:
         except Exception as error:  # not only OSError: pyserial lets termios.error and TypeError of a lost port through
             raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
 
-    def _forget(self) -> None:
-        """What came unasked, or too late for an earlier question, is no answer to this one."""
+    def _restore(self) -> None:
+        """Forget what came unasked, or too late for an earlier question; open the port again where its far end has closed it."""
         try:
-            self._opened().reset_input_buffer()
+            waiting_bytes(self._opened())
+            return
         except ConnectError:
             raise
         except Exception as error:
-            raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
+            lost = error
+        close_port(self._port)
+        try:
+            self._open()
+        except IdentityError:
+            raise
+        except ConnectError as error:
+            raise DeviceTimeout(f"{self.name} was lost ({lost}), and {error}") from error
 
     def _line(self, echo: str) -> str:
         port, end, pending = self._opened(), self._options.terminator.encode(), b""

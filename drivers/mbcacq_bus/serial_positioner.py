@@ -13,6 +13,7 @@ from pydantic import Field as Option
 from pydantic import model_validator
 
 from mbcacq.devices import Aborted, ConfigError, Description, DeviceFault, DeviceTimeout, Field, ProtocolError
+from mbcacq_bus.idle import IdlePoll
 from mbcacq_bus.options import BusOptions, parse
 from mbcacq_bus.serial_link import SerialConnection, SerialLink, compiled
 
@@ -84,7 +85,10 @@ class SerialPositioner:
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         o = self._options = parse(SerialPositionerOptions, DEVICE, options)
         self._model, self._stopped = model, threading.Event()
-        self._link = SerialLink(f"positioner {model}".strip(), o)
+        self._link = SerialLink(f"positioner {model}".strip(), o, self._stopped)
+        question = o.position or o.ready
+        assert question is not None  # as the options demand
+        self._idle = IdlePoll(lambda: self._link.ask(question.send), lambda: self._link.used, o.idle_poll_s if o.has_connection else 0.0)
         self._targets = {str(k): v for k, v in o.stations.items()}
         named = {
             "move.reply": o.move.reply,
@@ -101,6 +105,7 @@ class SerialPositioner:
         self.close()
         self._stopped.clear()
         self._link.open()
+        self._idle.start()
 
     def describe(self) -> Description:
         field = Field("position", self._options.unit, meaning="commanded position of the artefact")
@@ -131,6 +136,7 @@ class SerialPositioner:
                 return
 
     def close(self) -> None:
+        self._idle.stop()
         self.stop()
         self._link.close()
 

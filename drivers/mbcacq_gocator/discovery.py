@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import socket
 import struct
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mbcacq.devices import ConnectError, ProtocolError
+from mbcacq.devices import ProtocolError
+from mbcacq_gocator import broadcast
+from mbcacq_gocator.broadcast import BROADCAST
 
 PORT = 3220
-BROADCAST = "255.255.255.255"
 _SIGNATURE = 0x0000504455494D4C  # "LMIUDP"
 _GET_ADDRESS, _GET_INFO, _REPLY = 1, 5, 0x1000
 _REQUEST = struct.Struct("<QQQQ")
@@ -58,7 +58,7 @@ def find_sensors(timeout_s: float = 0.5, address: str = BROADCAST, port: int = P
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         sock.bind(("", 0))
         for kind in (_GET_INFO, _GET_ADDRESS):  # the second for firmware before 5.1, which knows no other
-            _ask(sock, _REQUEST.pack(_REQUEST.size, kind, _SIGNATURE, serial), address, port)
+            broadcast.send(sock, _REQUEST.pack(_REQUEST.size, kind, _SIGNATURE, serial), address, port)
         deadline = time.monotonic() + timeout_s
         while (remaining := deadline - time.monotonic()) > 0 and len(found) < _MAX_SENSORS:
             sock.settimeout(remaining)
@@ -118,24 +118,3 @@ def _properties(data: bytes, at: int) -> dict[str, str]:
         texts.append(data[at + 1 : end].decode("utf-8", "replace"))
         at = end
     return dict(zip(texts[::2], texts[1::2], strict=True))
-
-
-def _ask(sock: socket.socket, request: bytes, address: str, port: int) -> None:
-    """A limited broadcast goes out by one interface only, so it is sent once by each."""
-    sent, reason = False, ""
-    for route in _routes() if address == BROADCAST else [[]]:
-        try:
-            sock.sendmsg([request], route, 0, (address, port))
-            sent = True
-        except OSError as error:
-            reason = error.strerror or str(error)
-    if not sent:
-        raise ConnectError(f"no discovery request can be sent to {address}:{port} ({reason.lower()}); check this computer's network")
-
-
-def _routes() -> list[list[tuple[int, int, bytes]]]:
-    """Ancillary data that choose the interface, where the system has it."""
-    if sys.platform != "linux":
-        return [[]]
-    ip_pktinfo = 8
-    return [[(socket.IPPROTO_IP, ip_pktinfo, struct.pack("@i4s4s", index, bytes(4), bytes(4)))] for index, _ in socket.if_nameindex()]

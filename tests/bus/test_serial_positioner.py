@@ -153,7 +153,7 @@ def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
             return "P=0"
         return {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "OK")
 
-    with SerialLine(answer, pty=True) as line, driver(line, fault=None, timeout_s=2.0, move_timeout_s=0.5) as positioner:
+    with SerialLine(answer, pty=True) as line, driver(line, fault=None, timeout_s=1.0, move_timeout_s=0.5) as positioner:
         with pytest.raises(DeviceTimeout, match="answered nothing"):
             positioner.go_to("2", "")
         held.set()

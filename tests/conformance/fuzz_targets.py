@@ -14,7 +14,8 @@ from pathlib import Path
 
 import msgpack
 import numpy as np
-from mbcacq_bus.modbus_link import Connection, ModbusLink
+from mbcacq_bus.modbus_connection import Connection
+from mbcacq_bus.modbus_link import ModbusLink
 from mbcacq_bus.registers import Register
 from mbcacq_bus.serial import SerialSensor
 from mbcacq_fakes.protocols.gocator import channel, encode

@@ -30,7 +30,8 @@ CHOSEN = [
     ("kuka_eki", Case("eki", "device", 5, "close"), {NAMED, RECOVERED}),
     ("kuka_eki", Case("eki", "device", 6, "truncate"), {NAMED, RECOVERED}),
     ("modbus positioner", Case("modbus", "device", 3, "truncate"), {NAMED, RECOVERED}),
-    ("modbus positioner", Case("modbus", "driver", 2, "close"), {NAMED}),
+    ("modbus positioner", Case("modbus", "driver", 1, "close"), {NAMED}),  # an order, that may have begun to move something
+    ("modbus positioner", Case("modbus", "driver", 2, "close"), {RECOVERED}),  # a question
     ("serial positioner", Case("line", "device", 2, "delay"), {NAMED}),
     ("serial positioner", Case("line", "driver", 1, "garbage"), {NAMED}),
     ("serial sensor pty", Case("line", "device", 1, "duplicate"), {RECOVERED}),

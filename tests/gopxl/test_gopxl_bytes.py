@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 
 import numpy as np
@@ -125,3 +126,21 @@ def test_a_reply_whose_map_has_a_map_as_key_is_a_protocol_error():
     body = bytes.fromhex("81 81 a1 61 01 02")  # {{"a": 1}: 2}
     with pytest.raises(ProtocolError, match="cannot be read as MessagePack"):
         frames.content(body)
+
+
+@pytest.mark.parametrize(
+    ("told", "taken"),
+    [
+        ("0.0.0.0", "10.0.0.9"),  # of an instance that listens on all its addresses
+        ("", "10.0.0.9"),
+        (None, "10.0.0.9"),
+        ("255.255.255.255", "10.0.0.9"),
+        ("127.0.0.1", "10.0.0.9"),  # its own loopback, not ours
+        ("not an address", "10.0.0.9"),
+        ("10.0.0.77", "10.0.0.77"),
+    ],
+)
+def test_an_address_to_which_nobody_can_connect_is_that_of_the_sender(told, taken):
+    content = {"SerialNumber": "12345"} if told is None else {"SerialNumber": "12345", "Address": told}
+    data = bytes.fromhex("b900000000000000 0110000000000000 4c4d49474f50584c 0100000000000000") + json.dumps(content).encode() + b"\0"
+    assert discovery.parse(data, "10.0.0.9").address == taken

@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 from gopxl_scene import tilted_plane
-from mbcacq_fakes.protocols.gopxl import resources
+from mbcacq_fakes.protocols.gopxl import FakeGoPxL, resources
 from mbcacq_gocator import generation
 from mbcacq_gocator.gopxl import discovery
 from mbcacq_gocator.gopxl.driver import GoPxL
@@ -191,3 +191,16 @@ def test_a_sensor_is_found_by_its_serial_number(sensor):
 def test_wrong_options_are_named(given, words):
     with pytest.raises(ConfigError, match=words):
         GoPxL("scanner", "", given)
+
+
+@pytest.mark.parametrize("cut", [True, False], ids=["connections dropped", "connections stand"])
+def test_close_leaves_the_sensor_as_it_was_found_over_a_new_connection_if_need_be(cut):
+    with FakeGoPxL(lambda exposure_us: tilted_plane(1)) as fake:
+        before = fake.resources.group["triggerSettings"]["source"], fake.resources.exposure_us
+        with GoPxL("s", "", {"address": "127.0.0.1", "control_port": fake.ports.control, "timeout_s": 20, "exposure_us": 900.0}) as scanner:
+            scanner.capture()
+            assert fake.resources.gdp_enabled
+            if cut:
+                fake.drop_connections()
+        after = fake.resources.group["triggerSettings"]["source"], fake.resources.exposure_us
+        assert (after, fake.resources.running, fake.resources.outputs, fake.resources.gdp_enabled) == (before, False, [], False)

@@ -166,3 +166,60 @@ def test_nobody_there():
         EkiClient("127.0.0.1", port, timeout_s=0.5).connect()
     with pytest.raises(ConnectError, match="call connect first"):
         EkiClient("127.0.0.1", port).drives_on()
+
+
+class Scripted:
+    """An EKI server that sends what the test gives it for each request, e.g. nothing yet, or two answers at once."""
+
+    def __init__(self, *answers):
+        self._answers, self.requests = list(answers), []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._listener.close()
+        self._thread.join(5)
+
+    def _serve(self):
+        cutter = Cutter("External")
+        try:
+            client, _ = self._listener.accept()
+            with client:
+                client.sendall(b'<Robot><Init VER="1" NumAxes="6" NumExternalAxes="0" Model="#KR6" RobVer=""/></Robot>')
+                while data := client.recv(4096):
+                    for telegram in cutter.feed(data):
+                        self.requests.append(telegram)
+                        if len(self.requests) > 1:
+                            client.sendall(
+                                b"".join(b'<Robot><Response EventID="%d">x</Response></Robot>' % e for e in self._answers.pop(0))
+                            )
+        except OSError:
+            return
+
+
+def test_a_late_answer_is_not_taken_for_that_to_the_next_request():
+    """The answer to START comes after it was given up, together with that to CANCEL, which must not be taken for refused."""
+    started, cancelled, error, drives_on = 0, 2, 4, 9
+    with Scripted([], [started, cancelled], [], [error, drives_on]) as server:
+        with EkiClient("127.0.0.1", server.port, timeout_s=0.5) as client:
+            with pytest.raises(DeviceTimeout):
+                client.start()
+            client.cancel()
+            with pytest.raises(DeviceTimeout):
+                client.reset()
+            client.drives_on()  # the refusal that comes first was that of RESET
+
+
+def test_a_connection_that_the_server_closed_meanwhile_is_made_again():
+    with FakeEki(pause_s=0.0) as server, EkiClient("127.0.0.1", server.port) as client:
+        client.drives_on()
+        client._socket.shutdown(socket.SHUT_RDWR)
+        client.drives_off()
+        client._socket.shutdown(socket.SHUT_RDWR)
+        with pytest.raises(ConnectError):  # what was chosen is forgotten: not started
+            client.start()

@@ -7,11 +7,15 @@ import socket
 import struct
 import time
 from dataclasses import dataclass, replace
+from ipaddress import IPv4Address
 from typing import Any
 
 from mbcacq.devices import ConnectError, ProtocolError
+from mbcacq_gocator import broadcast
+from mbcacq_gocator.broadcast import BROADCAST
 from mbcacq_gocator.gopxl.options import GoPxLOptions
 
+PORT = 3320
 SIGNATURE = int.from_bytes(b"LMIGOPXL", "little")
 ASK, ANNOUNCE = 1, 0x1001
 MAX_DATAGRAM = 1536
@@ -39,7 +43,7 @@ def request() -> bytes:
 
 
 def parse(data: bytes, sender: str) -> FoundInstance:
-    """One announcement; ``sender`` stands for an address that it leaves empty. Raises ProtocolError."""
+    """One announcement; ``sender`` stands for an address to which nobody can connect. Raises ProtocolError."""
     try:
         _, kind, signature, _ = _HEADER.unpack_from(data)
         if kind != ANNOUNCE or signature != SIGNATURE or len(data) > MAX_DATAGRAM:
@@ -52,7 +56,7 @@ def parse(data: bytes, sender: str) -> FoundInstance:
             int(serial) if serial.isdigit() else 0,
             str(content.get("DeviceModel", "")),
             str(content.get("AppVersion", "")),
-            str(content.get("Address") or sender),
+            _reachable(str(content.get("Address", "")), sender),
             _port(content, "ControlPort", 3600),
             _port(content, "GdpPort", 3601),
             bool(content.get("IsRemote")),
@@ -67,23 +71,39 @@ def _port(content: dict[str, Any], key: str, usual: int) -> int:
     return value if isinstance(value, int) and 0 < value < 65536 else usual
 
 
-def find(wait_s: float, broadcast: str, port: int, listen_port: int) -> list[FoundInstance]:
+def _reachable(announced: str, sender: str) -> str:
+    """The address announced, or the sender's: an instance that listens on all its addresses may announce 0.0.0.0, or its own loopback."""
+    try:
+        address = IPv4Address(announced.strip())
+    except ValueError:
+        return sender
+    if address.is_unspecified or address.is_multicast or int(address) == 2**32 - 1:
+        return sender
+    return sender if address.is_loopback and not _is_own(sender) else str(address)
+
+
+def _is_own(address: str) -> bool:
+    """Whether an address is one of this computer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:
+            return False
+        return True
+
+
+def find(wait_s: float, address: str = BROADCAST, port: int = PORT, listen_port: int = PORT) -> list[FoundInstance]:
     """All that announce themselves within ``wait_s``, by serial number. Raises ConnectError where nothing can be sent.
 
     The vendor's client hears only what comes to its own port 3320, and sensors may answer there; so the request is sent from
-    it (0: from any port, where another program has it).
+    it, or from any port where another program has it.
     """
     found: dict[tuple[int, str, int], FoundInstance] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            sock.bind(("", listen_port))
-            sock.sendto(request(), (broadcast, port))
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            where = f"{broadcast}:{port}"
-            raise ConnectError(f"no discovery request can be sent to {where} ({reason}); check this computer's network") from None
+        _bind(sock, listen_port)
+        broadcast.send(sock, request(), address, port)
         deadline = time.monotonic() + wait_s
         while (left := deadline - time.monotonic()) > 0:
             sock.settimeout(left)
@@ -94,6 +114,13 @@ def find(wait_s: float, broadcast: str, port: int, listen_port: int) -> list[Fou
                 continue
             found[instance.serial, instance.address, instance.control_port] = instance
     return [found[key] for key in sorted(found)]
+
+
+def _bind(sock: socket.socket, listen_port: int) -> None:
+    try:
+        sock.bind(("", listen_port))
+    except OSError:  # another program has it for itself
+        sock.bind(("", 0))
 
 
 def located(options: GoPxLOptions) -> GoPxLOptions:

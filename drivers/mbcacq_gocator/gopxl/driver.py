@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -12,9 +13,11 @@ from typing import Any, Self
 from mbcacq.devices import Aborted, ConnectError, Description, DeviceTimeout, Field, IdentityError, MbcacqError, ProtocolError, Scan
 from mbcacq_gocator.generation import classic_answers
 from mbcacq_gocator.gopxl import tree
+from mbcacq_gocator.gopxl.control import GoPxLControl
 from mbcacq_gocator.gopxl.discovery import located
 from mbcacq_gocator.gopxl.options import GoPxLOptions
-from mbcacq_gocator.gopxl.session import Found, GoPxLSession
+from mbcacq_gocator.gopxl.restore import Found, put_back
+from mbcacq_gocator.gopxl.session import GoPxLSession
 from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.named_errors import named
 
@@ -26,6 +29,7 @@ _FIELDS = (
     Field("health", "", rate_hz=1.0, meaning="temperatures and counters by name"),
 )
 _BACKOFF_S = 0.2
+_RESTORE_CONNECT_S, _RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
 _log = logging.getLogger("mbcacq.gopxl")
 
 
@@ -43,6 +47,7 @@ class GoPxL:
         self._session: GoPxLSession | None = None
         self._found: Found | None = None
         self._wanted = False
+        self._place = self.options
         self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
         self._exposure_us = self.options.exposure_us
         self._description = Description("scanner", model or "LMI GoPxL sensor", _FIELDS)
@@ -51,7 +56,11 @@ class GoPxL:
         """Raises ConnectError, IdentityError, ConfigError (job, output, alignment), DeviceFault, DeviceTimeout, ProtocolError."""
         self._cancel.clear()
         self._wanted = True
-        self._connect()
+        try:
+            self._connect()
+        except BaseException:
+            self._restore()  # a set-up that ended half way
+            raise
 
     def describe(self) -> Description:
         return self._description
@@ -90,24 +99,14 @@ class GoPxL:
         self._cancel.set()
 
     def close(self) -> None:
-        """Stop, put settings and outputs back as they were found, release everything."""
+        """Stop, put settings, outputs and the protocol back as they were found, release everything."""
         self.stop()
         self._wanted = False
         with self._one_capture:
-            session = self._session
-            if session is not None and session.control.is_open:
-                self._cancel.clear()
-                try:
-                    if self.options.restore:
-                        session.restore()
-                    else:
-                        session.rest()
-                except MbcacqError as error:
-                    _log.warning("scanner '%s': its settings could not be put back as they were: %s", self.name, error)
-                finally:
-                    self._cancel.set()
-            self._found = None
-            self._drop()
+            try:
+                self._restore()
+            finally:
+                self._drop()
 
     def __enter__(self) -> Self:
         self.connect()
@@ -126,8 +125,9 @@ class GoPxL:
         if self._session is not None:
             return self._session
         with named(self.name):
-            place = located(self.options)
+            place = self._place = located(self.options)
             session = GoPxLSession(place, self.model, self._cancel.is_set, self._found)
+            self._found = session.found
             try:
                 session.open()
             except IdentityError:
@@ -136,11 +136,36 @@ class GoPxL:
                 if "GoPxL control" in str(error) and classic_answers(place.address):
                     raise ConnectError(f"the sensor at {place.address} runs classic Gocator firmware; use driver: gocator") from None
                 raise
-        self._session, self._found = session, session.found
+        self._session = session
         info = session.info or tree.SensorInfo(0, "", "")
         firmware = f"GoPxL {info.build}".strip() + f", API {info.api}"
         self._description = Description("scanner", info.model, _FIELDS, str(info.serial), firmware)
         return session
+
+    def _restore(self) -> None:
+        """Over the connection that stands, or a new one where it was cut. What cannot be put back is said, not raised."""
+        (found, self._found), session = (self._found, None), self._session
+        if found is None or found.paths is None:
+            return
+        wanted = found if self.options.restore else Found(paths=found.paths)  # only to rest
+        job = self.options.job if self.options.restore else ""
+        self._cancel.clear()
+        try:
+            if session is not None and session.control.is_open:
+                with suppress(ConnectError, DeviceTimeout, ProtocolError):
+                    return put_back(session.control, wanted, job)
+            place = self._place
+            limit_s = min(place.reply_limit_s or _RESTORE_REPLY_S, _RESTORE_REPLY_S)
+            spare = GoPxLControl(place.address, place.control_port, _RESTORE_CONNECT_S, limit_s)
+            try:
+                spare.open()
+                put_back(spare, wanted, job)
+            finally:
+                spare.close()
+        except MbcacqError as error:
+            _log.warning("scanner '%s': its settings could not be put back as they were: %s", self.name, error)
+        finally:
+            self._cancel.set()
 
     def _drop(self) -> None:
         session, self._session = self._session, None

@@ -6,32 +6,20 @@ import select
 import socket
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any
 
-from mbcacq.devices import ConfigError, DeviceFault, DeviceTimeout, MbcacqError, Scan
+from mbcacq.devices import ConfigError, DeviceFault, DeviceTimeout, Scan
 from mbcacq_gocator import wire
 from mbcacq_gocator.conversion import picked
 from mbcacq_gocator.gopxl import gdp, tree
 from mbcacq_gocator.gopxl.control import JOB_S, STATE_S, GoPxLControl
 from mbcacq_gocator.gopxl.options import GoPxLOptions
 from mbcacq_gocator.gopxl.points import points_of
+from mbcacq_gocator.gopxl.restore import Found
 from mbcacq_gocator.status import meaning
 
 _RECEIVE_BUFFER = 4 * 2**20
 _FINEST_US = 0.51  # a sensor may keep whole microseconds
-
-
-@dataclass
-class Found:
-    """The sensor as it was found, to be put back. scanner, sensor: the parameters that are changed; added: outputs that are ours."""
-
-    running: bool = False
-    job: str = ""
-    scanner: dict[str, Any] = field(default_factory=dict)
-    sensor: dict[str, Any] = field(default_factory=dict)
-    added: list[int] = field(default_factory=list)
 
 
 class GoPxLSession:
@@ -109,6 +97,7 @@ class GoPxLSession:
     def _set_up(self) -> None:
         """Software trigger, surface with intensity, one exposure; what was set before is remembered."""
         if self._first:
+            self.found.paths = self.scanner
             self._remember(self.scanner.group, self.found.scanner, "triggerSettings", "scanModeSettings")
             self._remember(self.scanner.sensor, self.found.sensor, "exposureSettings")
         modes = {"scanMode": tree.SURFACE_MODE, "intensityEnabled": True, "uniformSpacingEnabled": self.options.uniform}
@@ -143,6 +132,8 @@ class GoPxLSession:
 
     def _add_output(self) -> None:
         """Have the surface, and a stamp where the sensor has one to send, sent over GDP; add what is missing only."""
+        if self._first:
+            self.found.protocol = self.control.read(tree.GDP).get("enabled") is True
         self.control.update(tree.GDP, {"enabled": True})
         there = tree.outputs(self.control.read(tree.GDP_OUTPUTS))
         wanted = [tree.surface_source(self.control, self.scanner, self.options.uniform, self.options.source)]
@@ -240,24 +231,6 @@ class GoPxLSession:
                 if isinstance(value, int | float) and not isinstance(value, bool):
                     values[f"{name}_C" if "temp" in name.lower() else name] = float(value)
         return values
-
-    def restore(self) -> None:
-        """Put back what this run changed; the sensor must be reachable."""
-        found = self.found
-        if self._scanner is None:
-            return
-        self.rest()
-        for number in reversed(found.added):
-            with suppress(MbcacqError):
-                self.control.call(f"{tree.GDP_OUTPUTS}/commands/remove", {"outputId": number})
-        if self.options.job and found.job and found.job != self.options.job:
-            self.control.call(tree.LOAD_JOB, {"name": found.job}, JOB_S)
-        else:
-            for path, kept in ((self.scanner.group, found.scanner), (self.scanner.sensor, found.sensor)):
-                if kept:
-                    self.control.update(path, {"parameters": kept})
-        if found.running:
-            self.control.call(tree.START, limit_s=STATE_S)
 
 
 def _status(found: gdp.GdpSet) -> str:

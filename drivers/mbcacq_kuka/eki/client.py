@@ -56,15 +56,20 @@ class EkiStatus:
 
 
 _JOINT_POSITION = 1  # ControlMode
+_REFUSALS = (EkiEvent.ERROR, EkiEvent.INVALID)
 
 
 class EkiClient:
-    """Synchronous requests; every one waits for its answer. Raises ConnectError, DeviceTimeout, ProtocolError, DeviceFault."""
+    """Synchronous requests; every one waits for its answer. Raises ConnectError, DeviceTimeout, ProtocolError, DeviceFault.
+
+    Answers carry no number. One that comes after its time-out is known by its event, and by coming before that of any later request.
+    """
 
     def __init__(self, host: str, port: int = 54600, timeout_s: float = 4.0) -> None:
         self._host, self._port, self._timeout_s = host, port, timeout_s
         self._socket: socket.socket | None = None
         self._waiting: deque[Element] = deque()
+        self._unanswered: deque[tuple[EkiEvent, ...]] = deque()  # what could have answered each request given up, the oldest first
         self.identity: RobotIdentity | None = None
         self.status: EkiStatus | None = None
 
@@ -87,6 +92,7 @@ class EkiClient:
     def close(self) -> None:
         sock, self._socket = self._socket, None
         self._waiting.clear()
+        self._unanswered.clear()
         self.identity = self.status = None
         if sock is not None:
             sock.close()
@@ -132,12 +138,16 @@ class EkiClient:
         self.close()
 
     def _request(self, request: Request, accepted: tuple[EkiEvent, ...], control_mode: int = -1, cycle_time: int = -1) -> None:
-        self.poll()
-        self._waiting.clear()
+        self._restore(request)
+        self._discard_late()
         self._send(request, control_mode, cycle_time)
-        answer = self._await(self._event)
+        try:
+            answer = self._await(lambda: self._event(accepted))
+        except DeviceTimeout:
+            self._unanswered.append(accepted)
+            raise
         event = answer.get("EventID", "")
-        if event in {str(int(e)) for e in accepted}:
+        if event in _ids(accepted):
             return
         name = next((e.name.lower() for e in EkiEvent if str(int(e)) == event), event)
         text = (answer.text or "").strip()
@@ -146,12 +156,42 @@ class EkiClient:
             "look at the smartPAD (operation mode EXT, drives, messages)"
         )
 
-    def _event(self) -> Element | None:
+    def _restore(self, request: Request) -> None:
+        """Connect again where the server has closed the connection since the last request. It has then forgotten what was chosen."""
+        if self._socket is None:
+            raise ConnectError("the EKI client is not connected; call connect first")
+        try:
+            self.poll()
+        except ConnectError:
+            if request is Request.START:
+                raise
+            self.connect()
+
+    def _discard_late(self) -> None:
+        """Answers that came before this request are late ones to those before it, or news that nobody asked for."""
+        while self._event(()) is not None:
+            pass
+
+    def _event(self, accepted: tuple[EkiEvent, ...]) -> Element | None:
+        """The next answer that does not belong to a request that was given up."""
         while self._waiting:
             response = self._waiting.popleft()
-            if response.get("EventID") not in (str(int(EkiEvent.NONE)), str(int(EkiEvent.STATUS))):
+            event = response.get("EventID")
+            if event not in _ids((EkiEvent.NONE, EkiEvent.STATUS)) and not self._is_late(event, accepted):
                 return response
         return None
+
+    def _is_late(self, event: str | None, accepted: tuple[EkiEvent, ...]) -> bool:
+        while self._unanswered:
+            expected = self._unanswered[0]
+            if event in _ids((*expected, *_REFUSALS)):
+                self._unanswered.popleft()
+                return True
+            if event in _ids(accepted):  # answers keep their order, so the older ones are lost
+                self._unanswered.popleft()
+                continue
+            return False
+        return False
 
     def _send(self, request: Request, control_mode: int = -1, cycle_time: int = -1) -> None:
         if self._socket is None:
@@ -205,6 +245,10 @@ class EkiClient:
             self.status = _status(status)
         if (response := robot.find("Response")) is not None:
             self._waiting.append(response)
+
+
+def _ids(events: tuple[EkiEvent, ...]) -> set[str]:
+    return {str(int(event)) for event in events}
 
 
 def _status(element: Element) -> EkiStatus:

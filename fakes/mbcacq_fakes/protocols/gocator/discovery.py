@@ -9,6 +9,7 @@ import socket
 import struct
 import threading
 
+from mbcacq_fakes.protocols import datagrams
 from mbcacq_fakes.protocols.gocator.options import DISCOVERY_PORT, Ports
 from mbcacq_fakes.protocols.gocator.state import SensorState
 
@@ -26,15 +27,8 @@ class Discovery:
     def __init__(self, state: SensorState, ports: Ports, port: int = DISCOVERY_PORT, broadcast: str = "255.255.255.255") -> None:
         self._state, self._ports, self._broadcast = state, ports, broadcast
         self._closing = threading.Event()
-        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-            self._sock.settimeout(0.1)
-            self._sock.bind(("", port))
-        except OSError:
-            self._sock.close()
-            raise
+        self._sock = datagrams.open_socket(port)
+        self._sock.settimeout(0.1)
         self.port: int = self._sock.getsockname()[1]
         self._thread = threading.Thread(target=self._run, name="fake-gocator-discovery", daemon=True)
 
@@ -50,41 +44,38 @@ class Discovery:
     def _run(self) -> None:
         while not self._closing.is_set():
             try:
-                request, asker = self._sock.recvfrom(2048)
+                request, asker, interface = datagrams.receive(self._sock, 2048)
             except TimeoutError:
                 continue
             except OSError:
                 return
-            answer = self.answer(request)
+            answer = self.answer(request, asker)
             if answer:
-                try:
-                    self._sock.sendto(answer, (self._broadcast, asker[1]))
-                except OSError:
-                    continue
+                limited = self._broadcast == "255.255.255.255"  # which goes out by one interface only
+                datagrams.send(self._sock, answer, (self._broadcast, asker[1]), interface if limited else 0)
 
-    def answer(self, request: bytes) -> bytes | None:
-        """The reply to one request, None if it is not for this sensor."""
+    def answer(self, request: bytes, asker: tuple[str, int] | None = None) -> bytes | None:
+        """The reply to one request, None if it is not for this sensor. A sensor on all addresses has that which ``asker`` sees."""
         if len(request) < 32:
             return None
         length, kind, signature, serial = struct.unpack_from("<QQQQ", request)
         if length != len(request) or signature != SIGNATURE or serial not in (0, self._state.serial):
             return None
+        on_all = self._state.options.host in ("", "0.0.0.0")
+        seen = datagrams.facing(asker) if on_all and asker is not None else ""
+        address = socket.inet_aton(seen or self._state.address)
         if kind == GET_ADDRESS:
-            addresses = (self._ip, b"\xff\xff\xff\0", bytes(4), bytes(4))  # own, mask, gateway, spare
+            addresses = (address, b"\xff\xff\xff\0", bytes(4), bytes(4))  # own, mask, gateway, spare
             body = struct.pack("<QQ", self._state.serial, 0) + b"".join(bytes(4) + a for a in addresses)
         elif kind == SET_ADDRESS:
             body = struct.pack("<Q", self._state.serial)
         elif kind == GET_INFO:
-            body = struct.pack("<H", 65) + self._info() + self._properties()
+            body = struct.pack("<H", 65) + self._info(address) + self._properties()
         else:
             return None
         return struct.pack("<QQqQ", 32 + len(body), REPLY + kind, 1, SIGNATURE) + body
 
-    @property
-    def _ip(self) -> bytes:
-        return socket.inet_aton(self._state.address)
-
-    def _info(self) -> bytes:
+    def _info(self, address: bytes) -> bytes:
         major, minor, release, build = self._state.firmware
         ports = self._ports
         return struct.pack(
@@ -94,7 +85,7 @@ class Discovery:
             int(self._state.uptime_s * 1e6),
             0,
             4,
-            self._ip,
+            address,
             bytes(12),
             24,
             4,

@@ -1,4 +1,4 @@
-"""The fake sensor's answer to discovery: an announcement to who asked, as JSON behind a header."""
+"""The fake sensor's answer to discovery: an announcement on udp 3320, as JSON behind a header."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ import socket
 import struct
 import threading
 from collections.abc import Callable
+from ipaddress import IPv4Address
 from typing import Any
 
+from mbcacq_fakes.protocols import datagrams
+
+PORT = 3320
 SIGNATURE = int.from_bytes(b"LMIGOPXL", "little")
 _POLL_S = 0.1
 
@@ -19,13 +23,28 @@ def announcement(content: dict[str, Any]) -> bytes:
 
 
 class GoPxLDiscovery:
-    """Answers requests on a udp port of ``host`` until closed. reply_port: where to; 0: to the port that asked."""
+    """Answers requests on a udp port until closed, as a sensor at ``host`` does; on 0.0.0.0 as one at the address that the asker sees.
 
-    def __init__(self, host: str, port: int, reply_port: int, content: Callable[[], dict[str, Any]]) -> None:
-        self._content, self._reply_port = content, reply_port
+    It listens on all interfaces, since a socket bound to one address hears no broadcast; one at a loopback address answers this computer
+    only. The vendor's client hears what comes to its own ``reply_port`` (3320), by broadcast or not, and not what comes to the port that
+    asked; so both get the answer, the first by broadcast, for several programs on one computer may have it.
+
+    Parameters
+    ----------
+    host : str
+        Address of the sensor.
+    port : int
+        Where requests come in; 0 for any free one.
+    reply_port : int
+        Where clients listen.
+    content : Callable[[str], dict[str, Any]]
+        What is announced, for the address to announce.
+    """
+
+    def __init__(self, host: str, port: int, reply_port: int, content: Callable[[str], dict[str, Any]]) -> None:
+        self._host, self._content, self._reply_port = socket.gethostbyname(host), content, reply_port
         self._closing = threading.Event()
-        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._sock.bind((host, port))
+        self._sock = datagrams.open_socket(port)
         self._sock.settimeout(_POLL_S)
         self.port: int = self._sock.getsockname()[1]
         self._thread = threading.Thread(target=self._run, name="fake-gopxl-discovery", daemon=True)
@@ -42,10 +61,23 @@ class GoPxLDiscovery:
     def _run(self) -> None:
         while not self._closing.is_set():
             try:
-                data, (address, port) = self._sock.recvfrom(64)
+                data, asker, interface = datagrams.receive(self._sock, 64)
             except TimeoutError:
                 continue
             except OSError:
                 return
             if len(data) == 24 and struct.unpack("<QQQ", data) == (24, 1, SIGNATURE):
-                self._sock.sendto(announcement(self._content()), (address, self._reply_port or port))
+                self._answer(asker, interface)
+
+    def _answer(self, asker: tuple[str, int], interface: int) -> None:
+        own = datagrams.is_own(asker[0])
+        if IPv4Address(self._host).is_loopback and not own:
+            return
+        address = datagrams.facing(asker) if IPv4Address(self._host).is_unspecified else self._host
+        data = announcement(self._content(address))
+        everybody = "127.255.255.255" if IPv4Address(asker[0]).is_loopback else "255.255.255.255"
+        datagrams.send(self._sock, data, (everybody, self._reply_port), interface)
+        if not own:
+            datagrams.send(self._sock, data, (asker[0], self._reply_port))
+        if asker[1] != self._reply_port:
+            datagrams.send(self._sock, data, asker)

@@ -17,6 +17,7 @@ import numpy as np
 from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE, Publisher
 from mbcacq_fakes.protocols.gopxl import control, encode, resources
+from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
 from mbcacq_fakes.protocols.gopxl.faults import GoPxLFaults
 from mbcacq_fakes.protocols.gopxl.resources import Resources
@@ -39,7 +40,7 @@ class FakeGoPxLOptions:
 
     scan_time_s: how long an exposure takes. volume: (low, high) (3,) mm of the measuring volume, by default each frame's own.
     new_form: messages as release 1.5 writes them, with a pixel format and label positions. stamps: whether it offers stamps.
-    discovery_port: None for none.
+    discovery_port: udp, usually 3320; None for no discovery. discovery_reply_port: where clients listen for the answer.
     """
 
     host: str = "127.0.0.1"
@@ -53,7 +54,7 @@ class FakeGoPxLOptions:
     volume: tuple[np.ndarray, np.ndarray] | None = None
     new_form: bool = True
     discovery_port: int | None = None
-    discovery_reply_port: int = 0
+    discovery_reply_port: int = DISCOVERY_PORT
 
 
 class FakeGoPxL:
@@ -135,7 +136,7 @@ class FakeGoPxL:
                 pass
         self.data.close()
 
-    def _announced(self) -> dict[str, Any]:
+    def _announced(self, address: str) -> dict[str, Any]:
         s = self.settings
         return {
             "AppId": "fake",
@@ -143,7 +144,7 @@ class FakeGoPxL:
             "AppVersion": s.build,
             "DeviceModel": s.model,
             "SerialNumber": str(s.serial),
-            "Address": s.host,
+            "Address": address,
             "Mask": "255.255.255.0",
             "Gateway": "",
             "ControlPort": self.ports.control,

@@ -1,0 +1,75 @@
+"""Whether new readings of sensors can follow the last ones: no probe jumps faster than it can, and none takes over another's value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+_SAME = 0.1  # of a jump: so near to another's last value, it has landed on it
+_UNUSUAL = 10.0  # times the largest step seen: two probes of nearly the same value change places by noise alone
+_KNOWN = 3  # readings from which on the usual steps are known
+_RECENT_S = 600.0  # two bodies may well change places in a longer time
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """text: what cannot be, as a sentence without an end. sure: no reading of the same probes explains it."""
+
+    text: str
+    sure: bool
+
+
+class Plausibility:
+    """Compares each reading with the last one that was believed.
+
+    Parameters
+    ----------
+    units : Mapping[str, str]
+        Unit of each value by name; only values of one unit can be exchanged.
+    max_rates : Mapping[str, float]
+        Largest change of a value, unit/s, where the plan gives one.
+    """
+
+    def __init__(self, units: Mapping[str, str], max_rates: Mapping[str, float]) -> None:
+        self._units, self._max_rates = dict(units), dict(max_rates)
+        self._last: dict[str, float] = {}
+        self._steps: dict[str, float] = {}
+        self._readings, self._at = 0, -math.inf
+
+    def believe(self, values: Mapping[str, float], at: float) -> None:
+        """Take a reading at a time ``at``, s, as the one to compare with."""
+        for name, value in values.items():
+            self._steps[name] = max(self._steps.get(name, 0.0), abs(value - self._last.get(name, value)))
+        self._last, self._at, self._readings = dict(values), at, self._readings + 1
+
+    def doubt(self, values: Mapping[str, float], at: float) -> Doubt | None:
+        """Why a reading at a time ``at``, s, cannot follow the last; None if it can."""
+        if not self._last:
+            return None
+        for name, rate in self._max_rates.items():
+            step = abs(values[name] - self._last[name]) if name in values and name in self._last else 0.0
+            if step > rate * max(at - self._at, 1.0):
+                text = f"{name} went from {self._last[name]:g} to {values[name]:g} in {at - self._at:.1f} s, faster than its max_rate"
+                return Doubt(text, sure=True)
+        return self._exchanged(values) if at - self._at < _RECENT_S else None
+
+    def _exchanged(self, values: Mapping[str, float]) -> Doubt | None:
+        landed = {name: other for name in values if (other := self._taken_over(name, values)) is not None}
+        if not landed:
+            return None
+        pairs = ", ".join(f"{name} reads {values[name]:g} as {other} did before" for name, other in landed.items())
+        return Doubt(f"values are exchanged: {pairs}", sure=self._readings >= _KNOWN and set(landed) == set(landed.values()))
+
+    def _taken_over(self, name: str, values: Mapping[str, float]) -> str | None:
+        """The other value, of the same unit, whose last reading this one shows now."""
+        if name not in self._last:
+            return None
+        for other, before in self._last.items():
+            if other == name or self._units.get(other) != self._units.get(name):
+                continue
+            apart = abs(before - self._last[name])
+            usual = max(self._steps.get(name, 0.0), self._steps.get(other, 0.0))
+            if apart > _UNUSUAL * usual and abs(values[name] - before) <= _SAME * apart:
+                return other
+        return None

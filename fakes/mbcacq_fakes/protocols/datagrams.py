@@ -1,0 +1,67 @@
+"""Datagrams with the interface by which they came: a broadcast answer leaves by the same one, on a computer without any route too."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+
+_IP_PKTINFO = 8  # of Linux; the socket module does not name it
+_INFO = struct.Struct("@i4s4s")  # interface, its address, destination
+
+
+def open_socket(port: int) -> socket.socket:
+    """A udp socket on all interfaces that may broadcast; ``port`` is shared with others. Raises OSError."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        if sys.platform == "linux":
+            sock.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
+        sock.bind(("", port))
+    except OSError:
+        sock.close()
+        raise
+    return sock
+
+
+def receive(sock: socket.socket, most: int) -> tuple[bytes, tuple[str, int], int]:
+    """A datagram, who sent it, and the number of the interface by which it came (0: unknown)."""
+    if sys.platform != "linux":
+        data, sender = sock.recvfrom(most)
+        return data, sender, 0
+    data, more, _, sender = sock.recvmsg(most, socket.CMSG_SPACE(_INFO.size))
+    index = next((_INFO.unpack(value)[0] for level, kind, value in more if (level, kind) == (socket.IPPROTO_IP, _IP_PKTINFO)), 0)
+    return data, sender, index
+
+
+def send(sock: socket.socket, data: bytes, to: tuple[str, int], interface: int = 0) -> None:
+    """Send, by an interface where its number is given. A network that is down takes none, which is no error of a sensor."""
+    try:
+        if interface and sys.platform == "linux":
+            route = [(socket.IPPROTO_IP, _IP_PKTINFO, _INFO.pack(interface, bytes(4), bytes(4)))]
+            sock.sendmsg([data], route, 0, to)
+        else:
+            sock.sendto(data, to)
+    except OSError:
+        return
+
+
+def is_own(address: str) -> bool:
+    """Whether an address is one of this computer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:
+            return False
+        return True
+
+
+def facing(asker: tuple[str, int]) -> str:
+    """This computer's address as ``asker`` sees it; '' where there is no way to it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(asker)
+        except OSError:
+            return ""
+        return str(probe.getsockname()[0])

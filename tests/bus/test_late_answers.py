@@ -1,0 +1,105 @@
+"""An answer that comes after its time-out is never taken for that to another question, on any line or connection."""
+
+import struct
+
+import pytest
+from late_peers import LatePeer, crc, line_cut, rtu_cut, rtu_registers
+from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
+from mbcacq_bus.serial import SerialSensor
+from mbcacq_bus.serial_link import SerialConnection, SerialLink
+
+from mbcacq.devices import DeviceTimeout
+
+VALUES = {"robot_C": 301, "air_C": 215, "bar_C": 184}
+WANTED = {"robot_C": 30.1, "air_C": 21.5, "bar_C": 18.4}
+REGISTERS = {name: {"address": k, "scale": 0.1, "unit": "C"} for k, name in enumerate(VALUES)}
+HELD = dict(enumerate(VALUES.values()))
+LIMIT_S = 0.4
+
+
+@pytest.mark.parametrize("delay", [1.4, 2.4], ids=lambda d: f"{d} time-outs")
+def test_after_one_late_reply_every_register_keeps_its_own_value(delay):
+    with LatePeer(rtu_registers(HELD), rtu_cut, {1: delay * LIMIT_S}) as peer:
+        with ModbusSensor("s", "", {"serial": peer.url, "parity": "N", "timeout_s": LIMIT_S, "values": REGISTERS}) as sensor:
+            for _ in range(3):
+                assert sensor.read() == pytest.approx(WANTED)
+
+
+def test_a_line_that_gave_up_once_is_in_step_again():
+    """Two tries, and each of them is answered, but long after the last one was given up."""
+    options = {"parity": "N", "timeout_s": LIMIT_S, "retries": 1, "values": REGISTERS}
+    with LatePeer(rtu_registers(HELD), rtu_cut, {0: 5 * LIMIT_S}) as peer:
+        with ModbusSensor("s", "", {"serial": peer.url, **options}) as sensor:
+            with pytest.raises(DeviceTimeout, match="gave no valid answer while reading holding 0"):
+                sensor.read()
+            first = sensor._options.values["air_C"]
+            assert sensor._link.read(first) == pytest.approx(21.5)
+            assert sensor.read() == pytest.approx(WANTED)
+
+
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        struct.pack(">BBBH", 9, 3, 2, 999),  # another unit
+        struct.pack(">BBBH", 1, 4, 2, 999),  # another function
+        struct.pack(">BBBHH", 1, 3, 4, 999, 999),  # another length
+    ],
+    ids=["unit", "function", "length"],
+)
+def test_an_answer_of_another_unit_function_or_length_is_none(foreign):
+    answer, first = rtu_registers(HELD), [foreign + crc(foreign)]
+    with LatePeer(lambda request: first.pop() if first else answer(request), rtu_cut, {}) as peer:
+        with ModbusSensor("s", "", {"serial": peer.url, "parity": "N", "timeout_s": LIMIT_S, "values": REGISTERS}) as sensor:
+            assert sensor.read() == pytest.approx(WANTED)
+
+
+def test_a_late_answer_of_modbus_tcp_ends_with_its_connection():
+    """Gateways that mix up the numbers of transactions are known; a connection of its own cannot be mixed up."""
+
+    def answer(request: bytes) -> bytes:
+        number, _, _, unit, function, address, _ = struct.unpack(">HHHBBHH", request)
+        return struct.pack(">HHHBBBH", number, 0, 5, unit, function, 2, HELD[address])
+
+    with LatePeer(answer, lambda pending: 12, {1: 1.5 * LIMIT_S}) as peer:
+        options = {"host": peer.host, "port": peer.port, "timeout_s": LIMIT_S, "values": REGISTERS}
+        with ModbusSensor("s", "", options) as sensor:
+            for _ in range(3):
+                assert sensor.read() == pytest.approx(WANTED)
+        assert peer.connections == 2
+
+
+def test_a_halt_does_not_wait_for_a_line_to_fall_silent():
+    options = {
+        "stations": {1: 100.0},
+        "position": {"address": 10},
+        "in_position": {"address": 0},
+        "halt": {"address": 5},
+        "timeout_s": LIMIT_S,
+        "parity": "N",
+    }
+    with LatePeer(rtu_registers({0: 0}), rtu_cut, {}) as peer, ModbusPositioner("p", "", {"serial": peer.url, **options}) as positioner:
+        positioner._link.keep_in_step()
+        positioner.stop()
+        assert [request[:6] for request in peer.requests] == [bytes.fromhex("01 10 0005 0001")]
+
+
+def test_a_late_line_is_not_taken_for_the_answer_to_the_next_question():
+    said = {b"POS?": b"POS=152.5\n", b"READY?": b"1\n"}
+    options = SerialConnection.model_validate({"port": "", "timeout_s": LIMIT_S})
+    with LatePeer(lambda request: said[request.strip()], line_cut, {0: 1.6 * LIMIT_S}) as peer:
+        link = SerialLink("lift", options.model_copy(update={"port": peer.url}))
+        link.open()
+        with pytest.raises(DeviceTimeout, match=r"answered nothing to 'POS\?'"):
+            link.ask("POS?\n")
+        assert [link.ask("READY?\n"), link.ask("POS?\n"), link.ask("READY?\n")] == ["1", "POS=152.5", "1"]
+        link.close()
+
+
+def test_a_late_line_is_no_new_reading_of_a_sensor_that_is_asked():
+    count = iter(range(100))
+    with LatePeer(lambda request: b"T=%d\n" % next(count), line_cut, {0: 1.6 * LIMIT_S}) as peer:
+        options = {"port": peer.url, "line": r"T=(?P<air_C>\d+)", "ask": "T?\n", "timeout_s": LIMIT_S}
+        with SerialSensor("s", "", options) as sensor:
+            with pytest.raises(DeviceTimeout):
+                sensor.read()
+            assert [sensor.read() for _ in range(3)] == [{"air_C": 1.0}, {"air_C": 2.0}, {"air_C": 3.0}]
