@@ -15,7 +15,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.csv_text import CsvText, Dialect, csv_text, read_csv_text
-from mbcacq.files.table_schema import Column, Found, HeadingError, TableSchema, joint_columns, matched, score
+from mbcacq.files.table_schema import Column, HeadingError, HeadingMatch, TableSchema, joint_columns, matched, score
 from mbcacq.files.units import AmbiguousUnit, converted, same_dimension, unit_named
 
 __all__ = ["Column", "Table", "TableSchema", "joint_columns", "read_table"]
@@ -51,7 +51,7 @@ class Table:
     path: Path
     columns: dict[str, tuple[str, ...]]
     line: list[int]
-    found: dict[str, Found] = field(default_factory=dict)
+    found: dict[str, HeadingMatch] = field(default_factory=dict)
     schema: TableSchema | None = None
     taken: set[str] = field(default_factory=set)
     heading_line: int = 1
@@ -267,7 +267,7 @@ def _take_units(table: Table, schema: TableSchema) -> None:
             )
         if not same_dimension(unit, column.unit or ""):
             raise ConfigError(f"{table.path}:{table.heading_line}: column {heading} cannot be given in {unit}; correct the unit")
-        table.found[column.name] = table.found[column.preferred] = Found(heading, unit)
+        table.found[column.name] = table.found[column.preferred] = HeadingMatch(heading, unit)
 
 
 def _units_below(table: Table) -> dict[str, str] | None:

@@ -78,7 +78,7 @@ class TableSchema:
 
 
 @dataclass(frozen=True)
-class Found:
+class HeadingMatch:
     """A column of a file. heading: as in the file; unit: that it names, None where it names none."""
 
     heading: str
@@ -114,9 +114,9 @@ def joint_columns(
     )
 
 
-def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, Found]:
+def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, HeadingMatch]:
     """Column name -> its heading. Raises HeadingError where two headings are equally good, or a unit is of the wrong kind."""
-    out: dict[str, Found] = {}
+    out: dict[str, HeadingMatch] = {}
     free = list(headings)
     for column in columns:
         ranked = sorted((rank, heading, unit) for heading in free if (hit := _hit(column, heading)) for rank, unit in [hit])
@@ -125,7 +125,7 @@ def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, Fou
         rank, heading, unit = ranked[0]
         if len(ranked) > 1 and ranked[1][0] == rank:
             raise HeadingError(f"columns {heading} and {ranked[1][1]} both give {column.preferred}; remove one")
-        out[column.name] = Found(heading, unit or None)
+        out[column.name] = HeadingMatch(heading, unit or None)
         free.remove(heading)
     return out
 
