@@ -17,6 +17,7 @@ from mbcacq.challenge.score import Score, score
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.result import plain
+from mbcacq.files.atomic_write import write_file
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 
 
@@ -93,8 +94,8 @@ class Challenger:
         place.mkdir(parents=True, exist_ok=True)
         if not self.protocols:
             write_observation_set(observations, place / "observations")
-        (place / "diagnosis.json").write_text(json.dumps(outcome.diagnosis, indent=1), encoding="utf-8")
-        (place / "scenario.json").write_text(json.dumps(outcome.to_dict(full=True), indent=1), encoding="utf-8")
+        write_file(place / "diagnosis.json", json.dumps(outcome.diagnosis, indent=1))
+        write_file(place / "scenario.json", json.dumps(outcome.to_dict(full=True), indent=1))
 
 
 def with_observable_locations(effect: dict[str, Any]) -> dict[str, Any]:

@@ -137,11 +137,9 @@ def command(
         draw_l_curve(result, l_curve)
     if out:
         from mbcacq.calibration.sealed_json import sealed_text
+        from mbcacq.files.atomic_write import write_file
 
-        try:
-            out.write_text(sealed_text(result), encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"cannot write {out}: {error.strerror}; give another --out") from error
+        write_file(out, sealed_text(result))
         result["files"] = {"result": str(out)}
     if as_json:
         echo(json.dumps(result))

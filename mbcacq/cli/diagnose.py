@@ -123,10 +123,9 @@ def command(
         calibrated = with_effects(data, found, options) if with_found else []
         calibrated += [] if propose is None else proposed(found, propose)
     if out is not None:
-        try:
-            out.write_text(found.to_json() + "\n", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"cannot write {out}: {error.strerror}; give another --out") from error
+        from mbcacq.files.atomic_write import write_file
+
+        write_file(out, found.to_json() + "\n")
     echo(found.to_json() if as_json else found.text)
     for line in calibrated:
         echo(line, err=as_json)

@@ -163,14 +163,12 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
 def _fixed(loaded: Any, plan: Path) -> Any:
     """The plan with what is out of reach repaired, written where it was."""
     from mbcacq.design.station_repair import repaired
-    from mbcacq.errors import RecordingError
 
     fixed, said = repaired(loaded)
     if said:
-        try:
-            plan.write_text(fixed.text, encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(f"{plan}: cannot be written: {error.strerror}; change its rights, or fix a copy of it") from error
+        from mbcacq.files.atomic_write import write_file
+
+        write_file(plan, fixed.text)
     for sentence in said or ["nothing is out of reach that --fix can change"]:
         echo(sentence, err=True)
     return fixed

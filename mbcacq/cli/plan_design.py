@@ -85,7 +85,9 @@ def design(
     with StepProgress() as steps:
         steps.begin("choosing views by what the calibration learns from them")
         result = design(loaded, count, criterion=criterion, steepest_deg=tilt, seed=seed)
-        target.write_text(result.text, encoding="utf-8")
+        from mbcacq.files.atomic_write import write_file
+
+        write_file(target, result.text)
         new = load(target)
         poses = expand(new)
         steps.begin("comparing both plans by simulated cells")
@@ -120,10 +122,9 @@ def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out:
     if out.exists() and not force:
         raise ConfigError(f"{out} exists already; give another --out, or --force to replace it")
     found = design_excitation(load(plan), load_trajectories(*recordings), seconds, seed)
-    try:
-        out.write_text(found.table(), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{out} cannot be written: {error.strerror}; give another --out") from error
+    from mbcacq.files.atomic_write import write_file
+
+    write_file(out, found.table())
     if as_json:
         std = {name: {"before": float(b), "after": float(a)} for name, b, a in zip(found.names, found.before, found.after, strict=True)}
         correlation = {"before": dict(found.correlation_before), "after": dict(found.correlation_after)}

@@ -46,7 +46,7 @@ def import_(
       mbcacq robot import ur10e.urdf --base base_link --flange tool0
       mbcacq robot import rows.csv --convention modified --out my_arm.yaml
     """
-    from mbcacq.errors import ConfigError, RecordingError
+    from mbcacq.errors import ConfigError
     from mbcacq.model.robot_import import import_robot
 
     def read(base: str | None, flange: str | None):
@@ -61,10 +61,9 @@ def import_(
     target = out or Path(f"{file.stem.split('.')[0]}.yaml")
     if target.exists() and (not force or target.resolve() == file.resolve()):
         raise ConfigError(f"{target} exists already; give another --out, or --force to replace it")
-    try:
-        target.write_text(found.text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{target}: cannot be written: {error.strerror}; give another --out") from error
+    from mbcacq.files.atomic_write import write_file
+
+    write_file(target, found.text)
     if as_json:
         about = {"base": found.base, "flange": found.flange, "joints": list(found.joints), "remarks": list(found.remarks)}
         figures = {"miss_mm": found.miss_mm, "miss_rad": found.miss_rad}

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 from mbcacq.conformance.faults import DEVICE, DRIVER
+from mbcacq.files.atomic_write import write_file
 
 _AGAIN_S = 0.05
 
@@ -35,7 +36,7 @@ class Trace:
     def save(self, path: Path | str) -> None:
         """One line a message: link, sender, bytes in hex."""
         with self._lock:
-            Path(path).write_text("".join(f"{link} {sender} {data.hex()}\n" for link, sender, data in self.lines), encoding="ascii")
+            write_file(path, "".join(f"{link} {sender} {data.hex()}\n" for link, sender, data in self.lines))
 
     @classmethod
     def load(cls, path: Path | str) -> Trace:

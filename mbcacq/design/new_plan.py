@@ -17,7 +17,8 @@ from mbcacq.design.optimal_design import design
 from mbcacq.design.options import DesignOptions
 from mbcacq.design.plan_rewriter import view_mapping
 from mbcacq.design.station_repair import without_lines
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
 from mbcacq.geometry import se3
 from mbcacq.model import shipped
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
@@ -125,11 +126,7 @@ def _beside(path: Path, out: Path) -> str:
 
 
 def _write(out: Path, text: str, names: dict[Path, str]) -> None:
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{out}: cannot be written: {error.strerror}; give another file") from error
+    write_file(out, text)
 
 
 def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict[Path, str]) -> dict[str, Any]:

@@ -13,10 +13,10 @@ import numpy as np
 from mbcacq.calibration import state_from_dict
 from mbcacq.calibration.result_io import effects_of
 from mbcacq.calibration.sealed_json import sealed_text
-from mbcacq.errors import RecordingError
 from mbcacq.exports import joint_frames, kuka, mjcf, ros, tables, urdf
 from mbcacq.exports.marks import comments, mjcf_comments, with_comments
 from mbcacq.exports.result_json import result_schema
+from mbcacq.files.atomic_write import write_files
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.observations import Observations
 
@@ -81,10 +81,4 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
 
 def write_folder(files: Mapping[str, bytes], folder: Path) -> list[Path]:
     """Write the files. Raises RecordingError where that fails."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            (folder / name).write_bytes(content)
-    except OSError as error:
-        raise RecordingError(f"{folder}: the export cannot be written: {error.strerror}; free space or give another folder") from error
-    return [folder / name for name in files]
+    return write_files(folder, files)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import os
 import re
@@ -12,7 +11,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.table import Column, TableSchema, read_table
 
+LISTED = TableSchema(
+    "a table of recordings",
+    (Column("recording", kind="text"), Column("arm", kind="text", required=False), Column("time", kind="text", required=False)),
+)
 OF_A_RECORDING = ("cell.yaml", "poses.csv", "centres.csv", "journal.jsonl")  # one of them marks the folder of a recording
 READ = {".csv", ".yaml", ".rrd", ".jsonl"}
 DATE = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})(?:[T_-](\d{2})[-:h]?(\d{2})(?:[-:m]?(\d{2}))?)?(?!\d)")
@@ -115,24 +119,17 @@ def dated(name: str) -> str:
 
 def listed(table: Path) -> list[FleetRecording]:
     """The recordings of a CSV table; relative paths are seen from its folder. Raises ConfigError naming the line of a fault."""
-    try:
-        lines = list(csv.DictReader(table.read_text(encoding="utf-8-sig").splitlines()))
-    except UnicodeDecodeError:
-        raise ConfigError(f"{table} is no CSV table of recordings: it is not UTF-8 text; save it as UTF-8") from None
-    except (OSError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise ConfigError(f"{table} cannot be read as a CSV table of recordings ({reason}); give columns recording, arm, time") from error
-    if not lines or "recording" not in lines[0]:
-        raise ConfigError(f"{table}:1: a table of recordings needs the column 'recording' (and may have 'arm' and 'time')")
+    found = read_table(table, LISTED)
+    blank = ("",) * len(found)
+    arms, times = (found.text(name) if found.has(name) else blank for name in ("arm", "time"))
     out = []
-    for number, line in enumerate(lines, 2):
-        if not (line["recording"] or "").strip():
-            raise ConfigError(f"{table}:{number}: the recording is missing; give its path")
-        one = described(table.absolute().parent / line["recording"].strip())
-        time = (line.get("time") or "").strip()
-        if time and not _iso(time):
-            raise ConfigError(f"{table}:{number}: '{time}' is no time; write it as 2026-03-01 or 2026-03-01T08:30:00")
-        out.append(replace(one, arm=(line.get("arm") or "").strip() or one.arm, time=_iso(time) or one.time))
+    for row, (recording, arm, time) in enumerate(zip(found.text("recording"), arms, times, strict=True)):
+        if not recording.strip():
+            raise ConfigError(f"{found.where(row, 'recording')}: the recording is missing; give its path")
+        one = described(table.absolute().parent / recording.strip())
+        if time.strip() and not _iso(time.strip()):
+            raise ConfigError(f"{found.where(row, 'time')}: '{time.strip()}' is no time; write it as 2026-03-01 or 2026-03-01T08:30:00")
+        out.append(replace(one, arm=arm.strip() or one.arm, time=_iso(time.strip()) or one.time))
     return out
 
 

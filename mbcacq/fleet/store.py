@@ -69,15 +69,17 @@ class FleetStore:
 
     def keep(self, recording: FleetRecording, outcome: StoredResult) -> dict[str, Any]:
         """Write a result, in one step; its row. Raises RecordingError."""
-        from mbcacq.recording.datasets.synced_files import write_synced
+        from mbcacq.files.atomic_write import write_file
 
-        write_synced(self.path(recording), outcome.text)
+        write_file(self.path(recording), outcome.text)
         return outcome.row
 
     def write_table(self, rows: Sequence[Mapping[str, Any]]) -> Path:
         """All rows as one Parquet table, in the order given. Raises RecordingError."""
         import pyarrow as pa
         from pyarrow import parquet
+
+        from mbcacq.files.atomic_write import publish
 
         parameters = dict.fromkeys(name for row in rows for name in row if name.startswith(("error.", "std.")))
         types = {name: pa.string() for name in TEXTS} | {name: pa.int64() for name in COUNTS}
@@ -88,7 +90,7 @@ class FleetStore:
         made = path.with_suffix(".part")
         try:
             parquet.write_table(table, made)
-            made.replace(path)
+            publish(made, path)
         except OSError as error:
             raise RecordingError(f"{path} cannot be written ({error.strerror or error}); free space or give another --out") from error
         return path

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.errors import RecordingError
+from mbcacq.files.atomic_write import write_file
 from mbcacq.report.content import Content, DiagnosisContent, FleetContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
@@ -83,13 +83,7 @@ def render_fleet(fleet: FleetContent, title: str) -> str:
 
 def write(html: str, path: str | Path) -> Path:
     """Write a page; the folder is made where it is missing. Raises RecordingError where it cannot be written."""
-    path = Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(html, encoding="utf-8", errors="surrogateescape")  # of a file name under LANG=C
-    except OSError as error:
-        raise RecordingError(f"{path}: the report cannot be written: {error.strerror}; free space or give another folder") from error
-    return path
+    return write_file(path, html)
 
 
 def _template(name: str, **values: Any) -> str:

@@ -8,7 +8,7 @@ from math import floor, isfinite, log10
 from pathlib import Path
 from typing import Any
 
-from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
 
 RUNS, TORQUES, POSES = "runs", "torques", "poses"  # what a recording is compared with
 AT_NOISE = 1.2  # times the noise, which is itself an estimate to some per cent: up to that a held-out channel is explained
@@ -79,11 +79,7 @@ class ModelMatch:
 
     def write(self, path: Path | str) -> Path:
         """Write the model with what was found. Raises ConfigError where the file cannot be written."""
-        try:
-            Path(path).write_text(self.xml, encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{path}: the model cannot be written ({error.strerror}); name a folder that may be written") from None
-        return Path(path)
+        return write_file(path, self.xml)
 
     def with_check(self, recording: str, errors: tuple[ChannelError, ...]) -> ModelMatch:
         """The same with the errors in a held-out recording."""

@@ -18,9 +18,9 @@ from mbcacq.acquisition.cell_devices import Overrides, create_devices
 from mbcacq.acquisition.event_bus import EventBus, Subscriber
 from mbcacq.acquisition.runner import Runner
 from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.files.atomic_write import sync_folder
 from mbcacq.model.cell import Cell
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
-from mbcacq.recording.datasets.synced_files import sync_folder
 from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.version import __version__
 from mbcacq.workflow.resume import measured_balls, merge_parts

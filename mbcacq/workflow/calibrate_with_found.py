@@ -10,8 +10,9 @@ import numpy as np
 
 from mbcacq.calibration import Calibration, CalibrationOptions, Verification
 from mbcacq.calibration.sealed_json import sealed_text
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
 from mbcacq.exports.result_json import load_result
+from mbcacq.files.atomic_write import write_files
 from mbcacq.workflow.calibrate import calibrate, verify
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
@@ -59,16 +60,10 @@ class CalibratedWithFound:
         """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError where that is impossible."""
         from mbcacq.report.charts.stages_svg import stages_picture
 
-        files = {folder / "result.json": sealed_text(self.result())}
+        files = {"result.json": sealed_text(self.result())}
         if self.places:
-            files[folder / "bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for path, text in files.items():
-                path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(f"cannot write into {folder}: {error.strerror}; free the disk, or make it writable") from error
-        return list(files)
+            files["bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
+        return write_files(folder, files)
 
 
 def limit_of(run: Path) -> float | None:

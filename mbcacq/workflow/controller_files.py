@@ -9,7 +9,8 @@ import numpy as np
 
 from mbcacq.acquisition.cell_devices import robot_options
 from mbcacq.devices import load_driver
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_files
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan
 
@@ -41,13 +42,6 @@ def facts(loaded: LoadedPlan) -> dict[str, Any]:
 
 def write(files: dict[str, str], out: Path, replace: bool = False) -> list[Path]:
     """Write them below ``out``, with the controller's line ends. Raises ConfigError where one exists already, RecordingError."""
-    targets = {out / name: text for name, text in files.items()}
-    if not replace and (there := [path for path in targets if path.exists()]):
+    if not replace and (there := [out / name for name in files if (out / name).exists()]):
         raise ConfigError(f"{there[0]} exists already; give another --out, or --replace")
-    for path, text in targets.items():
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(text.replace("\r\n", "\n").replace("\n", "\r\n").encode("ascii"))
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be written: {error.strerror}; give another --out") from error
-    return list(targets)
+    return write_files(out, {name: text.replace("\r\n", "\n").replace("\n", "\r\n").encode("ascii") for name, text in files.items()})

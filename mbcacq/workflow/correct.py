@@ -10,7 +10,8 @@ import numpy as np
 
 from mbcacq.calibration import CalibratedCell, Calibration
 from mbcacq.calibration.joint_targets import JointTargets, joint_targets
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
 from mbcacq.workflow.load import as_result, refuse_existing
 
 TRIES = 24  # starts for a pose without joint angles
@@ -91,10 +92,7 @@ def correct(
         there = frames(arm, start)[:, -1, :3, 3]
         before[programmed] = np.linalg.norm(there - goals[:, :3, 3], axis=1)[programmed]
     change = np.where(programmed, np.abs(found.q - start).max(axis=1), np.nan)
-    try:
-        output.write_bytes(written(program, targets, found.q, found.error_mm, found.reached, found.reasons).encode("latin-1"))
-    except OSError as error:
-        raise RecordingError(f"{output}: cannot be written: {error.strerror}; free space or give another --out") from error
+    write_file(output, written(program, targets, found.q, found.error_mm, found.reached, found.reasons).encode("latin-1"))
     return Correction(output, targets.names, targets.lines, before, change, found, targets.left_alone)
 
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mbcacq.errors import RecordingError
+from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 from mbcacq.recording import write_diagnosis
 from mbcacq.recording.rrd.checksums import note_copy
@@ -24,13 +24,9 @@ def keep_in_run(content: dict[str, Any], words: str, pictures: dict[str, Any], o
 
     Raises RecordingError where that cannot be written.
     """
-    try:
-        (run / DIAGNOSIS_JSON).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        (run / PICTURES_JSON).write_text(json.dumps(pictures, allow_nan=False), encoding="utf-8")
-        note_copy(run / DIAGNOSIS_JSON)
-        note_copy(run / PICTURES_JSON)
-    except OSError as error:
-        raise RecordingError(f"the diagnosis cannot be kept in {run}: {error.strerror}; free the disk, or make it writable") from error
+    texts = {DIAGNOSIS_JSON: json.dumps(content, indent=1, allow_nan=False) + "\n", PICTURES_JSON: json.dumps(pictures, allow_nan=False)}
+    for path in write_files(run, texts):
+        note_copy(path)
     note_copy(write_diagnosis(run / "diagnosis.rrd", observations, words, pictures, run, cards_of(content)))
 
 

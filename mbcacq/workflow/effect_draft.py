@@ -10,6 +10,7 @@ from mbcacq.diagnosis.result import Proposal
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_files
 
 PROJECT = """[build-system]
 requires = ["setuptools"]
@@ -91,13 +92,7 @@ def write_draft(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
     package = f"mbcacq-effect-{next(iter(modules)).replace('_', '-')}"
     texts = {"pyproject.toml": PROJECT.format(package=package, points=points, modules=listed)}
     texts |= {f"{module}.py": module_text(name, best[name]) for name, module in modules.items()}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, text in texts.items():
-            (folder / file).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"the draft cannot be written to {folder}: {error.strerror}; give another folder to --propose") from error
-    return [folder / file for file in texts]
+    return write_files(folder, texts)
 
 
 def name_of(term: EffectTerm) -> str:

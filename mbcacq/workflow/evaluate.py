@@ -64,8 +64,8 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
 
 
 def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
+    from mbcacq.files.atomic_write import write_file
     from mbcacq.recording import find_gaps, log_result
-    from mbcacq.recording.datasets.csvfile import write_text
     from mbcacq.recording.rrd.result_recording import Judgement
     from mbcacq.recording.run_folder.recovery import WHOLE
     from mbcacq.report import content_of, read_run_info, write_report_page
@@ -84,7 +84,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     }
     if not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
-    write_text(run / "result.json", sealed_text(content))
+    write_file(run / "result.json", sealed_text(content))
     progress("writing the report")
     page = content_of(content, observations, read_run_info(run))
     report = write_report_page(page, run / "report.html")

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.calibration import CalibratedCell, Calibration
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
 from mbcacq.exports.folder import Targets, contents, write_folder
+from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.load import load_observations, refuse_existing
 
@@ -61,10 +62,7 @@ def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str |
     output = Path(out) if out is not None else Path(f"{artefact_id}.yaml")
     refuse_existing(output, force, f"{output} exists; give another --output, or --force to replace it")
     found = read_certificate(Path(certificate), artefact_id)
-    try:
-        output.write_text(artefact_yaml(found), encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{output}: cannot be written: {error.strerror}; give another --output") from error
+    write_file(output, artefact_yaml(found))
     return {"file": str(output), "balls": len(found.ball_ids), "uncertainty_mm": found.uncertainty_mm}
 
 

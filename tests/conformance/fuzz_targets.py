@@ -37,9 +37,9 @@ from pymodbus.client import ModbusTcpClient
 from mbcacq.errors import MbcacqError
 from mbcacq.exports.certificate import read_certificate
 from mbcacq.exports.result_json import load_result
+from mbcacq.files.table import read_table
 from mbcacq.plan import yaml_source
 from mbcacq.recording.datasets.cell_yaml import parse_cell
-from mbcacq.recording.datasets.csvfile import read_table
 from mbcacq.recording.datasets.observation_set import _read_centres, _read_poses, read_observation_set
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
 from mbcacq.recording.rrd.checksums import read_stretches

@@ -188,7 +188,7 @@ def test_a_table_names_arm_and_time_and_its_faults_have_a_line(folder, tmp_path)
     (one,) = find_recordings([table])
     assert (one.arm, one.time) == ("left", "2025-05-05T00:00:00+00:00")
     table.write_text(f"recording,arm,time\n{folder / '2026-01-15'},left,yesterday\n")
-    with pytest.raises(ConfigError, match="arms.csv:2: 'yesterday' is no time"):
+    with pytest.raises(ConfigError, match="arms.csv:2: column time: 'yesterday' is no time"):
         find_recordings([table])
     with pytest.raises(ConfigError, match="given twice"):
         find_recordings([folder, folder / "2026-01-15"])
@@ -301,7 +301,7 @@ def test_a_prior_about_the_truth_improves_a_short_recording_and_counts_in_its_un
 def test_a_table_that_is_no_text_is_refused_in_words(tmp_path):
     table = tmp_path / "arms.csv"
     table.write_bytes(b"recording,arm\n\xff,1\n")
-    with pytest.raises(ConfigError, match=r"arms\.csv is no CSV table of recordings: it is not UTF-8 text"):
+    with pytest.raises(ConfigError, match=r"arms\.csv:2: not UTF-8 text"):
         listed(table)
 
 

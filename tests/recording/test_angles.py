@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbcacq.recording.datasets import angles
+from mbcacq.files import angles
 
 ANGLES = st.floats(min_value=-10.0, max_value=10.0, allow_nan=False) | st.floats(
     allow_nan=False, allow_infinity=False, min_value=-1e15, max_value=1e15

@@ -74,6 +74,36 @@ def write_bag(folder, plugin, quaternion=(0.0, 0.0, 0.6, 0.8)):
     return folder
 
 
+def test_damaged_bags_are_refused_in_words(bag):
+    (bag / "cell.yaml").write_text(MOTION)
+    file = next(p for p in (bag / "run").iterdir() if p.suffix in (".db3", ".mcap"))
+    whole, rng = file.read_bytes(), np.random.default_rng(7)
+    refused = 0
+    for _ in range(25):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), 40):
+            data[at] ^= 1 << rng.integers(8)
+        file.write_bytes(data[: rng.integers(len(data) // 2, len(data))])
+        try:
+            load_trajectories(bag)
+        except ConfigError:
+            refused += 1
+    assert refused > 15
+
+
+def test_a_flipped_bit_in_an_angle_is_seen_by_the_speed_it_would_need(tmp_path):
+    write_bag(tmp_path, StoragePlugin.SQLITE3)
+    (tmp_path / "cell.yaml").write_text(MOTION)
+    file = next(p for p in (tmp_path / "run").iterdir() if p.suffix == ".db3")
+    data = bytearray(file.read_bytes())
+    angle = np.array([-0.4, 0.1]).tobytes()
+    at = [i for i in range(len(data)) if data.startswith(angle, i)]
+    data[at[len(at) // 2] + 6] ^= 0x10  # exponent of the elbow: -0.4 becomes -0.2, 20 rad/s away
+    file.write_bytes(data)
+    with pytest.raises(ConfigError, match="no arm moves so; the message is damaged"):
+        load_trajectories(tmp_path)
+
+
 def test_each_standstill_is_a_pose_with_its_target(bag):
     (bag / "cell.yaml").write_text(TRACKER)
     obs = load_observations(bag)

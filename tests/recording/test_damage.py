@@ -18,8 +18,8 @@ from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.cli.recover import command as recover_command
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.files import atomic_write
 from mbcacq.recording import Journal, Recorder, Recording, find_gaps, load_observations, log_result, poses_done, repair_and_read_progress
-from mbcacq.recording.datasets import synced_files
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, is_as_written, note_stretch, read_stretches
 from mbcacq.recording.rrd.reader import opened_once
@@ -231,11 +231,11 @@ def test_a_file_is_on_the_disk_before_the_folder_names_it(tmp_path, monkeypatch)
     calls = []
     sync, replace = os.fsync, os.replace
     monkeypatch.setattr(
-        synced_files.os,
+        atomic_write.os,
         "fsync",
         lambda handle: (calls.append("folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file"), sync(handle)),
     )
-    monkeypatch.setattr(synced_files.os, "replace", lambda old, new: (calls.append("rename"), replace(old, new)))
+    monkeypatch.setattr(atomic_write.os, "replace", lambda old, new: (calls.append("rename"), replace(old, new)))
     keep_plan(tmp_path, "a: 1\n", "{}")
     assert calls == ["file", "rename", "folder"] * 2
 

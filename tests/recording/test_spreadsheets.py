@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.table import read_table
 from mbcacq.recording import load_observations
-from mbcacq.recording.datasets.csvfile import read_table
 
 TRACKER = """
 format: mbcacq-observation-set/1
@@ -62,7 +62,7 @@ def test_a_semicolon_with_decimal_points_is_read(tmp_path):
 def test_a_separator_of_thousands_is_refused_with_its_place(tmp_path):
     (tmp_path / "t.csv").write_text("a;b\n1,5;2,0\n1.234,5;2,0\n")
     with pytest.raises(ConfigError, match=r"t\.csv:3: column a: '1\.234,5' has a point in a file with decimal commas"):
-        read_table(tmp_path / "t.csv")
+        read_table(tmp_path / "t.csv").number("a")
 
 
 def test_one_wide_table_has_joints_and_target_in_a_row(tmp_path):

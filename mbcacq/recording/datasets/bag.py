@@ -23,6 +23,8 @@ from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, valid
 
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9
+FASTEST_RAD_S = 15.0  # of a joint: above the wrists of the fastest small arms (about 12 rad/s)
+SHORTEST_S = 1e-3  # between messages, for stamps are not exact
 FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
 
 
@@ -74,7 +76,7 @@ class Bag:
 
     def __init__(self, folder: Path, spec: BagSpec) -> None:
         try:
-            from rosbags.highlevel import AnyReader, AnyReaderError
+            from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ImportError:
             raise ConfigError(f"{folder / spec.file}: reading bags needs the package rosbags: pip install 'mbcacq[ros]'") from None
@@ -82,7 +84,6 @@ class Bag:
         if not self.path.exists():
             raise ConfigError(f"{folder / 'cell.yaml'}: bag: {self.path} does not exist; correct file")
         self._open: Callable[[], Any] = lambda: AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        self._failure = AnyReaderError
 
     def messages(self, topic: str, types: tuple[str, ...]) -> Iterator[tuple[float, Any]]:
         """(time in s, message) of a topic, in the order of recording."""
@@ -92,10 +93,11 @@ class Bag:
                 self._check(topic, types, {c.msgtype for c in connections}, sorted({c.topic for c in reader.connections}))
                 for connection, stamp, raw in reader.messages(connections):
                     yield stamp * NS, reader.deserialize(raw, connection.msgtype)
-        except ConfigError:
+        except (ConfigError, GeneratorExit):
             raise
-        except (self._failure, OSError, ValueError) as error:
-            raise ConfigError(f"{self.path}: the bag cannot be read ({error}); check it with `ros2 bag info`") from None
+        except Exception as error:  # readers of damaged bytes fail in many ways: of SQLite, struct, zstd, a size that no memory has
+            reason = str(error) or type(error).__name__
+            raise ConfigError(f"{self.path}: the bag cannot be read, it is damaged ({reason}); check it with `ros2 bag info`") from None
 
     def _check(self, topic: str, types: tuple[str, ...], found: set[str], known: list[str]) -> None:
         if not found:
@@ -109,13 +111,38 @@ class Bag:
         for time, message in self.messages(topic, ("sensor_msgs/msg/JointState",)):
             at = self._columns(topic, list(message.name), names, n)
             times.append(_stamp(message, time))
+            if len(message.position) != len(message.name):
+                raise ConfigError(
+                    f"{self.path}: the topic {topic} has a message at {time:.6f} s with {len(message.name)} names and "
+                    f"{len(message.position)} positions; it is damaged, remove it from the bag"
+                )
             positions.append(np.asarray(message.position, dtype=float)[at])
             effort = np.asarray(message.effort, dtype=float)
             efforts.append(effort[at] if len(effort) == len(message.position) else np.full(n, np.nan))
         time_s, effort = np.array(times), np.array(efforts)
+        self._refuse_jumps(topic, time_s, np.array(positions).reshape(len(time_s), n))
         rising = np.r_[True, np.diff(time_s) > 0]
         measured = effort[rising] if np.isfinite(effort).all() and np.any(effort) else None
         return JointStates(time_s[rising], np.array(positions)[rising], measured)
+
+    def _refuse_jumps(self, topic: str, time_s: np.ndarray, q: np.ndarray) -> None:
+        """Raise ConfigError where a joint leaves both of its neighbours in time faster than any arm moves, while these agree: a flipped
+        bit."""
+        if not np.isfinite(q).all():
+            row = int(np.argmin(np.isfinite(q).all(axis=1)))
+            raise ConfigError(f"{self.path}: the topic {topic} has an angle that is no number at {time_s[row]:.6f} s; remove the message")
+        if len(q) < 3:
+            return
+        step = np.diff(time_s)
+        reach = FASTEST_RAD_S * np.maximum(np.maximum(step[:-1], step[1:]), SHORTEST_S)[:, None]
+        there, back, across = np.abs(q[1:-1] - q[:-2]), np.abs(q[2:] - q[1:-1]), np.abs(q[2:] - q[:-2])
+        jumps = (np.minimum(there, back) > reach) & (across < 0.5 * np.minimum(there, back))
+        if jumps.any():
+            row, joint = np.argwhere(jumps)[0]
+            raise ConfigError(
+                f"{self.path}: the topic {topic} has joint {joint + 1} at {q[row + 1, joint]:.6g} rad at {time_s[row + 1]:.6f} s, between "
+                f"{q[row, joint]:.6g} and {q[row + 2, joint]:.6g} rad: no arm moves so; the message is damaged, remove it from the bag"
+            )
 
     def _columns(self, topic: str, present: list[str], names: tuple[str, ...], n: int) -> list[int]:
         wanted = list(names) or present

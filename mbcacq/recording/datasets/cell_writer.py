@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from mbcacq.files import angles
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
-from mbcacq.recording.datasets import angles
 
 FORMAT = "mbcacq-observation-set/1"
 

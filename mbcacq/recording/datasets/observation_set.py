@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.table import Table, read_table
 from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets.bag import bag_of, observation_columns
 from mbcacq.recording.datasets.cell_yaml import read_cell
-from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, CsvTable, numbered, read_table
+from mbcacq.recording.datasets.csv_columns import CENTRES, QUATERNION, XYZ, numbered, poses_schema, rotations
 from mbcacq.recording.datasets.observation_writer import write_observation_set
 from mbcacq.recording.datasets.wide_table import wide_centres
 
@@ -30,7 +31,7 @@ def read_observation_set(folder: Path | str) -> Observations:
     bag = None if (folder / "poses.csv").exists() else bag_of(folder)
     if bag is not None:
         return Observations(cell=cell, **observation_columns(folder, bag, cell), cell_yaml=text)
-    table = read_table(folder / "poses.csv")
+    table = read_table(folder / "poses.csv", poses_schema(cell.robot.n, cell.ball_ids))
     separate = (folder / "centres.csv").exists()
     wide = None if separate else wide_centres(table, cell)
     poses = _read_poses(table, cell)
@@ -38,7 +39,7 @@ def read_observation_set(folder: Path | str) -> Observations:
     if wide is not None:
         centres = wide
     elif separate:
-        centres = _read_centres(read_table(folder / "centres.csv"), cell, poses)
+        centres = _read_centres(read_table(folder / "centres.csv", CENTRES), cell, poses)
     elif (folder / "scans").is_dir():
         from mbcacq.recording.datasets.scan_folder import centres_from_scans
 
@@ -52,7 +53,7 @@ def read_observation_set(folder: Path | str) -> Observations:
     return Observations(cell=cell, **poses, **centres, extra=extra, cell_yaml=text)
 
 
-def _read_poses(table: CsvTable, cell: Cell) -> dict[str, Any]:
+def _read_poses(table: Table, cell: Cell) -> dict[str, Any]:
     n = cell.robot.n
     joints = numbered("q{}_deg", n)
     table.require(["pose", "station", *joints])
@@ -80,10 +81,9 @@ def _read_poses(table: CsvTable, cell: Cell) -> dict[str, Any]:
     return out
 
 
-def _read_centres(table: CsvTable, cell: Cell, poses: dict[str, Any]) -> dict[str, Any]:
+def _read_centres(table: Table, cell: Cell, poses: dict[str, Any]) -> dict[str, Any]:
     table.require(["pose", "ball", *XYZ])
     pose_index = {pose: i for i, pose in enumerate(poses["pose_id"].tolist())}
-    table.taken |= {"pose", "ball"}
     pose = _match(table, "pose", table.integer("pose"), pose_index, "pose {} is not in poses.csv")
     balls = {ball: i for i, ball in enumerate(cell.ball_ids)}
     ball = _match(table, "ball", table.integer("ball"), balls, "ball {} is on no artefact of cell.yaml")
@@ -106,11 +106,11 @@ def _read_centres(table: CsvTable, cell: Cell, poses: dict[str, Any]) -> dict[st
     if table.has(["rms_mm"]):
         out["rms_mm"] = table.number("rms_mm")
     extra = {}
-    if any(name in table.columns for name in QUATERNION):
+    if any(table.has(name) for name in QUATERNION):
         table.require(QUATERNION)
         # The text is kept as well: a matrix does not remember the digits of its quaternion.
-        extra = {name: np.array(table.columns[name], dtype=np.str_) for name in QUATERNION}
-        out["rotation"] = table.rotations()
+        extra = {name: np.array(table.text(name), dtype=np.str_) for name in QUATERNION}
+        out["rotation"] = rotations(table)
     extra |= table.rest()
     order = np.argsort(pose, kind="stable")
     out = {name: values[order] for name, values in out.items()}
@@ -126,20 +126,20 @@ def _movement(q: np.ndarray, time_s: np.ndarray | None) -> np.ndarray:
     return out
 
 
-def _direction(table: CsvTable, name: str) -> np.ndarray:
+def _direction(table: Table, name: str) -> np.ndarray:
     values = table.integer(name)
     if (np.abs(values) > 1).any():
         row = int(np.argmax(np.abs(values) > 1))
-        raise ConfigError(f"{table.where(row, name)}: '{table.columns[name][row]}' is none of -1, 0, 1; correct it")
+        raise ConfigError(f"{table.where(row, name)}: '{table.text(name)[row]}' is none of -1, 0, 1; correct it")
     return values
 
 
-def _look_up(table: CsvTable, column: str, index: dict[str, int], message: str) -> np.ndarray:
+def _look_up(table: Table, column: str, index: dict[str, int], message: str) -> np.ndarray:
     cells = [cell.strip() for cell in table.text(column)]
     return _match(table, column, cells, index, message)
 
 
-def _match(table: CsvTable, column: str, cells: Sequence | np.ndarray, index: dict, message: str) -> np.ndarray:
+def _match(table: Table, column: str, cells: Sequence | np.ndarray, index: dict, message: str) -> np.ndarray:
     cells = cells.tolist() if isinstance(cells, np.ndarray) else cells
     try:
         return np.array([index[cell] for cell in cells], dtype=np.int64)
@@ -149,7 +149,7 @@ def _match(table: CsvTable, column: str, cells: Sequence | np.ndarray, index: di
         raise ConfigError(f"{table.where(row, column)}: {message.format(cells[row], known)}; correct it") from None
 
 
-def _refuse_repeated(table: CsvTable, column: str, keys: np.ndarray, message: str) -> None:
+def _refuse_repeated(table: Table, column: str, keys: np.ndarray, message: str) -> None:
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     again = first[inverse] != np.arange(len(keys))
     if again.any():

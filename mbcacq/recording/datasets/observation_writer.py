@@ -8,18 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files import angles
+from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
-from mbcacq.recording.datasets import angles, quaternions
+from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
-from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, numbered, numbers, write_table, write_text
+from mbcacq.recording.datasets.csv_columns import QUATERNION, XYZ, numbered, numbers, table_text
 
 
 def write_observation_set(observations: Observations, folder: Path | str) -> None:
     """Write the folder (made if absent; its three files are replaced). Raises RecordingError if that is impossible."""
     obs, folder = observations, Path(folder)
-    write_text(folder / "cell.yaml", _cell_text(obs))
-    write_table(folder / "poses.csv", _pose_columns(obs))
-    write_table(folder / "centres.csv", _centre_columns(obs))
+    tables = {"poses.csv": table_text(_pose_columns(obs)), "centres.csv": table_text(_centre_columns(obs))}
+    write_files(folder, {"cell.yaml": _cell_text(obs), **tables})
 
 
 def _cell_text(obs: Observations) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError, DeviceFault
+from mbcacq.files.atomic_write import write_file
 from mbcacq.model.cell import Cell
 
 
@@ -56,4 +57,4 @@ def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = Non
         properties += "property uchar intensity\n"
     mark = "comment simulated: true\n" if simulated else ""
     header = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\n{mark}element vertex {len(points)}\n{properties}end_header\n"
-    path.write_bytes(header.encode("ascii") + cloud.tobytes())
+    write_file(path, header.encode("ascii") + cloud.tobytes())

@@ -10,14 +10,16 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from mbcacq.errors import ConfigError
+from mbcacq.files import angles
+from mbcacq.files.atomic_write import write_files
+from mbcacq.files.table import Table, read_table
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict, Vector
 from mbcacq.model.shipped import robot_file
 from mbcacq.model.trajectory import Trajectory
-from mbcacq.recording.datasets import angles
 from mbcacq.recording.datasets.bag import bag_of, trajectory_columns
 from mbcacq.recording.datasets.cell_yaml import robot_to_yaml
-from mbcacq.recording.datasets.csvfile import CsvTable, numbered, numbers, read_table, write_table, write_text
+from mbcacq.recording.datasets.csv_columns import numbered, numbers, table_text, trajectory_schema
 from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
 
 FORMAT = "mbcacq-trajectory-set/1"
@@ -61,9 +63,9 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
     bag = None if (folder / "trajectory.csv").exists() else bag_of(folder)
     if bag is not None:
         return Trajectory(robot, **trajectory_columns(folder, bag, robot.n), name=str(folder), simulated=spec.simulated)
-    table = read_table(folder / "trajectory.csv")
+    table = read_table(folder / "trajectory.csv", trajectory_schema(robot.n))
     table.require(["time_s", *numbered("q{}_deg", robot.n)])
-    unit = "percent" if "i1_percent" in table.columns and "i1_A" not in table.columns else "A"
+    unit = "percent" if table.has("i1_percent") and not table.has("i1_A") else "A"
     time_s = table.number("time_s")
     if len(time_s) > 1 and (np.diff(time_s) <= 0).any():
         row = int(np.argmax(np.diff(time_s) <= 0)) + 1
@@ -76,7 +78,7 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
         "motor_torque": _signal(table, "motor_tau{}_Nm", robot.n),
         "current": _signal(table, f"i{{}}_{unit}", robot.n),
     }
-    temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C")}
+    temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}
     return Trajectory(
         robot,
         time_s,
@@ -93,7 +95,6 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
 def write_trajectory_set(trajectory: Trajectory, folder: Path | str) -> None:
     """Write the folder. Raises RecordingError if that is impossible."""
     t, folder = trajectory, Path(folder)
-    write_text(folder / "cell.yaml", robot_to_yaml(FORMAT, t.robot, t.simulated))
     columns = {"time_s": numbers(t.time_s)}
     for pattern, values, text in (
         ("q{}_set_deg", t.q_set, angles.degrees_text),
@@ -107,7 +108,7 @@ def write_trajectory_set(trajectory: Trajectory, folder: Path | str) -> None:
             columns |= {pattern.format(i + 1): text(column) for i, column in enumerate(values.T) if np.isfinite(column).all()}
     columns |= {name: numbers(values) for name, values in t.temperatures.items()}
     columns |= {name: cells.tolist() for name, cells in t.extra.items() if name not in columns}
-    write_table(folder / "trajectory.csv", columns)
+    write_files(folder, {"cell.yaml": robot_to_yaml(FORMAT, t.robot, t.simulated), "trajectory.csv": table_text(columns)})
 
 
 def _robot(use: _RobotUse, file: str) -> RobotModel:
@@ -142,13 +143,13 @@ def _shipped_robot(model: str, use: _RobotUse) -> RobotModel:
     return validate(RobotSpec, data, node, str(path)).model_copy(update={k: v for k, v in changes.items() if v is not None}).model()
 
 
-def _signal(table: CsvTable, pattern: str, n: int, *, angle: bool = False) -> np.ndarray | None:
+def _signal(table: Table, pattern: str, n: int, *, angle: bool = False) -> np.ndarray | None:
     """(T, n) with NaN for joints that have no such column; None where no joint has one."""
     names = [pattern.format(i + 1) for i in range(n)]
-    if not any(name in table.columns for name in names):
+    if not any(table.has(name) for name in names):
         return None
     out = np.full((len(table), n), np.nan)
     for i, name in enumerate(names):
-        if name in table.columns:
+        if table.has(name):
             out[:, i] = table.radians(name) if angle else table.number(name)
     return out

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.table import Table
 from mbcacq.model.cell import Cell
-from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, CsvTable
+from mbcacq.recording.datasets.csv_columns import QUATERNION, XYZ, rotations
 
 
-def wide_centres(table: CsvTable, cell: Cell) -> dict[str, Any] | None:
+def wide_centres(table: Table, cell: Cell) -> dict[str, Any] | None:
     """Centre columns of ``Observations`` from the rows of poses.csv, which gets the columns pose and station where it lacks them; None
     where it holds no measured points. Raises ConfigError."""
     several = [ball for ball in cell.ball_ids if table.has(_names(ball))]
@@ -28,10 +29,10 @@ def wide_centres(table: CsvTable, cell: Cell) -> dict[str, Any] | None:
     rows = np.arange(len(table))
     out: dict[str, Any] = {"pose": rows, "ball": _balls(table, cell), "xyz": table.group(XYZ)}
     extra: dict[str, np.ndarray] = {}
-    if any(name in table.columns for name in QUATERNION):
+    if any(table.has(name) for name in QUATERNION):
         table.require(QUATERNION)
-        out["rotation"] = table.rotations()
-        extra = {f"centres.{name}": np.array(table.columns[name], dtype=np.str_) for name in QUATERNION}
+        out["rotation"] = rotations(table)
+        extra = {f"centres.{name}": np.array(table.text(name), dtype=np.str_) for name in QUATERNION}
     return out | {"extra": extra}
 
 
@@ -39,18 +40,18 @@ def _names(ball: int) -> tuple[str, str, str]:
     return f"x{ball}_mm", f"y{ball}_mm", f"z{ball}_mm"
 
 
-def _complete(table: CsvTable, cell: Cell) -> None:
-    if "pose" not in table.columns:
+def _complete(table: Table, cell: Cell) -> None:
+    if not table.has("pose"):
         table.columns["pose"] = tuple(str(i + 1) for i in range(len(table)))
-    if "station" not in table.columns:
+    if not table.has("station"):
         if len(cell.stations) > 1:
             raise ConfigError(f"{table.path}:1: column station is missing, and cell.yaml has {len(cell.stations)} stations; add it")
         table.columns["station"] = tuple(station.id for station in cell.stations) * len(table)
 
 
-def _balls(table: CsvTable, cell: Cell) -> np.ndarray:
+def _balls(table: Table, cell: Cell) -> np.ndarray:
     """(rows,) index of the ball that each row shows."""
-    if "ball" not in table.columns:
+    if not table.has("ball"):
         if len(cell.ball_ids) > 1:
             raise ConfigError(f"{table.path}:1: column ball is missing, and cell.yaml has {len(cell.ball_ids)} balls; add it")
         return np.zeros(len(table), dtype=np.int64)
@@ -62,20 +63,20 @@ def _balls(table: CsvTable, cell: Cell) -> np.ndarray:
     return np.array([index[ball] for ball in ids], dtype=np.int64)
 
 
-def _several(table: CsvTable, cell: Cell, balls: list[int]) -> dict[str, Any]:
+def _several(table: Table, cell: Cell, balls: list[int]) -> dict[str, Any]:
     pose, ball, xyz = [], [], []
     for number in balls:
         names = _names(number)
-        seen = np.array([any(cells[row].strip() for cells in (table.columns[n] for n in names)) for row in range(len(table))])
-        part = CsvTable(
-            table.path,
-            {n: tuple(c for c, s in zip(table.columns[n], seen, strict=True) if s) for n in names},
-            [line for line, s in zip(table.line, seen, strict=True) if s],
-        )
-        table.taken |= set(names)
+        seen = np.array([any(map(str.strip, row)) for row in zip(*map(table.text, names), strict=True)], dtype=bool)
+        values = table.numbers(names, empty=np.nan)
+        half = seen & ~np.isfinite(values).all(axis=1)
+        if half.any():
+            row = int(np.argmax(half))
+            name = names[int(np.argmin(np.isfinite(values[row])))]
+            raise ConfigError(f"{table.where(row, name)}: the cell is empty; fill it in, or empty those of the whole ball")
         pose.append(np.flatnonzero(seen))
         ball.append(np.full(int(seen.sum()), cell.ball_ids.index(number)))
-        xyz.append(part.group(names))
+        xyz.append(values[seen])
     at = np.concatenate(pose)
     order = np.argsort(at, kind="stable")
     if not len(order):

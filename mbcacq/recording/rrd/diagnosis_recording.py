@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import rerun as rr
 
 from mbcacq.errors import RecordingError
+from mbcacq.files.atomic_write import publish
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
@@ -69,7 +69,7 @@ def write_diagnosis(
         _log_poses(stream, centres, before, after, pictures["causes"], times)
         stream.flush(timeout_sec=60.0)
         stream.disconnect()
-        os.replace(partial, path)
+        publish(partial, path)
     except (RuntimeError, OSError) as error:
         raise RecordingError(f"{path} cannot be written: {error}; choose another place") from error
     finally:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import RecordingError
+from mbcacq.files.atomic_write import replacing
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
@@ -21,6 +22,13 @@ def write_plan_recording(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit], starts: Sequence[float], file: Path
 ) -> None:
     """Write ``file`` (.rrd). starts: (P,) s, when each pose's first motion begins. Raises RecordingError where it cannot be written."""
+    with replacing(file) as partial:
+        _write(loaded, poses, transits, starts, partial, file)
+
+
+def _write(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit], starts: Sequence[float], partial: Path, file: Path
+) -> None:
     import rerun as rr
     import rerun.blueprint as rrb
 
@@ -40,7 +48,7 @@ def write_plan_recording(
         eye_controls=rrb.EyeControls3D(position=viewpoint.position, look_target=viewpoint.target, eye_up=(0.0, 0.0, 1.0)),
     )
     try:
-        rec.save(rerun_path(file))
+        rec.save(rerun_path(partial))
         log = rrb.TextLogView(name="Poses and when they begin", origin=layout.LOG, columns=LOG_COLUMNS)
         panels = (
             rrb.TimePanel(state="collapsed", timeline=layout.TIME),
@@ -80,6 +88,7 @@ def write_plan_recording(
         seen = f"{len(pose.balls)} ball{'' if len(pose.balls) == 1 else 's'}"
         rec.log(layout.LOG, rr.TextLog(drawable(f"{start:.0f} s  pose {pose.number}: {pose.step_name}, station {pose.station}, {seen}")))
         last = pose.q
+    rec.flush(timeout_sec=60.0)
     rec.disconnect()
 
 

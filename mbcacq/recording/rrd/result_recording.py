@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import rerun as rr
 
 from mbcacq.errors import RecordingError
 from mbcacq.estimation.forward_model import CellState, predict, residual
+from mbcacq.files.atomic_write import publish
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
@@ -85,7 +85,7 @@ def log_result(
         stream.log(layout.SUMMARY, drawn_text(summary), static=True)
         stream.flush(timeout_sec=60.0)
         stream.disconnect()
-        os.replace(partial, path)
+        publish(partial, path)
         note_copy(path)
     except (RuntimeError, OSError) as error:
         raise RecordingError(f"{path} cannot be written: {error}; free the disk or calibrate into another folder") from error

@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from mbcacq.recording.datasets.synced_files import write_synced
+from mbcacq.files.atomic_write import write_file
 from mbcacq.recording.rrd.checksums import note_whole
 
 FILE = "recording.json"
@@ -23,7 +23,7 @@ class RunHeader:
 
 def write_run_header(folder: Path, header: RunHeader) -> None:
     data = (json.dumps({"format": "mbcacq-run/1", **asdict(header)}, indent=1) + "\n").encode("utf-8")
-    write_synced(folder / FILE, data)
+    write_file(folder / FILE, data)
     note_whole(folder, FILE, data)
 
 

@@ -15,7 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from mbcacq.errors import RecordingError
-from mbcacq.recording.datasets.synced_files import sync_folder
+from mbcacq.files.atomic_write import sync_folder
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, note_stretch
 from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint

@@ -13,8 +13,8 @@ from typing import Any, BinaryIO
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
+from mbcacq.files.atomic_write import sync_folder
 from mbcacq.model.cell import SIMULATED
-from mbcacq.recording.datasets.synced_files import sync_folder
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
 

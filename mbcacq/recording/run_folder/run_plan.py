@@ -11,8 +11,8 @@ from typing import Any
 import yaml
 
 from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.files.atomic_write import write_file
 from mbcacq.plan.yaml_source import parse
-from mbcacq.recording.datasets.synced_files import write_synced
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import digest_of_file, note_whole, read_stretches
 
@@ -42,7 +42,7 @@ def keep_plan(folder: Path, plan: str, plan_files: str) -> None:
     """Write the plan's text and ``plan_files_text``, with their checksums. They are on the disk when the call returns."""
     for name, text in ((PLAN, plan), (FILES, plan_files)):
         data = text.encode("utf-8")
-        write_synced(folder / name, data)
+        write_file(folder / name, data)
         note_whole(folder, name, data)
 
 
@@ -63,7 +63,7 @@ def read_kept_plan(folder: Path) -> KeptPlan:
         copy = _recorded(parts, name)
         if copy is not None:
             data = copy.encode("utf-8")
-            write_synced(folder / name, data)
+            write_file(folder / name, data)
             note_whole(folder, name, data)
             found[name] = copy
             repairs.append(f"{folder / name} {what}; it was restored from {layout.RUN_FILE}")

@@ -8,6 +8,11 @@ import re
 from pathlib import Path
 from typing import Any
 
+from mbcacq.calibration.result_io import FORMAT as RESULT_FORMAT
+from mbcacq.calibration.sealed_json import unsealed
+from mbcacq.diagnosis.result import FORMAT as DIAGNOSIS_FORMAT
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.model.json_text import read_json
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.run_folder.journal import read_log
 
@@ -49,11 +54,12 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
     info["identity"] = identities(folder)
     if (devices := devices_of(folder)) is not None:
         info["devices"] = devices
-    diagnosis, pictures = _json(folder / "diagnosis.json"), _json(folder / "diagnosis-pictures.json")
+    diagnosis = _kept(folder / "diagnosis.json", "mbcacq diagnose", DIAGNOSIS_FORMAT)
     if diagnosis is not None:
-        info |= {"diagnosis": diagnosis, "pictures": pictures}
-    if (better := _json(folder / WITH_EFFECTS / "result.json")) is not None:
-        info["with_effects"] = better
+        info |= {"diagnosis": diagnosis, "pictures": _pictures(folder / "diagnosis-pictures.json")}
+    better = folder / WITH_EFFECTS / "result.json"
+    if (result := _kept(better, "mbcacq diagnose --calibrate", RESULT_FORMAT)) is not None:
+        info["with_effects"] = unsealed(result, better)
     return info
 
 
@@ -79,9 +85,30 @@ def hashes(folder: Path) -> list[tuple[str, str, str]]:
     return out
 
 
-def _json(path: Path) -> dict[str, Any] | None:
+def _kept(path: Path, program: str, known: str) -> dict[str, Any] | None:
+    """What a command kept in the folder; None where it kept nothing. program: that command; known: format that this version reads.
+
+    Raises RecordingError where the file cannot be read, ConfigError where it is damaged or a newer version wrote it.
+    """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        text = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}; make it readable, or remove it") from error
+    content = read_json(text, str(path), f"write it anew with {program}, or remove it")
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path} is damaged (it holds no object); write it anew with {program}, or remove it")
+    name, _, version = str(content.get("format", known)).partition("/")
+    if name == known.partition("/")[0] and version.isdecimal() and int(version[:9]) > int(known.partition("/")[2]):
+        raise ConfigError(f"{path} is of format '{name}/{version[:9]}', which a newer mbcacq wrote; update mbcacq, or write it anew")
+    return content
+
+
+def _pictures(path: Path) -> dict[str, Any] | None:
+    """What pictures of a diagnosis need; None where it is absent or damaged, for the diagnosis says all without them."""
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None

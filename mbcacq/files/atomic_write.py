@@ -1,0 +1,238 @@
+"""Atomic writes: after a full disk, a kill or a power cut a file is the old one or the new one, whole.
+
+The content goes to a temporary file in the same folder and is brought to the disk before it takes the name; then the folder is.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import shutil
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from mbcacq.errors import RecordingError
+
+PART = ".part"
+ABANDONED_S = 3600.0  # a temporary file of a process that was killed; none is written for so long
+INCOMPLETE = "INCOMPLETE.txt"
+_NAME_BYTES = 200  # of a temporary name; file systems allow 255
+_NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)  # what cannot be synchronised, such as some network folders
+
+
+def write_file(path: Path | str, data: bytes | str) -> Path:
+    """Write a whole file; an existing one is replaced only when the new one is on the disk.
+
+    Parameters
+    ----------
+    path
+        Missing folders are made. A link stays a link, and what it leads to is replaced. A pipe or device is written to as it is.
+    data
+        Text is written as UTF-8, without a change of line ends.
+
+    Returns
+    -------
+    The path.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written; an existing one is as it was.
+    """
+    content = data.encode("utf-8", errors="surrogateescape") if isinstance(data, str) else data
+    with replacing(path) as partial:
+        partial.write_bytes(content)
+    return Path(path)
+
+
+@contextmanager
+def replacing(path: Path | str) -> Iterator[Path]:
+    """A temporary path beside ``path`` for a library that writes files itself; what stands there at the end of the block takes the name.
+
+    Raises
+    ------
+    RecordingError
+        The temporary file cannot be written or renamed, or an OSError left the block; an existing file is as it was.
+    """
+    path = Path(path)
+    try:
+        target = _target(path)
+        if target.exists() and not target.is_file():
+            yield target  # a pipe, a terminal, a device: nothing that could be replaced
+            return
+        partial = _partial(target)
+        try:
+            yield partial
+            publish(partial, target)
+        finally:
+            _remove(partial)
+    except RecordingError:
+        raise
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def write_files(folder: Path | str, files: Mapping[str, bytes | str]) -> list[Path]:
+    """Write several files of one folder as a set.
+
+    A folder that is new appears with all of them. In one that is there, all are on the disk before the first takes its name; while they
+    take their names, a file INCOMPLETE.txt says that old and new ones stand side by side.
+
+    Parameters
+    ----------
+    files
+        Name to content; text is written as UTF-8.
+
+    Returns
+    -------
+    The paths, in the order of ``files``.
+
+    Raises
+    ------
+    RecordingError
+        One of them cannot be written; the files of the folder are as they were.
+    """
+    folder = Path(folder)
+    content = {name: d.encode("utf-8", errors="surrogateescape") if isinstance(d, str) else d for name, d in files.items()}
+    try:
+        if folder.exists():
+            _replace_set(folder, content)
+        else:
+            _new_folder(folder, content)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    return [folder / name for name in files]
+
+
+def publish(partial: Path, path: Path) -> None:
+    """Bring a file to the disk and let it take the name of another in its folder. Raises OSError."""
+    _prepare(partial, path)
+    os.replace(partial, path)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk. Windows does so by itself and has no handle of a folder to ask with; where the system
+    refuses, the names come a little later."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _replace_set(folder: Path, content: Mapping[str, bytes]) -> None:
+    targets = {name: _target(folder / name) for name in content}
+    partials: dict[str, Path] = {}
+    try:
+        for name, data in content.items():
+            partials[name] = _partial(targets[name])
+            partials[name].write_bytes(data)
+            _prepare(partials[name], targets[name])
+        _rename_set(folder, partials, targets)
+    finally:
+        for partial in partials.values():
+            _remove(partial)
+
+
+def _rename_set(folder: Path, partials: Mapping[str, Path], targets: Mapping[str, Path]) -> None:
+    """Give the names to the files of a set. INCOMPLETE.txt stands in the folder as long as some have theirs and others have not."""
+    note = folder / INCOMPLETE
+    mixed = len(partials) > 1 and any(target.exists() for target in targets.values())
+    if mixed:
+        try:
+            note.write_text("These files were being replaced as a set; write them again:\n" + "\n".join(partials) + "\n", encoding="utf-8")
+            _sync_file(note)
+        except OSError:
+            _remove(note)
+            raise
+        sync_folder(folder)
+    for name, partial in partials.items():
+        os.replace(partial, targets[name])
+    for parent in {target.parent for target in targets.values()}:
+        sync_folder(parent)
+    if mixed or note.exists():
+        note.unlink(missing_ok=True)
+        sync_folder(folder)
+
+
+def _new_folder(folder: Path, content: Mapping[str, bytes]) -> None:
+    partial = _partial(_target(folder))
+    _remove(partial)
+    try:
+        partial.mkdir()
+        for name, data in content.items():
+            _make_folder((partial / name).parent)
+            (partial / name).write_bytes(data)
+            _sync_file(partial / name)
+            sync_folder((partial / name).parent)
+        os.replace(partial, folder)
+    finally:
+        _remove(partial)
+    sync_folder(folder.parent)
+
+
+def _target(path: Path) -> Path:
+    """The file that a path leads to through links, in a folder that exists."""
+    target = Path(os.path.realpath(path))
+    _make_folder(target.parent)
+    return target
+
+
+def _make_folder(folder: Path) -> None:
+    """Make a folder and those above it, with their names on the disk."""
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    for place in reversed(missing):
+        place.mkdir(exist_ok=True)
+        sync_folder(place.parent)
+
+
+def _partial(target: Path) -> Path:
+    """A name in the same folder that no other process or thread writes to. Those that killed processes left behind are removed."""
+    stem = target.name.encode("utf-8", errors="surrogateescape")[:_NAME_BYTES].decode("utf-8", errors="ignore")
+    with suppress(OSError):
+        for old in target.parent.iterdir():
+            if re.fullmatch(rf"{re.escape(stem)}\.\d+-\d+{PART}", old.name) and time.time() - old.stat().st_mtime > ABANDONED_S:
+                _remove(old)
+    return target.with_name(f"{stem}.{os.getpid()}-{threading.get_ident() % 100_000}{PART}")
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _prepare(partial: Path, target: Path) -> None:
+    """The temporary file on the disk, with the rights of the one that it replaces. Raises OSError where that one may not be written."""
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
+    if target.exists():
+        if not os.access(target, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target))
+        with suppress(OSError):
+            shutil.copymode(target, partial)
+    _sync_file(partial)
+
+
+def _sync_file(path: Path) -> None:
+    """``os.fsync`` works on a handle that may be written, on POSIX and on Windows."""
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in _NO_SYNC:
+            raise
+    finally:
+        os.close(handle)
+
+
+def _unwritable(path: Path, error: OSError) -> RecordingError:
+    return RecordingError(f"{path} cannot be written: {error.strerror or error}; free the disk or choose another place")

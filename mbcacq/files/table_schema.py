@@ -1,0 +1,192 @@
+"""What a table of a kind holds: its columns with names, units and kinds, and which heading of a file is which column."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from mbcacq.files.units import AmbiguousUnit, same_dimension, suffix_unit, unit_named
+
+_BRACKETS = re.compile(r"([^\[\](]+)[\s_]*[\[(]([^\[\]]*)[\])]\s*")
+_BEHIND_WORD = re.compile(r"(.+?)(?: in | ?/ ?)(\S+)\s*")
+
+_IN_HEADINGS = {"degC": "C", "ppm/K": "ppm_per_K"}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes
+    ----------
+    name
+        By which the program asks for it.
+    unit
+        Of the array, as pint spells it; None for a number without unit, an integer or a text.
+    kind
+        'number', 'integer' or 'text'.
+    written
+        Unit that the preferred heading names, ``unit`` if empty: ('q1', 'rad', written 'deg') is best headed ``q1_deg``.
+    aliases
+        Other names in headings, in the order of preference.
+    required
+        Whether a table without it is refused.
+    assumed
+        Unit of a heading that names none; empty: such a heading is refused.
+    """
+
+    name: str
+    unit: str | None = None
+    kind: Literal["number", "integer", "text"] = "number"
+    written: str = ""
+    aliases: tuple[str, ...] = ()
+    required: bool = True
+    assumed: str = ""
+
+    @property
+    def preferred(self) -> str:
+        """The heading that documents and errors name."""
+        unit = self.written or self.unit
+        return f"{self.name}_{_IN_HEADINGS.get(unit, unit.replace('*', '').replace('/', '_'))}" if unit else self.name
+
+
+@dataclass(frozen=True)
+class TableSchema:
+    """A kind of table.
+
+    Attributes
+    ----------
+    what
+        In words, for errors: 'a table of recordings'.
+    columns
+        Each a ``Column``.
+    max_bytes
+        Of the file.
+    comment
+        Mark of lines that are left out; empty: there are none.
+    preamble
+        Whether lines may stand before the headings.
+    """
+
+    what: str
+    columns: tuple[Column, ...]
+    max_bytes: int = 64 << 20
+    comment: str = ""
+    preamble: bool = False
+
+
+@dataclass(frozen=True)
+class HeadingMatch:
+    """A column of a file. heading: as in the file; unit: that it names, None where it names none."""
+
+    heading: str
+    unit: str | None
+
+
+class HeadingError(ValueError):
+    """A heading that cannot be understood without guessing; the text says why and what to do."""
+
+
+def joint_columns(
+    name: str,
+    n: int,
+    *,
+    unit: str | None = "rad",
+    written: str = "deg",
+    aliases: Sequence[str] = (),
+    required: bool = True,
+    assumed: str = "",
+    form: str = "{name}{i}",
+) -> tuple[Column, ...]:
+    """One column for each of n joints, q1 to qn. aliases: with {} in place of the joint's number."""
+    return tuple(
+        Column(
+            form.format(name=name, i=i),
+            unit,
+            written=written,
+            aliases=tuple(alias.format(i) for alias in aliases),
+            required=required,
+            assumed=assumed,
+        )
+        for i in range(1, n + 1)
+    )
+
+
+def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, HeadingMatch]:
+    """Column name -> its heading. Raises HeadingError where two headings are equally good, or a unit is of the wrong kind."""
+    out: dict[str, HeadingMatch] = {}
+    free = list(headings)
+    for column in columns:
+        ranked = sorted((rank, heading, unit) for heading in free if (hit := _hit(column, heading)) for rank, unit in [hit])
+        if not ranked:
+            continue
+        rank, heading, unit = ranked[0]
+        if len(ranked) > 1 and ranked[1][0] == rank:
+            raise HeadingError(f"columns {heading} and {ranked[1][1]} both give {column.preferred}; remove one")
+        out[column.name] = HeadingMatch(heading, unit or None)
+        free.remove(heading)
+    return out
+
+
+def score(columns: Sequence[Column], headings: Sequence[str]) -> tuple[int, bool]:
+    """How many columns these headings give, and whether all required ones are among them."""
+    try:
+        found = matched(columns, [heading.strip() for heading in headings])
+    except HeadingError:
+        return 1, True  # understood well enough to be refused with its reason
+    return len(found), bool(found) and all(column.name in found for column in columns if column.required)
+
+
+def _hit(column: Column, heading: str) -> tuple[int, str] | None:
+    """Rank (0 is best) and unit ('' where none is named) of a heading as this column; None where it is another."""
+    names = (column.name, *column.aliases)
+    keys = [_key(name) for name in names]
+    exact = [column.preferred, *names]
+    for base, unit, bracket in _readings(column, heading):
+        if _key(base) not in keys:
+            continue
+        rank = 2 * keys.index(_key(base)) + (heading not in exact and base not in names)
+        if column.unit is None or not unit:
+            return rank, ""
+        if same_dimension(unit, column.unit):
+            return rank, unit
+        if bracket:
+            raise HeadingError(f"column {heading}: {column.preferred} cannot be given in {unit}; correct the unit")
+    return None
+
+
+def _readings(column: Column, heading: str) -> list[tuple[str, str, bool]]:
+    """Name, unit ('' for none) and whether the unit is marked as one, in the ways that a heading may be read."""
+    out = [(heading, "", False)]
+    marked = _BRACKETS.fullmatch(heading) or _BEHIND_WORD.fullmatch(heading)
+    if marked:
+        base, unit = _without_suffix(marked[1].strip().rstrip("_"), column), marked[2]
+        named = _named(column, heading, unit) if _key(base) in map(_key, (column.name, *column.aliases)) else None
+        out.append((base, named or "", named is not None))
+    parts = re.split(r"[_ ]", heading)
+    for cut in range(1, len(parts)):
+        unit = suffix_unit("_".join(parts[cut:]))
+        if unit is not None:
+            out.append(("_".join(parts[:cut]), unit, False))
+    return out
+
+
+def _named(column: Column, heading: str, text: str) -> str | None:
+    if column.unit is None:
+        return None
+    try:
+        return unit_named(text)
+    except AmbiguousUnit as error:
+        raise HeadingError(f"column {heading}: '{text}' may be {error}; name the column {column.preferred}") from None
+
+
+def _without_suffix(name: str, column: Column) -> str:
+    """Of a heading that says its unit twice, 'x_mm [mm]', what stands before both; any other as it is."""
+    base, _, unit = name.rpartition("_")
+    return base if base and suffix_unit(unit) and _key(base) in map(_key, (column.name, *column.aliases)) else name
+
+
+def _key(name: str) -> str:
+    return re.sub(r"[\s_\-]+", "_", name.strip()).casefold().strip("_")

@@ -1,0 +1,94 @@
+"""Columns of the tables of observation sets and trajectory sets: their names, schemas, and numbers as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.files.csv_text import csv_text
+from mbcacq.files.table import Column, Table, TableSchema, joint_columns
+from mbcacq.recording.datasets import quaternions
+
+MAX_BYTES = 1 << 30
+XYZ = ("x_mm", "y_mm", "z_mm")
+QUATERNION = ("qw", "qx", "qy", "qz")
+MEASURED = (*(Column(axis, "mm", required=False) for axis in "xyz"), *(Column(name, required=False) for name in QUATERNION))
+
+
+def poses_schema(n: int, balls: Sequence[int] = ()) -> TableSchema:
+    """poses.csv of an arm of n axes; balls: numbers of those that a wide table may have columns of."""
+    columns = (
+        Column("pose", kind="integer", required=False),
+        Column("station", kind="text", required=False),
+        Column("phase", kind="text", required=False),
+        Column("ball", kind="integer", required=False),
+        Column("time", "s", required=False),
+        Column("payload", "kg", required=False),
+        *joint_columns("q", n, unit="deg", required=False),
+        *joint_columns("dir", n, unit=None, written="", required=False),
+        *joint_columns("qd", n, unit="deg/s", written="deg/s", required=False),
+        *joint_columns("tau", n, unit="N*m", written="N*m", required=False),
+        *joint_columns("i", n, unit="A", written="A", required=False),
+        *MEASURED,
+        *(Column(f"{axis}{ball}", "mm", required=False) for ball in balls for axis in "xyz"),
+    )
+    return TableSchema("poses.csv", columns, max_bytes=MAX_BYTES)
+
+
+CENTRES = TableSchema(
+    "centres.csv",
+    (
+        Column("pose", kind="integer"),
+        Column("ball", kind="integer"),
+        *(Column(axis, "mm") for axis in "xyz"),
+        *(Column(name, required=False) for name in QUATERNION),
+        Column("n_points", required=False),
+        Column("rms", "mm", required=False),
+    ),
+    max_bytes=MAX_BYTES,
+)
+
+
+def trajectory_schema(n: int) -> TableSchema:
+    """trajectory.csv of an arm of n axes. Motor currents in A and in percent are two columns, for one cannot be had from the other."""
+    return TableSchema(
+        "trajectory.csv",
+        (
+            Column("time", "s"),
+            *joint_columns("q", n, unit="deg", required=False),
+            *joint_columns("q", n, unit="deg", form="{name}{i}_set", required=False),
+            *joint_columns("q", n, unit="deg", form="{name}{i}_joint", required=False),
+            *joint_columns("tau", n, unit="N*m", written="N*m", required=False),
+            *joint_columns("motor_tau", n, unit="N*m", written="N*m", required=False),
+            *joint_columns("i", n, unit="A", written="A", required=False),
+        ),
+        max_bytes=MAX_BYTES,
+    )
+
+
+def rotations(table: Table) -> np.ndarray:
+    """(rows, 3, 3) from the columns ``QUATERNION``. Raises ConfigError at the first whose length is not 1."""
+    q = table.numbers(QUATERNION)
+    length = np.linalg.norm(q, axis=1)
+    bad = np.abs(length - 1) > 0.01
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise ConfigError(f"{table.where(row, 'qw')}: qw, qx, qy, qz have length {length[row]:.4g}, not 1; correct the quaternion")
+    return quaternions.to_matrix(q)
+
+
+def table_text(columns: Mapping[str, Sequence[str]]) -> str:
+    """Columns of text as the text of a CSV file."""
+    return csv_text(list(columns), zip(*columns.values(), strict=True))
+
+
+def numbered(pattern: str, n: int) -> list[str]:
+    """Column names with the joint's number, 1..n, in place of {}."""
+    return [pattern.format(i + 1) for i in range(n)]
+
+
+def numbers(values: np.ndarray) -> list[str]:
+    """Shortest decimals that read back as the same bits."""
+    return list(map(repr, np.asarray(values).tolist()))

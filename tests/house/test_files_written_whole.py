@@ -1,0 +1,36 @@
+"""Nothing but the atomic writer opens a file for writing, and no table that enters is read by another reader."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2] / "mbcacq"
+WRITERS = {"write_text", "write_bytes", "savez", "savetxt", "savefig", "NamedTemporaryFile", "mkstemp"}
+# Streams that grow, locks and marks: what is not a file that leaves whole.
+ALLOWED = {
+    "files/atomic_write.py": "the writer itself",
+    "recording/run_folder/lock.py": "the name of the owner of a lock, which goes with it",
+    "recording/run_folder/latest.py": "the mark of the latest run, in place of a link",
+    "recording/run_folder/journal.py": "a journal: lines are added, each with its checksum and synced",
+    "recording/run_folder/recovery.py": "a temporary copy that is merged and removed",
+    "recording/rrd/checksums.py": "lines are added, each with its own checksum",
+    "recording/rrd/quiet_environment.py": "settings in a temporary folder of the process",
+}
+
+
+def opens_for_writing(call: ast.Call) -> bool:
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    if name in WRITERS:
+        return True
+    if name != "open":
+        return False
+    modes = [a.value for a in [*call.args, *(k.value for k in call.keywords)] if isinstance(a, ast.Constant) and isinstance(a.value, str)]
+    return any(set(mode) & set("wax+") and set(mode) <= set("rwxabt+") for mode in modes)
+
+
+def test_only_the_atomic_writer_opens_files_for_writing():
+    found = {
+        str(path.relative_to(ROOT).as_posix())
+        for path in ROOT.rglob("*.py")
+        if any(isinstance(n, ast.Call) and opens_for_writing(n) for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    }
+    assert found - set(ALLOWED) == set()
