@@ -109,16 +109,16 @@ def test_a_krl_program_is_corrected_and_nothing_else_changes(tmp_path):
 
 def test_points_that_do_not_say_all_joints_are_listed(tmp_path):
     program = tmp_path / "weld.src"
-    program.write_text(PROGRAM + "PTP {A1 12.5}\n$TOOL={X 0,Y 0,Z 100,A 0,B 0,C 0}\n")
+    program.write_text(PROGRAM.replace("ENDDAT", "PTP XP1\r\nPTP XP3 C_PTP") + "PTP {A1 12.5}\n$TOOL={X 0,Y 0,Z 100,A 0,B 0,C 0}\n")
     (tmp_path / "result.json").write_text(json.dumps(result()))
     done = correct(program, result())
-    assert [(name, line) for name, line, _ in done.left_alone] == [("XP2", 5), ("line 9", 9)]
-    assert [one["line"] for one in done.to_dict()["left_alone"]] == [5, 9]
+    assert [(name, line) for name, line, _ in done.left_alone] == [("XP2", 5), ("line 10", 10)]
+    assert [one["line"] for one in done.to_dict()["left_alone"]] == [5, 10]
     shown = CliRunner().invoke(app, ["correct", str(program), "--with", str(tmp_path / "result.json"), "--force"]).stdout
     assert "2 of 2 points corrected" in shown
     assert "2 more points are not corrected" in shown
     assert "XP2 (line 5): is a pose" in shown
-    assert "line 9: has not the angles of all axes" in shown
+    assert "line 10: has not the angles of all axes" in shown
 
 
 def test_the_corrected_angles_reach_the_nominal_places(tmp_path):
@@ -168,11 +168,11 @@ def test_a_point_at_a_limit_stays_as_programmed(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("a.dat", "DECL E6POS X={X 1,Y 2,Z 3,A 0,B 0,C 0}", "no E6AXIS point"),
+        ("a.dat", "DECL E6POS X={X 1,Y 2,Z 3,A 0,B 0,C 0}", "no absolute target with all 6 joint angles"),
         ("a.csv", "a,b\n1,2\n", "neither q1_deg"),
         ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,x\n", "a.csv:2"),
         ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,nan\n", "not finite"),
-        ("a.txt", "", "give a KRL program"),
+        ("a.txt", "", "give a robot program"),
     ],
 )
 def test_a_file_without_points_is_refused_with_its_line(tmp_path, name, text, words):
