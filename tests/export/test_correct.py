@@ -188,3 +188,56 @@ def test_an_existing_file_is_not_overwritten(tmp_path):
         correct(tmp_path / "weld.dat", result())
     with pytest.raises(ConfigError, match="itself"):
         correct(tmp_path / "weld.dat", result(), tmp_path / "weld.dat", force=True)
+
+
+def table(header, *rows):
+    return "\n".join([header, *rows]) + "\n"
+
+
+SIX = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        table(SIX, "10,-80.5,70,15,40,-5").encode(),
+        table(SIX.replace(",", ";"), "10;-80,5;70;15;40;-5").encode("cp1252"),
+        table(SIX.replace(",", "\t"), "10\t-80,5\t70\t15\t40\t-5").replace("\n", "\r\n").encode("utf-16"),
+        table(SIX, "10,-80.5,70,15,40,-5").encode("utf-8-sig"),
+        table(SIX.replace("_deg", " [deg]"), "10,-80.5,70,15,40,-5").encode(),
+        table(SIX.replace("_deg", "_rad"), ",".join(repr(float(np.radians(v))) for v in (10, -80.5, 70, 15, 40, -5))).encode(),
+        table("A1,A2,A3,A4,A5,A6", "10,-80.5,70,15,40,-5").encode(),
+        table(SIX, "10,-80.5,70,15,40,-5").replace("\n", "\r").encode(),
+    ],
+    ids=["plain", "German", "UTF-16", "BOM", "brackets", "radians", "axes", "carriage returns"],
+)
+def test_tables_are_read_and_written_in_their_own_form(tmp_path, data):
+    (tmp_path / "p.csv").write_bytes(data)
+    done = correct(tmp_path / "p.csv", result())
+    (tmp_path / "q.csv").write_text(table(SIX, "10,-80.5,70,15,40,-5"))
+    assert done.found.q == pytest.approx(correct(tmp_path / "q.csv", result()).found.q, abs=1e-9)
+    again = done.file.read_bytes()
+    assert again.startswith(data[: len(data) // 2 // 2 * 2 // 4])
+    encoding = "utf-16" if data[:2] == b"\xff\xfe" else "utf-8-sig"
+    text = again.decode(encoding)
+    assert "corrected_q1_deg" in text
+    if "-80,5" in data.decode(encoding):
+        assert "." not in text.splitlines()[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (table(SIX, "10,-80,5,70,15,40,-5"), "p.csv:2: the row has 7 cells, the header 6"),
+        (table(SIX, "1_0,-80.5,70,15,40,-5"), "p.csv:2: column q1_deg: '1_0' is no number"),
+        (table(SIX.replace(",", ";"), "10;-80,5;70.5;15;40;-5"), "has a point in a file with decimal commas"),
+        (table("q1,q2,q3,q4,q5,q6", "0.1745,-1.405,1.2217,0.2618,0.698,-0.087"), "all joint angles are within 2 pi and q1 says no unit"),
+        (table("x,y,z,a,b,c", "1,2,3,4,5,6"), "column 'x' says no unit"),
+        (table(SIX, "10,-80.5,70,15,40," + "9" * 400), "is not finite|is no number"),
+        ("a\0b\n1\n", "NUL"),
+    ],
+)
+def test_tables_that_cannot_be_meant_are_refused(tmp_path, text, words):
+    (tmp_path / "p.csv").write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        correct(tmp_path / "p.csv", result())

@@ -96,9 +96,7 @@ def _refuse_radians(path: Path, header: list[str], names: list[str], q: np.ndarr
     degrees = np.degrees(q)
     uneven = np.abs(2 * degrees - np.round(2 * degrees)) > 1e-6
     if not stated and np.abs(degrees).max(initial=0.0) <= 2 * np.pi and np.count_nonzero(uneven) >= 2:
-        raise ConfigError(
-            f"{path}: all joint angles are within 2 pi and {names[0]} says no unit; name the columns q1_rad.. if they are radians, or q1_deg.."
-        )
+        raise ConfigError(f"{path}: all joint angles are within 2 pi and {names[0]} says no unit; name the columns q1_rad.. or q1_deg..")
 
 
 def _rows(path: Path, text: str, separator: str) -> tuple[list[list[str]], list[int]]:
@@ -112,8 +110,8 @@ def _rows(path: Path, text: str, separator: str) -> tuple[list[list[str]], list[
                 raise ConfigError(f"{path}:{reader.line_num}: is empty; remove the line")
             if rows and len(row) != len(rows[0]):
                 raise ConfigError(
-                    f"{path}:{reader.line_num}: the row has {len(row)} cells, the header {len(rows[0])}; correct the row (decimal point and "
-                    "comma, or decimal comma and semicolon)"
+                    f"{path}:{reader.line_num}: the row has {len(row)} cells, the header {len(rows[0])}; correct the row (decimal point "
+                    "and comma, or decimal comma and semicolon)"
                 )
             rows.append(row)
             lines.append(reader.line_num)
@@ -137,15 +135,25 @@ class _Cells:
         try:
             factor = converted(1.0, unit, wanted)
         except UnknownUnitError:
-            raise ConfigError(f"{self.path}:1: '{unit}' in '{heading}' is no unit that can be given in {wanted}; correct the heading") from None
+            raise ConfigError(
+                f"{self.path}:1: '{unit}' in '{heading}' is no unit that can be given in {wanted}; correct the heading"
+            ) from None
         return factor * np.array([self._value(row[number], line, heading) for row, line in zip(self.rows[1:], self.lines, strict=True)])
 
     def _value(self, cell: str, line: int, heading: str) -> float:
         plain = cell.replace(",", ".") if self.comma and _DECIMAL_COMMA.fullmatch(cell) else cell
         if self.comma and "." in cell:
-            raise ConfigError(f"{self.path}:{line}: column {heading}: '{cell[:40]}' has a point in a file with decimal commas; correct the cell")
+            raise ConfigError(
+                f"{self.path}:{line}: column {heading}: '{cell[:40]}' has a point in a file with decimal commas; correct the cell"
+            )
         if not _NUMBER.fullmatch(plain) or not np.isfinite(float(plain)):
-            what = "is empty" if not cell.strip() else "is not finite" if cell.strip().lower().lstrip("+-") in ("nan", "inf") else "is no number"
+            what = (
+                "is empty"
+                if not cell.strip()
+                else "is not finite"
+                if cell.strip().lower().lstrip("+-") in ("nan", "inf")
+                else "is no number"
+            )
             raise ConfigError(f"{self.path}:{line}: column {heading}: '{cell[:40]}' {what}; correct the line")
         return float(plain)
 
