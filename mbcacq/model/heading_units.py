@@ -40,6 +40,7 @@ PLAIN = frozenset(
 )
 _BRACKETS = re.compile(r"^(.*?)\s*[\(\[]\s*(.*?)\s*[\)\]]\s*$", re.DOTALL)
 _COVERAGE = re.compile(r"k\s*=\s*(\d+(?:[.,]\d+)?)")
+_SPELT = re.compile(r"(?:1/)?[A-Za-zµμ]{1,16}(?:[*/][A-Za-zµμ]{1,16}){0,2}")
 
 
 class UnknownUnitError(ValueError):
@@ -84,6 +85,8 @@ def converted(value: float, unit: str, wanted: str) -> float:
     import pint
 
     known = unit_of(unit) or unit
+    if not _SPELT.fullmatch(known):  # nothing else goes to pint, which would evaluate it
+        raise UnknownUnitError(f"'{unit}' is no unit that can be given in {wanted}")
     try:
         angle = "radian" in str(_registry().get_root_units(_registry().parse_units(known))[1])
         if angle != (wanted in ("rad", "deg")):
