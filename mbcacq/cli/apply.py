@@ -17,13 +17,14 @@ from mbcacq.cli.terminal import echo
 @click.argument("cloud", type=click.Path(path_type=Path))
 @click.option("--joints", required=True, metavar="Q1,Q2,...", help="Joint angles of the exposure, deg, as the controller reports them.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="PLY to write [default: CLOUD with _base before its ending].")
+@click.option("--unit", type=click.Choice(["mm", "m", "cm", "um", "in"]), help="Of the cloud's coordinates [default: mm, if they can be].")
 @click.option("--force", is_flag=True, help="Replace a file that is already there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def command(result: Path, cloud: Path, joints: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Bring CLOUD (PLY or PCD, mm, scanner frame) into the robot's base frame with RESULT (a result.json, or a run folder that holds one).
+def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str | None, force: bool, as_json: bool) -> None:
+    """Bring CLOUD (PLY or PCD, scanner frame) into the robot's base frame with RESULT (a result.json, or a run folder that holds one).
 
-    Colours and intensities stay. Prints how well the points are placed: standard uncertainties, k = 1, of the calibrated
-    parameters and of the joints' repeatability; the noise of single points comes on top.
+    Colours, intensities and all other properties of the points stay. Prints how well the points are placed: standard uncertainties,
+    k = 1, of the calibrated parameters and of the joints' repeatability; the noise of single points comes on top.
 
     Example: mbcacq apply runs/today --joints=0,-90,90,0,30,0 scan.ply
     """
@@ -31,9 +32,10 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
 
     from mbcacq.calibration.caveats import caveats
     from mbcacq.errors import ConfigError
-    from mbcacq.exports.clouds import read, write
+    from mbcacq.exports.clouds import write_cloud
     from mbcacq.exports.result_json import load_result
     from mbcacq.exports.scan_correction import place_scan
+    from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
 
     out = out or cloud.with_name(f"{cloud.stem}_base.ply")
     if out.exists() and not force:
@@ -43,11 +45,16 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
     except ValueError:
         raise ConfigError(f"--joints '{joints}' is not a list of numbers; give degrees with commas, such as 0,-90,90,0,30,0") from None
     known = load_result(result)
+    notes: list[str] = []
     with StepProgress() as steps:
         steps.begin("bringing the scan into the base frame")
-        points, more = read(cloud)
-        moved, placed = place_scan(known, q, points)
-        write(out, moved, more, placed.T_base_scanner)
+        found = read_cloud_file(cloud)
+        moved, placed = place_scan(known, q, in_mm(cloud, found.points, unit))
+        changed = write_cloud(out, moved, found.properties, placed.T_base_scanner)
+    if found.missing:
+        notes.append(f"{found.missing} places of the cloud hold no point and were left out")
+    if changed:
+        notes.append(f"PLY has no type for {', '.join(changed)}; written as double")
     if as_json:
         echo(
             json.dumps(
@@ -55,6 +62,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
                     "format": "mbcacq-apply/1",
                     "output": str(out),
                     "points": len(moved),
+                    "notes": notes,
                     **({"simulated": True} if known.get("simulated") else {}),
                     "T_base_scanner": placed.T_base_scanner.tolist(),
                     "sigma_mm": placed.total_mm.tolist(),
@@ -68,6 +76,8 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, force: boo
         return
     for sentence in caveats(known):
         echo(f"*** {sentence} ***", err=True)
+    for note in notes:
+        echo(f"note: {note}", err=True)
     x, y, z = placed.total_mm
     echo(f"{out}: {len(moved)} points in the base frame")
     echo(

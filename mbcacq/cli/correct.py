@@ -19,13 +19,15 @@ MOST_LINES = 20
 @click.option("--with", "result", type=RunPath(), required=True, metavar="RESULT", help="A result.json, or a run folder that holds one.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File to write [default: PROGRAM with _corrected].")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
+@click.option("--simulated-anyway", is_flag=True, help="Also with the calibration of a dry run.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
-def command(program: Path, result: Path, out: Path | None, force: bool, as_json: bool) -> None:
+def command(program: Path, result: Path, out: Path | None, force: bool, simulated_anyway: bool, as_json: bool) -> None:
     """Write a copy of PROGRAM whose joint angles bring the calibrated arm, with its effects, to the nominal places.
 
-    PROGRAM: a KRL program with E6AXIS points (.src, .dat), or a CSV of joint angles (q1_deg..) or of poses of the flange in the base
-    (x_mm, y_mm, z_mm, a_deg, b_deg, c_deg). For controllers without an absolute-accuracy option. A point that cannot be reached stays as
-    it was programmed and is listed. The copy is a program that nobody has run: execute it slowly first.
+    PROGRAM: KRL (.src, .dat), URScript (.script), RAPID (.mod), FANUC LS (.ls), or a CSV of joint angles (q1_deg..) or of poses of
+    the flange in the base (x_mm, y_mm, z_mm, a_deg, b_deg, c_deg). For controllers without an absolute-accuracy option. Only what the
+    program moves to as an absolute joint target is changed; increments, poses, steps and tolerances stay, and are listed with the reason.
+    So is a point that cannot be reached. The copy is a program that nobody has run: execute it slowly first.
 
     Example: mbcacq correct weld.dat --with runs/today
     """
@@ -38,12 +40,14 @@ def command(program: Path, result: Path, out: Path | None, force: bool, as_json:
 
     with StepProgress() as steps:
         steps.begin("looking for joint angles that reach the nominal places")
-        done = mbcacq.correct(program, result, out, force=force)
+        done = mbcacq.correct(program, result, out, force=force, simulated_anyway=simulated_anyway)
     if as_json:
         echo(json.dumps(done.to_dict()))
         return
     for sentence in caveats(as_result(result)):
         echo(f"*** {sentence} ***", err=True)
+    for note in done.notes:
+        echo(f"note: {note}", err=True)
     found = done.found
     moved = f", which missed their places by up to {np.nanmax(done.before_mm):.3f} mm" if np.isfinite(done.before_mm).any() else ""
     echo(f"{done.file}: {int(found.reached.sum())} of {len(found.q)} points corrected{moved}")
@@ -58,6 +62,8 @@ def command(program: Path, result: Path, out: Path | None, force: bool, as_json:
         echo(f"{len(done.left_alone)} more {'points are' if len(done.left_alone) > 1 else 'point is'} not corrected:")
     for name, line, reason in done.left_alone[:MOST_LINES]:
         echo(f"  {_place(name, line)}: {reason}")
+    if len(done.left_alone) > MOST_LINES:
+        echo(f"  and {len(done.left_alone) - MOST_LINES} more: --json lists all")
 
 
 def _place(name: str, line: int) -> str:

@@ -83,6 +83,8 @@ def command(
         echo(f"*** {sentence} ***", err=True)
     for one in written:
         one.pop("simulated", None)
+        for note in one.pop("notes", ()):
+            echo(f"note: {note}", err=True)
         more = ", ".join(f"uncertainty {v:.4f} mm (k = 1)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file")
         echo(one["file"] + (f": {more}" if more else ""))
 

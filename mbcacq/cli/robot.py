@@ -22,6 +22,8 @@ def command() -> None:
 @click.option("--base", help="The link (URDF) or body (MJCF) that the arm stands on [asked, or guessed from the names].")
 @click.option("--flange", help="The link, body or site that carries the scanner [asked, or guessed from the names].")
 @click.option("--convention", type=click.Choice(["standard", "modified"]), help="Of a table of DH rows.")
+@click.option("--package", "packages", multiple=True, metavar="NAME=DIR", help="Folder of a ROS package that a xacro names.")
+@click.option("--arg", "arguments", multiple=True, metavar="NAME=VALUE", help="Value of an argument of a xacro.")
 @click.option("--name", help="Of the arm [default: the file's own].")
 @click.option("--speed", type=click.FloatRange(0, 1000, min_open=True), help="Largest joint speed, deg/s, where the file states none.")
 @click.option("--force", is_flag=True, help="Replace the robot file if it exists.")
@@ -32,6 +34,8 @@ def import_(
     base: str | None,
     flange: str | None,
     convention: str | None,
+    packages: tuple[str, ...],
+    arguments: tuple[str, ...],
     name: str | None,
     speed: float | None,
     force: bool,
@@ -39,18 +43,32 @@ def import_(
 ) -> None:
     """Make a robot file of FILE: .urdf, .xacro, .mjcf or .xml, or a table of DH rows (.csv, .yaml).
 
-    The rows are compared with the file's own forward kinematics at random joint angles.
+    The rows are compared with the file's own forward kinematics at random joint angles. Packages that a xacro names are found by the
+    package.xml above the file, in ROS where it is installed, or by --package.
 
     \b
     Examples:
       mbcacq robot import ur10e.urdf --base base_link --flange tool0
+      mbcacq robot import ur.xacro --arg ur_type=ur10e --package ur=../ur
       mbcacq robot import rows.csv --convention modified --out my_arm.yaml
     """
     from mbcacq.errors import ConfigError
     from mbcacq.model.robot_import import import_robot
 
+    folders = {key: Path(value) for key, value in _pairs("--package", packages).items()}
+    given = _pairs("--arg", arguments)
+
     def read(base: str | None, flange: str | None):
-        return import_robot(file, base=base, flange=flange, convention=convention, name=name, speed_deg_s=speed)  # type: ignore[arg-type]
+        return import_robot(
+            file,
+            base=base,
+            flange=flange,
+            convention=convention,  # type: ignore[arg-type]
+            name=name,
+            speed_deg_s=speed,
+            packages=folders,
+            arguments=given,
+        )
 
     found = read(base, flange)
     is_table = file.suffix.lower() in (".csv", ".yaml", ".yml")
@@ -75,3 +93,15 @@ def import_(
     echo(f"at 200 random postures it agrees with {file.name} within {found.miss_mm:.1e} mm and {found.miss_rad:.1e} rad")
     if file.suffix.lower() == ".urdf":
         echo(f"to see its meshes in the viewer, add `urdf: {file}` below `robot:` in the plan")
+
+
+def _pairs(option: str, given: tuple[str, ...]) -> dict[str, str]:
+    from mbcacq.errors import ConfigError
+
+    out = {}
+    for pair in given:
+        key, equals, value = pair.partition("=")
+        if not (key and equals):
+            raise ConfigError(f"{option} '{pair}' is no NAME=VALUE; write the name, '=' and the value")
+        out[key] = value
+    return out

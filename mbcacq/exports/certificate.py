@@ -1,16 +1,18 @@
 """Certificates of artefacts, as a coordinate measuring machine writes them: CSV, YAML or DMIS output to an Artefact, and to our YAML.
 
-CSV: a header with label (or ball, id), x, y, z, d (or diameter), optional U, k, T, alpha; units mm, deg C, 1e-6/K; a unit or a bracket
-after the name is ignored (``x_mm``, ``U (k=2)``). YAML: the same names as keys, balls listed under ``balls`` or ``spheres``; or an artefact
-file of ours.
+CSV: a header with label (or ball, id), x, y, z, d (or diameter), optional U, sigma, k, T, alpha. Units stand in the headings (``x (cm)``,
+``U_um``, ``alpha (1/K)``) or in a comment (``# units: cm``) and are honoured; without any they are mm, deg C, 1e-6/K. YAML: the same names
+as keys, balls listed under ``balls`` or ``spheres``; or an artefact file of ours. What is not used is listed.
 """
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ import yaml
 from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
 from mbcacq.model.cell import Artefact
+from mbcacq.model.heading_units import UnknownUnitError, converted, split_heading
 from mbcacq.plan.plausibility import SMALLEST_BALL_MM
 
 MAX_BYTES = 16 << 20
@@ -40,28 +43,64 @@ ALIASES = {
     "dia": "d",
     "u": "U",
     "uncertainty": "U",
+    "expanded_uncertainty": "U",
+    "sigma": "sigma",
+    "std": "sigma",
+    "standard_uncertainty": "sigma",
     "k": "k",
     "t": "T",
     "temperature": "T",
     "reference_temperature": "T",
     "alpha": "alpha",
     "expansion": "alpha",
+    "cte": "alpha",
 }
+OURS = ("balls", "spheres", "unit", "units", "id", "name", "certificate", "comment", "notes")  # keys that say nothing of the geometry
+WANTED = {"x": "mm", "y": "mm", "z": "mm", "d": "mm", "U": "mm", "sigma": "mm", "T": "degC", "alpha": "ppm/kelvin"}  # units inside
+SEPARATORS = (",", ";", "\t")
+LINE_END = re.compile(r"\r\n|\r|\n")
+_UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a heading or key says. key: our name, None where it is not known; unit: '' for ours; k: coverage factor that stands in it."""
+
+    heading: str
+    key: str | None
+    unit: str = ""
+    k: float | None = None
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """unused: headings and keys that nothing was read from. notes: sentences on what was understood."""
+
+    artefact: Artefact
+    unused: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def read_certificate(path: str | Path, artefact_id: str, name: str = "") -> Artefact:
+    """The artefact of ``read_certificate_file``, where what was not used is of no interest."""
+    return read_certificate_file(path, artefact_id, name).artefact
+
+
+def read_certificate_file(path: str | Path, artefact_id: str, name: str = "") -> Certificate:
     """An Artefact from a certificate: .csv, .yaml/.yml, or DMIS output (.dmo, .dmi, .dms). Raises ConfigError with file and line.
 
     Balls are numbered by the number at the end of their label where those are unique, else in order. The expanded uncertainty U is
-    divided by its k (2 if not given); where it differs between balls the largest counts.
+    divided by its k (2 if not given), a standard uncertainty (sigma, or a small u) is taken as it is; where it differs between balls the
+    largest counts.
     """
     path = Path(path)
     text = _text(path)
+    columns: list[Column] = []
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        rows, about = _from_csv(text, path)
+        rows, about = _from_csv(text, path, columns)
     elif suffix in (".yaml", ".yml"):
-        rows, about = _from_yaml(text, path)
+        rows, about = _from_yaml(text, path, columns)
     elif suffix in (".dmo", ".dmi", ".dms"):
         rows, about = dmis.spheres(text, str(path)), {}
     else:
@@ -73,10 +112,9 @@ def read_certificate(path: str | Path, artefact_id: str, name: str = "") -> Arte
         twice = next(n for n in labels if labels.count(n) > 1)
         raise ConfigError(f"{path}: sphere '{twice}' is listed twice; correct the certificate")
     _refuse_other_units(path, rows)
-    U = [float(r["U"]) / float(r.get("k", about.get("k", 2.0))) for r in rows if r.get("U") is not None]
-    if "U" in about:
-        U.append(float(about["U"]) / float(about.get("k", 2.0)))
-    return Artefact(
+    U = [float(r["U"]) / float(r.get("k", about.get("k", 2.0))) for r in [*rows, about] if r.get("U") is not None]
+    U += [float(r["sigma"]) for r in [*rows, about] if r.get("sigma") is not None]
+    artefact = Artefact(
         id=artefact_id,
         name=name or artefact_id,
         ball_ids=_numbers(labels),
@@ -86,6 +124,11 @@ def read_certificate(path: str | Path, artefact_id: str, name: str = "") -> Arte
         reference_temperature_C=float(about.get("T", next((r["T"] for r in rows if r.get("T") is not None), 20.0))),
         expansion_ppm_per_K=_optional(about.get("alpha", next((r["alpha"] for r in rows if r.get("alpha") is not None), None))),
     )
+    unused = tuple(dict.fromkeys(c.heading for c in columns if c.key is None and c.heading.strip()))
+    notes = [f"not used: {', '.join(unused)}"] if unused else []
+    if not U:
+        notes.append("it states no uncertainty; 0.001 mm (k = 1) is taken")
+    return Certificate(artefact, unused, tuple(notes))
 
 
 def _refuse_other_units(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -138,45 +181,105 @@ def _text(path: Path) -> str:
     if len(raw) > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; this is no certificate")
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-16" if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError:
         return raw.decode("latin-1")
 
 
-def _from_csv(text: str, path: Path) -> tuple[list[Row], Row]:
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
+def _from_csv(text: str, path: Path, columns: list[Column]) -> tuple[list[Row], Row]:
+    every = [(i, line) for i, line in enumerate(LINE_END.split(text), 1) if line.strip()]
+    lines = [(i, line) for i, line in every if not line.lstrip().startswith("#")]
     if not lines:
         return [], {}
-    separator = ";" if lines[0][1].count(";") > lines[0][1].count(",") else ","
-    header = [_key(h) for h in next(csv.reader([lines[0][1]], delimiter=separator))]
+    unit = _unit_in(" ".join(line for _, line in every if line.lstrip().startswith("#")), str(path))
+    separator = max(SEPARATORS, key=lines[0][1].count)
+    columns += [_column(h) for h in _cells(lines[0][1], separator, f"{path}:{lines[0][0]}")]
+    keys = [c.key for c in columns if c.key is not None]
+    if twice := next((key for key in keys if keys.count(key) > 1), None):
+        raise ConfigError(f"{path}:{lines[0][0]}: two columns are '{twice}'; remove one")
     for needed in NEEDED:
-        if needed not in header:
-            raise ConfigError(f"{path}:{lines[0][0]}: column '{needed}' is missing; a certificate needs label, x, y, z and d in mm")
-    rows = []
-    for number, line in lines[1:]:
-        cells = next(csv.reader([line], delimiter=separator))
-        if len(cells) != len(header):
-            raise ConfigError(f"{path}:{number}: {len(cells)} cells under {len(header)} columns; correct the line")
-        row: Row = {}
-        for key, cell in zip(header, cells, strict=True):
-            if key == "label":
-                row[key] = cell.strip()
-            elif key is not None and cell.strip():
-                row[key] = _number(cell.replace(",", ".") if separator == ";" else cell, f"{path}:{number}: column '{key}'")
-        if missing := [k for k in NEEDED if row.get(k) in (None, "")]:
-            raise ConfigError(f"{path}:{number}: column '{missing[0]}' is empty; correct the line")
-        _positive(row, f"{path}:{number}")
-        rows.append(row)
-    return rows, {}
+        if needed not in keys:
+            raise ConfigError(
+                f"{path}:{lines[0][0]}: column '{needed}' is missing; a certificate needs label, x, y, z and d in mm, or with a unit"
+            )
+    rows = [_csv_row(line, separator, columns, unit, f"{path}:{number}") for number, line in lines[1:]]
+    return [row for row in rows if row], {}
 
 
-def _from_yaml(text: str, path: Path) -> tuple[list[Row], Row]:
+def _csv_row(line: str, separator: str, columns: list[Column], unit: str, where: str) -> Row:
+    """One sphere; nothing of a row of empty cells. Raises ConfigError."""
+    cells, row = _cells(line, separator, where), Row()
+    while len(cells) > len(columns) and not cells[-1].strip():
+        cells.pop()
+    if not any(cell.strip() for cell in cells):
+        return row
+    if len(cells) != len(columns):
+        raise ConfigError(f"{where}: {len(cells)} cells under {len(columns)} columns; correct the line")
+    for column, cell in zip(columns, cells, strict=True):
+        if column.key is not None and cell.strip():
+            plain = cell.replace(",", ".") if separator != "," else cell
+            _take(row, column, cell.strip() if column.key == "label" else plain, f"{where}: column '{column.key}'", unit)
+    if missing := [k for k in NEEDED if row.get(k) in (None, "")]:
+        raise ConfigError(f"{where}: column '{missing[0]}' is empty; correct the line")
+    _positive(row, where)
+    return row
+
+
+def _cells(line: str, separator: str, where: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True))
+    except (csv.Error, StopIteration) as error:
+        raise ConfigError(f"{where}: is no row of a table ({error}); correct the line") from None
+
+
+def _unit_in(text: str, where: str) -> str:
+    """The unit of length that a comment or a key states for all, '' without any. Raises ConfigError for one that is not known."""
+    match = _UNITS.search(text)
+    if match is None:
+        return ""
+    try:
+        converted(1.0, match[1], "mm")
+    except UnknownUnitError:
+        raise ConfigError(f"{where}: the unit '{match[1]}' is no length that is known; give mm, cm, m, um or inch") from None
+    return match[1]
+
+
+def _column(heading: str) -> Column:
+    name, unit, k = split_heading(heading)
+    key = ALIASES.get(name)
+    if key == "U" and heading.strip().startswith("u") and name == "u" and k is None:
+        key = "sigma"  # a small u is a standard uncertainty, a capital one is expanded
+    return Column(heading, key, unit, k)
+
+
+def _take(row: Row, column: Column, value: Any, where: str, unit: str = "") -> None:
+    """Put one value into a row, in our unit. unit: that of lengths whose heading has none. Raises ConfigError."""
+    assert column.key is not None, "only known columns are read"
+    if column.key == "label":
+        row["label"] = str(value)
+        return
+    number, wanted = _number(value, where), WANTED.get(column.key)
+    stated = column.unit or (unit if wanted == "mm" else "")
+    if stated:
+        try:
+            number = converted(number, stated, wanted or "")
+        except UnknownUnitError:
+            of = f"can be given in {wanted}" if wanted else "belongs here"
+            raise ConfigError(f"{where}: '{stated}' in '{column.heading}' is no unit that {of}; correct the heading") from None
+    row[column.key] = number
+    if column.k is not None:
+        row["k"] = column.k
+
+
+def _from_yaml(text: str, path: Path, columns: list[Column]) -> tuple[list[Row], Row]:
     data = _mapping(text, path)
     balls = data.get("balls", data.get("spheres"))
     if not isinstance(balls, list):
         raise ConfigError(f"{path}: has no list 'balls' or 'spheres'; give one, with label, x, y, z and diameter of each")
-    about = _yaml_about(data, path)
-    return [_yaml_row(ball, f"{path}: sphere {i}") for i, ball in enumerate(balls, 1)], about
+    stated = data.get("units", data.get("unit"))
+    unit = _unit_in(f"unit {stated}", str(path)) if stated is not None else ""
+    about = _yaml_about(data, path, columns, unit)
+    return [_yaml_row(ball, f"{path}: sphere {i}", columns, unit) for i, ball in enumerate(balls, 1)], about
 
 
 def _mapping(text: str, path: Path) -> dict[Any, Any]:
@@ -190,41 +293,38 @@ def _mapping(text: str, path: Path) -> dict[Any, Any]:
     return data if isinstance(data, dict) else {}
 
 
-def _yaml_about(data: dict[Any, Any], path: Path) -> Row:
+def _yaml_about(data: dict[Any, Any], path: Path, columns: list[Column], unit: str) -> Row:
     """What holds for all spheres: U, k, T, alpha. Our own artefact files give the standard uncertainty (k = 1) as uncertainty_mm."""
     about: Row = {}
     for key, value in data.items():
-        if (known := _key(str(key))) in ("U", "k", "T", "alpha") and value is not None:
-            about[known] = _number(value, f"{path}: {key}")
-    if data.get("uncertainty_mm") is not None:
-        about |= {"U": _number(data["uncertainty_mm"], f"{path}: uncertainty_mm"), "k": 1.0}
+        column = _column(str(key))
+        if column.key in ("U", "sigma", "k", "T", "alpha") and value is not None:
+            if key == "uncertainty_mm":
+                column = Column(str(key), "sigma", "mm")
+            _take(about, column, value, f"{path}: {key}", unit)
+        elif key not in OURS:
+            columns.append(Column(str(key), None))
     return about
 
 
-def _yaml_row(ball: Any, where: str) -> Row:
+def _yaml_row(ball: Any, where: str, columns: list[Column], unit: str) -> Row:
     if not isinstance(ball, dict):
         raise ConfigError(f"{where} is not a mapping; give label, x, y, z and diameter")
     row: Row = {}
     for key, value in ball.items():
-        known = _key(str(key))
-        if known == "label":
-            row[known] = str(value)
-        elif known is not None and value is not None:
-            row[known] = _number(value, f"{where}: {key}")
-    centre = ball.get("centre_mm", ball.get("center_mm"))
-    if isinstance(centre, list) and len(centre) == 3:
-        row |= {axis: _number(v, f"{where}: centre_mm") for axis, v in zip("xyz", centre, strict=True)}
+        column = _column(str(key))
+        name, stated, _ = split_heading(str(key))
+        if column.key is not None and value is not None:
+            _take(row, column, value, f"{where}: {key}", unit)
+        elif name in ("centre", "center") and isinstance(value, list) and len(value) == 3:
+            for axis, v in zip("xyz", value, strict=True):
+                _take(row, Column(str(key), axis, stated), v, f"{where}: {key}", unit)
+        else:
+            columns.append(Column(str(key), None))
     if missing := [k for k in NEEDED if k not in row]:
         raise ConfigError(f"{where} has no '{missing[0]}'; a certificate needs label, x, y, z and diameter")
     _positive(row, where)
     return row
-
-
-def _key(heading: str) -> str | None:
-    """Our name of a column: what stands in brackets and a unit at the end are ignored."""
-    plain = re.sub(r"[\(\[].*?[\)\]]", "", heading).strip().lower().replace(" ", "_")
-    plain = re.sub(r"_(mm|c|degc|ppm_per_k|1e-6_k)$", "", plain)
-    return ALIASES.get(plain)
 
 
 def _number(value: Any, where: str) -> float:

@@ -1,4 +1,4 @@
-"""Point clouds with all their attributes, read and written."""
+"""Point clouds written as PLY with all properties of their points."""
 
 from __future__ import annotations
 
@@ -8,24 +8,31 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import RecordingError
-from mbcacq.lazy import open3d
-from mbcacq.spheres.ply import read_tensor_cloud
+
+NORMALS = ("nx", "ny", "nz")
+PLY_TYPES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 
 
-def read(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Points (N, 3) and every other attribute of them by name. Raises ConfigError naming the file."""
-    cloud = read_tensor_cloud(path)
-    arrays = {name: cloud.point[name].numpy() for name in cloud.point}
-    return arrays.pop("positions"), arrays
+def write_cloud(path: Path, points: np.ndarray, properties: Mapping[str, np.ndarray], T: np.ndarray) -> tuple[str, ...]:
+    """Binary PLY of points (N, 3) as float64 and their properties (N,) in the types they have; normals are rotated by ``T`` (4, 4).
 
-
-def write(path: Path, points: np.ndarray, more: Mapping[str, np.ndarray], T: np.ndarray) -> None:
-    """Binary PLY with float64 positions; normals, if there are any, are rotated by ``T`` (4, 4). Raises RecordingError."""
-    o3d = open3d()
-    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(np.ascontiguousarray(points, dtype=np.float64)))
-    for name, values in more.items():
-        values = values @ T[:3, :3].T.astype(values.dtype) if name == "normals" else values
-        cloud.point[name] = o3d.core.Tensor(np.ascontiguousarray(values))
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        if not path.parent.is_dir() or not o3d.t.io.write_point_cloud(str(path), cloud):
-            raise RecordingError(f"{path}: the cloud cannot be written; check folder and space")
+    Returns the names of properties that PLY has no type for, which are written as double. Raises RecordingError.
+    """
+    columns = {axis: points[:, i].astype("<f8") for i, axis in enumerate("xyz")}
+    columns |= {name: np.asarray(values) for name, values in properties.items()}
+    if all(name in columns for name in NORMALS):
+        normals = np.stack([columns[name] for name in NORMALS], axis=1).astype(float) @ T[:3, :3].T
+        columns |= {name: normals[:, i].astype(columns[name].dtype) for i, name in enumerate(NORMALS)}
+    others = tuple(name for name, values in columns.items() if values.dtype.str[1:] not in PLY_TYPES)
+    columns |= {name: columns[name].astype("<f8") for name in others}
+    dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
+    rows = np.empty(len(points), dtype)
+    for name, values in columns.items():
+        rows[name] = values
+    announced = "".join(f"property {PLY_TYPES[values.dtype.str[1:]]} {name}\n" for name, values in columns.items())
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{announced}end_header\n"
+    try:
+        path.write_bytes(header.encode("ascii", "replace") + rows.tobytes())
+    except OSError as error:
+        raise RecordingError(f"{path}: the cloud cannot be written: {error.strerror}; check folder and space") from error
+    return others

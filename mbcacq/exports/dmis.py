@@ -7,7 +7,7 @@ from typing import Any
 
 from mbcacq.errors import ConfigError
 
-INCH = 25.4
+TO_MM = {"MM": 1.0, "CM": 10.0, "M": 1e3, "METER": 1e3, "METRE": 1e3, "INCH": 25.4, "IN": 25.4, "FEET": 304.8, "FOOT": 304.8, "FT": 304.8}
 _FEATURE = re.compile(r"^FA\(\s*(?P<label>[^)]*?)\s*\)\s*=\s*FEAT\s*/\s*SPHERE\s*,(?P<rest>.*)$", re.IGNORECASE)
 _UNITS = re.compile(r"^UNITS\s*/\s*(\w+)", re.IGNORECASE)
 
@@ -17,7 +17,9 @@ def spheres(text: str, name: str) -> list[dict[str, Any]]:
     scale, out = 1.0, []
     for number, line in _joined(text):
         if units := _UNITS.match(line):
-            scale = INCH if units.group(1).upper().startswith("INCH") else 1.0
+            if units.group(1).upper() not in TO_MM:
+                raise ConfigError(f"{name}:{number}: the unit '{units.group(1)}' is not known; DMIS has MM, CM, METER, INCH and FEET")
+            scale = TO_MM[units.group(1).upper()]
         feature = _FEATURE.match(line)
         if feature is None:
             continue

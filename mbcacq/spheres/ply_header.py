@@ -1,39 +1,66 @@
-"""The header of a PLY file, looked at before a library is: the usual reader crashes the program on some broken ones."""
+"""The header of a PLY file: what it announces, checked against the length of the file before anything is read."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
 
 MAX_HEADER = 64 * 1024
 MAX_LINE = 500
-_BYTES = {
-    "char": 1,
-    "uchar": 1,
-    "int8": 1,
-    "uint8": 1,
-    "short": 2,
-    "ushort": 2,
-    "int16": 2,
-    "uint16": 2,
-    "int": 4,
-    "uint": 4,
-    "int32": 4,
-    "uint32": 4,
-    "float": 4,
-    "float32": 4,
-    "double": 8,
-    "float64": 8,
+_TYPES = {  # as numpy calls them
+    "char": "i1",
+    "uchar": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int16": "i2",
+    "uint16": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "int32": "i4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
 }
-_TYPE = "(" + "|".join(_BYTES) + ")"
+_TYPE = "(" + "|".join(_TYPES) + ")"
 _FORMAT = re.compile(r"format (ascii|binary_little_endian|binary_big_endian) 1\.0")
 _ELEMENT = re.compile(r"element ([!-~]{1,100}) (\d{1,10})")
 _PROPERTY = re.compile(rf"property (?:list {_TYPE} {_TYPE}|{_TYPE}) ([!-~]{{1,100}})")
 
 
-def check_header(path: Path) -> None:
+@dataclass(frozen=True)
+class PlyProperty:
+    """type: as numpy calls it, of the entries for a list; counted: type of a list's length, '' where it is no list."""
+
+    name: str
+    type: str
+    counted: str = ""
+
+
+@dataclass(frozen=True)
+class PlyElement:
+    name: str
+    count: int
+    properties: list[PlyProperty]
+
+
+@dataclass(frozen=True)
+class PlyHeader:
+    """size: bytes of the header."""
+
+    elements: list[PlyElement]
+    text: bool
+    little: bool
+    size: int
+
+
+def read_header(path: Path) -> PlyHeader:
     """Raises ConfigError unless the header is one, has vertices with x, y and z, and the file is long enough for what it announces."""
     with path.open("rb") as file:
         head = file.read(MAX_HEADER)
@@ -45,13 +72,15 @@ def check_header(path: Path) -> None:
         words = _checked_words(path, number, line)
         if words.split(" ", 1)[0] not in ("comment", "obj_info") and not contents.take(number, words):
             raise ConfigError(f"{path}:{number}: '{words[:60]}' is nothing a PLY header may say here; export the cloud anew")
-    if not {"x", "y", "z"} <= contents.coordinates:
+    vertices = [e for e in contents.elements if e.name == "vertex" and e.count]
+    if len(vertices) != 1 or not {"x", "y", "z"} <= {p.name for p in vertices[0].properties if not p.counted}:
         raise ConfigError(f"{path}: holds no points (vertices with x, y and z); export the cloud anew")
     there = path.stat().st_size - end.end()
     if contents.size > there + 1:
         raise ConfigError(
             f"{path}: is cut off: its header announces at least {contents.size} bytes of data and there are {there}; copy it anew"
         )
+    return PlyHeader(contents.elements, contents.text, contents.little, end.end())
 
 
 def _checked_words(path: Path, number: int, line: bytes) -> str:
@@ -65,23 +94,24 @@ def _checked_words(path: Path, number: int, line: bytes) -> str:
 
 
 class _Contents:
-    """What a header announces: at least ``size`` bytes of data, and vertices with these ``coordinates``."""
+    """What a header announces: ``elements``, of at least ``size`` bytes of data."""
 
     def __init__(self) -> None:
-        self.size, self.coordinates = 0, set[str]()
-        self._text, self._element, self._rows = False, "", 0
+        self.size, self.text, self.little = 0, False, True
+        self.elements: list[PlyElement] = []
 
     def take(self, number: int, words: str) -> bool:
         """False for a line that may not stand there."""
         if number == 2 and (match := _FORMAT.fullmatch(words)):
-            self._text = match[1] == "ascii"
+            self.text, self.little = match[1] == "ascii", match[1] == "binary_little_endian"
         elif number > 2 and (match := _ELEMENT.fullmatch(words)):
-            self._element, self._rows = match[1], int(match[2])
-        elif self._element and (match := _PROPERTY.fullmatch(words)):
+            self.elements.append(PlyElement(match[1], int(match[2]), []))
+        elif self.elements and (match := _PROPERTY.fullmatch(words)):
+            element = self.elements[-1]
             # A number in text takes a digit and a blank; a list at least its length.
-            self.size += self._rows * (2 if self._text else _BYTES[match[1] or match[3]])
-            if self._element == "vertex" and self._rows and match[3]:
-                self.coordinates.add(match[4])
+            self.size += element.count * (2 if self.text else int(_TYPES[match[1] or match[3]][1]))
+            counted = _TYPES[match[1]] if match[1] else ""
+            element.properties.append(PlyProperty(match[4], _TYPES[match[2] or match[3]], counted))
         else:
             return False
         return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ LARGE_CHANGE = np.radians(2.0)  # of a joint: more than any calibration of an ar
 class Correction:
     """One file. names, lines: of its points; before: (P,) mm, by how much the arm misses its nominal place with the programmed angles, NaN
     where none are programmed; change: (P,) rad, largest of a joint; found: the corrected angles. left_alone: name, line and reason of each
-    point of a program that stays as it is because it does not say all joints.
+    point of a program that stays as it is, since it is no absolute target or does not say all joints. notes: what was assumed.
     """
 
     file: Path
@@ -32,6 +33,7 @@ class Correction:
     change: np.ndarray
     found: JointTargets
     left_alone: tuple[tuple[str, int, str], ...] = ()
+    notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content, format 'mbcacq-correction/1'."""
@@ -53,7 +55,21 @@ class Correction:
             )
         ]
         left = [{"name": name, "line": line, "reason": reason} for name, line, reason in self.left_alone]
-        return {"format": "mbcacq-correction/1", "file": str(self.file), "points": points, "left_alone": left}
+        return {"format": "mbcacq-correction/1", "file": str(self.file), "points": points, "left_alone": left, "notes": list(self.notes)}
+
+
+@dataclass(frozen=True)
+class _Points:
+    """The points of a file, q (P, n) rad as programmed and goals (P, 4, 4) mm, or None where the joints say it; written: the file with
+    what was found."""
+
+    q: np.ndarray
+    goals: np.ndarray | None
+    names: tuple[str, ...]
+    lines: tuple[int, ...]
+    left_alone: tuple[tuple[str, int, str], ...]
+    notes: tuple[str, ...]
+    written: Callable[[JointTargets], bytes]
 
 
 def correct(
@@ -62,15 +78,15 @@ def correct(
     out: Path | str | None = None,
     *,
     force: bool = False,
+    simulated_anyway: bool = False,
 ) -> Correction:
-    """Write a copy of a KRL program (.src, .dat) or of a CSV file in which the joint angles bring the calibrated arm, with its effects, to
-    the places that the programmed angles have with the nominal arm (or that the CSV gives as poses of the flange).
+    """Write a copy of a robot program (KRL, URScript, RAPID, FANUC LS) or of a CSV file in which the joint angles bring the calibrated arm,
+    with its effects, to the places that the programmed angles have with the nominal arm (or that the CSV gives as poses of the flange).
 
-    out: the file to write (default: the name with '_corrected'). Raises ConfigError for a file without joint points, where the output
-    exists, where a point outside the limits is programmed; RecordingError where it cannot be written.
+    out: the file to write (default: the name with '_corrected'). simulated_anyway: use a simulated calibration too. Raises ConfigError for
+    a file without absolute joint targets, for an arm that was not calibrated, where the output exists, where a point outside the limits is
+    programmed; RecordingError where it cannot be written.
     """
-    from mbcacq.exports.joint_programs import read_targets, written
-
     program = Path(program)
     output = Path(out) if out is not None else program.with_name(f"{program.stem}_corrected{program.suffix}")
     if output.resolve() == program.resolve():
@@ -78,12 +94,13 @@ def correct(
     refuse_existing(output, force, f"{output} exists; give another --out, or --force to replace it")
     arm = CalibratedCell.from_dict(as_result(cell))
     nominal = arm.preliminary.chain
+    _refuse_uncalibrated(arm, simulated_anyway)
     limits = arm.content["robot"].get("limits")
     bounds = None if limits is None else np.array(limits, dtype=float).reshape(nominal.n, 2)
-    targets = read_targets(program, nominal.n)
-    programmed = np.all(np.isfinite(targets.q), axis=1)
-    goals = targets.goals if targets.goals is not None else nominal.flange(targets.q)
-    start = np.where(programmed[:, None], targets.q, np.zeros(nominal.n))
+    points = _points(program, nominal.n)
+    programmed = np.all(np.isfinite(points.q), axis=1)
+    goals = points.goals if points.goals is not None else nominal.flange(points.q)
+    start = np.where(programmed[:, None], points.q, np.zeros(nominal.n))
     found = joint_targets(arm, goals, start, bounds) if programmed.all() else _from_anywhere(arm, goals, bounds)
     before = np.full(len(goals), np.nan)
     if programmed.any():
@@ -92,8 +109,56 @@ def correct(
         there = frames(arm, start)[:, -1, :3, 3]
         before[programmed] = np.linalg.norm(there - goals[:, :3, 3], axis=1)[programmed]
     change = np.where(programmed, np.abs(found.q - start).max(axis=1), np.nan)
+<<<<<<< HEAD
     write_file(output, written(program, targets, found.q, found.error_mm, found.reached, found.reasons).encode("latin-1"))
     return Correction(output, targets.names, targets.lines, before, change, found, targets.left_alone)
+=======
+    try:
+        output.write_bytes(points.written(found))
+    except OSError as error:
+        raise RecordingError(f"{output}: cannot be written: {error.strerror}; free space or give another --out") from error
+    return Correction(output, points.names, points.lines, before, change, found, points.left_alone, points.notes)
+
+
+def _refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
+    if arm.content.get("simulated") and not simulated_anyway:
+        raise ConfigError(
+            "this calibration is simulated, and a program corrected by it would be taken for one of a measured arm; "
+            "give that of a real arm, or --simulated-anyway"
+        )
+    if np.array_equal(arm.state.chain.rows, arm.preliminary.chain.rows) and not arm.effects:
+        raise ConfigError(
+            "this result holds the nominal arm (its hand-eye alone was calibrated), so that there is nothing to correct; "
+            "give the result of a calibration of the arm, without --hand-eye-only"
+        )
+
+
+def _points(path: Path, n: int) -> _Points:
+    """The points of a file. Raises ConfigError naming file and line."""
+    from mbcacq.exports.programs import LANGUAGES, read_program
+    from mbcacq.exports.programs.points_csv import read_points
+
+    suffix = path.suffix.lower()
+    if suffix in LANGUAGES:
+        program, encode = read_program(path, n)
+        names, lines = tuple(point.name for point in program.points), tuple(point.line for point in program.points)
+
+        def text(found: JointTargets) -> bytes:
+            return encode(program.written(found.q, found.reached.tolist()))
+
+        return _Points(program.q, None, names, lines, program.left_alone, program.notes, text)
+    if suffix != ".csv":
+        raise ConfigError(
+            f"{path}: give a robot program ({', '.join(LANGUAGES)}), or a .csv of joints (q1_deg..) or of poses "
+            "(x_mm, y_mm, z_mm, a_deg, b_deg, c_deg)"
+        )
+    table = read_points(path, n)
+
+    def rows(found: JointTargets) -> bytes:
+        return table.written(found.q, found.error_mm, found.reached, found.reasons)
+
+    return _Points(table.q, table.goals, tuple(f"line {line}" for line in table.lines), table.lines, (), table.notes, rows)
+>>>>>>> files-green
 
 
 def _from_anywhere(arm: CalibratedCell, goals: np.ndarray, bounds: np.ndarray | None) -> JointTargets:

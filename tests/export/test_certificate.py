@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.certificate import artefact_yaml, certificate_csv, read_certificate
+from mbcacq.exports.certificate import artefact_yaml, certificate_csv, read_certificate, read_certificate_file
 from mbcacq.model.cell_schema import ArtefactSpec
 
 CSV = "label,x (mm),y (mm),z (mm),diameter,form,U (k=2),k,T\nKugel 1,-4.4902,24.8573,-10.4992,12.0003,0.0004,0.0021,2,20.1\nKugel 2,-37.3617,6.3120,-5.4404,11.9998,0.0003,0.0017,2,20.1\n"
@@ -115,3 +115,93 @@ def test_faults_name_file_and_line(write, name, text, message):
 def test_a_missing_certificate_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.csv"):
         read_certificate(tmp_path / "none.csv", "mbc")
+
+
+POINTS = "B1{s}0{s}0{s}0{s}1.2\nB2{s}6.2{s}0.01{s}-0.005{s}1.2\nB3{s}1.2{s}4.8{s}0.4{s}1.2\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "factor"),
+    [
+        ("c.csv", "label,x (cm),y (cm),z (cm),d (cm)\n" + POINTS.format(s=","), 10),
+        ("c.csv", "label,x_inch,y_inch,z_inch,d_inch\n" + POINTS.format(s=","), 25.4),
+        ("c.csv", "label\tx [cm]\ty [cm]\tz [cm]\tdiameter [cm]\n" + POINTS.format(s="\t"), 10),
+        ("c.csv", "# all units: cm\nlabel,x,y,z,d\n" + POINTS.format(s=","), 10),
+        ("c.csv", "label;x in cm;y in cm;z in cm;d in cm\n" + POINTS.format(s=";").replace(".", ","), 10),
+        (
+            "c.yaml",
+            "unit: cm\nballs:\n"
+            + "".join(
+                f"- {{label: {r.split()[0]}, x: {r.split()[1]}, y: {r.split()[2]}, z: {r.split()[3]}, d: {r.split()[4]}}}\n"
+                for r in POINTS.format(s=" ").splitlines()
+            ),
+            10,
+        ),
+        (
+            "c.dmo",
+            "UNITS/CM,ANGDEC\n"
+            + "".join("FA({})=FEAT/SPHERE,OUTER,CART,{},{},{},{}\n".format(*r.split()) for r in POINTS.format(s=" ").splitlines()),
+            10,
+        ),
+        (
+            "c.dmo",
+            "UNITS/METER,ANGDEC\n"
+            + "".join("FA({})=FEAT/SPHERE,OUTER,CART,{},{},{},{}\n".format(*r.split()) for r in POINTS.format(s=" ").splitlines()),
+            1000,
+        ),
+    ],
+)
+def test_units_are_honoured(write, name, text, factor):
+    a = read_certificate(write(name, text), "mbc")
+    assert a.centres[1] == pytest.approx(np.array([6.2, 0.01, -0.005]) * factor)
+    assert a.diameters[0] == pytest.approx(1.2 * factor)
+
+
+@pytest.mark.parametrize(
+    ("heading", "value", "uncertainty"),
+    [
+        ("U (µm)", "12", 0.006),
+        ("U_um", "12", 0.006),
+        ("U (k=3, µm)", "12", 0.004),
+        ("sigma", "0.004", 0.004),
+        ("u (um)", "4", 0.004),
+        ("standard uncertainty [nm]", "4000", 0.004),
+    ],
+)
+def test_uncertainties_in_their_units(write, heading, value, uncertainty):
+    text = f'label,x,y,z,d,"{heading}"\n' + "".join(f"B{i},{50 * i},{3 * i * i},0,12,{value}\n" for i in range(3))
+    assert read_certificate(write("c.csv", text), "mbc").uncertainty_mm == pytest.approx(uncertainty)
+
+
+def test_temperatures_and_expansions_in_their_units(write):
+    text = "label,x,y,z,d,T (°F),alpha (1/K)\n" + "".join(f"B{i},{50 * i},{3 * i * i},0,12,68,1.15e-5\n" for i in range(3))
+    a = read_certificate(write("c.csv", text), "mbc")
+    assert a.reference_temperature_C == pytest.approx(20)
+    assert a.expansion_ppm_per_K == pytest.approx(11.5)
+
+
+def test_what_is_not_used_is_listed(write):
+    text = "label,x,y,z,d,form error,inspector\n" + "".join(f"B{i},{50 * i},{3 * i * i},0,12,0.001,me\n" for i in range(3))
+    found = read_certificate_file(write("c.csv", text), "mbc")
+    assert found.unused == ("form error", "inspector")
+    assert found.notes[0] == "not used: form error, inspector"
+    assert "states no uncertainty" in found.notes[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("label,x (kg),y,z,d\nB1,1,2,3,12\n", "'kg' in 'x .kg.' is no unit that can be given in mm"),
+        ("label,x (deg),y,z,d\nB1,1,2,3,12\n", "is no unit that can be given in mm"),
+        ("# units: furlongsx\nlabel,x,y,z,d\nB1,1,2,3,12\n", "the unit 'furlongsx' is no length"),
+        ("label,x,y,z,d,x (mm)\nB1,1,2,3,12,4\n", "two columns are 'x'"),
+    ],
+)
+def test_units_that_cannot_be_honoured_are_refused(write, text, words):
+    with pytest.raises(ConfigError, match=words):
+        read_certificate(write("c.csv", text), "mbc")
+
+
+def test_an_unknown_unit_of_dmis_is_refused(write):
+    with pytest.raises(ConfigError, match="the unit 'PARSEC' is not known"):
+        read_certificate(write("c.dmo", "UNITS/PARSEC,ANGDEC\n"), "mbc")

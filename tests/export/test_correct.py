@@ -109,16 +109,16 @@ def test_a_krl_program_is_corrected_and_nothing_else_changes(tmp_path):
 
 def test_points_that_do_not_say_all_joints_are_listed(tmp_path):
     program = tmp_path / "weld.src"
-    program.write_text(PROGRAM + "PTP {A1 12.5}\n$TOOL={X 0,Y 0,Z 100,A 0,B 0,C 0}\n")
+    program.write_text(PROGRAM.replace("ENDDAT", "PTP XP1\r\nPTP XP3 C_PTP") + "PTP {A1 12.5}\n$TOOL={X 0,Y 0,Z 100,A 0,B 0,C 0}\n")
     (tmp_path / "result.json").write_text(json.dumps(result()))
     done = correct(program, result())
-    assert [(name, line) for name, line, _ in done.left_alone] == [("XP2", 5), ("line 9", 9)]
-    assert [one["line"] for one in done.to_dict()["left_alone"]] == [5, 9]
+    assert [(name, line) for name, line, _ in done.left_alone] == [("XP2", 5), ("line 10", 10)]
+    assert [one["line"] for one in done.to_dict()["left_alone"]] == [5, 10]
     shown = CliRunner().invoke(app, ["correct", str(program), "--with", str(tmp_path / "result.json"), "--force"]).stdout
     assert "2 of 2 points corrected" in shown
     assert "2 more points are not corrected" in shown
     assert "XP2 (line 5): is a pose" in shown
-    assert "line 9: has not the angles of all axes" in shown
+    assert "line 10: has not the angles of all axes" in shown
 
 
 def test_the_corrected_angles_reach_the_nominal_places(tmp_path):
@@ -168,11 +168,11 @@ def test_a_point_at_a_limit_stays_as_programmed(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("a.dat", "DECL E6POS X={X 1,Y 2,Z 3,A 0,B 0,C 0}", "no E6AXIS point"),
+        ("a.dat", "DECL E6POS X={X 1,Y 2,Z 3,A 0,B 0,C 0}", "no absolute target with all 6 joint angles"),
         ("a.csv", "a,b\n1,2\n", "neither q1_deg"),
         ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,x\n", "a.csv:2"),
         ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,nan\n", "not finite"),
-        ("a.txt", "", "give a KRL program"),
+        ("a.txt", "", "give a robot program"),
     ],
 )
 def test_a_file_without_points_is_refused_with_its_line(tmp_path, name, text, words):
@@ -188,3 +188,56 @@ def test_an_existing_file_is_not_overwritten(tmp_path):
         correct(tmp_path / "weld.dat", result())
     with pytest.raises(ConfigError, match="itself"):
         correct(tmp_path / "weld.dat", result(), tmp_path / "weld.dat", force=True)
+
+
+def table(header, *rows):
+    return "\n".join([header, *rows]) + "\n"
+
+
+SIX = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        table(SIX, "10,-80.5,70,15,40,-5").encode(),
+        table(SIX.replace(",", ";"), "10;-80,5;70;15;40;-5").encode("cp1252"),
+        table(SIX.replace(",", "\t"), "10\t-80,5\t70\t15\t40\t-5").replace("\n", "\r\n").encode("utf-16"),
+        table(SIX, "10,-80.5,70,15,40,-5").encode("utf-8-sig"),
+        table(SIX.replace("_deg", " [deg]"), "10,-80.5,70,15,40,-5").encode(),
+        table(SIX.replace("_deg", "_rad"), ",".join(repr(float(np.radians(v))) for v in (10, -80.5, 70, 15, 40, -5))).encode(),
+        table("A1,A2,A3,A4,A5,A6", "10,-80.5,70,15,40,-5").encode(),
+        table(SIX, "10,-80.5,70,15,40,-5").replace("\n", "\r").encode(),
+    ],
+    ids=["plain", "German", "UTF-16", "BOM", "brackets", "radians", "axes", "carriage returns"],
+)
+def test_tables_are_read_and_written_in_their_own_form(tmp_path, data):
+    (tmp_path / "p.csv").write_bytes(data)
+    done = correct(tmp_path / "p.csv", result())
+    (tmp_path / "q.csv").write_text(table(SIX, "10,-80.5,70,15,40,-5"))
+    assert done.found.q == pytest.approx(correct(tmp_path / "q.csv", result()).found.q, abs=1e-9)
+    again = done.file.read_bytes()
+    assert again.startswith(data[: len(data) // 2 // 2 * 2 // 4])
+    encoding = "utf-16" if data[:2] == b"\xff\xfe" else "utf-8-sig"
+    text = again.decode(encoding)
+    assert "corrected_q1_deg" in text
+    if "-80,5" in data.decode(encoding):
+        assert "." not in text.splitlines()[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (table(SIX, "10,-80,5,70,15,40,-5"), "p.csv:2: the row has 7 cells, the header 6"),
+        (table(SIX, "1_0,-80.5,70,15,40,-5"), "p.csv:2: column q1_deg: '1_0' is no number"),
+        (table(SIX.replace(",", ";"), "10;-80,5;70.5;15;40;-5"), "has a point in a file with decimal commas"),
+        (table("q1,q2,q3,q4,q5,q6", "0.1745,-1.405,1.2217,0.2618,0.698,-0.087"), "all joint angles are within 2 pi and q1 says no unit"),
+        (table("x,y,z,a,b,c", "1,2,3,4,5,6"), "column 'x' says no unit"),
+        (table(SIX, "10,-80.5,70,15,40," + "9" * 400), "is not finite|is no number"),
+        ("a\0b\n1\n", "NUL"),
+    ],
+)
+def test_tables_that_cannot_be_meant_are_refused(tmp_path, text, words):
+    (tmp_path / "p.csv").write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        correct(tmp_path / "p.csv", result())

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,6 +22,9 @@ from mbcacq.model.robot_import.source import ArmSource
 from mbcacq.model.robot_import.urdf import read_urdf
 
 POSTURES = 200  # random ones at which both forward kinematics are compared
+FIRST_BYTES = 100_000  # of a file, within which its first element stands
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_ELEMENT = re.compile(r"<([A-Za-z_][\w.-]*)")
 LARGEST_MISS_MM, LARGEST_MISS_RAD = 1e-3, 1e-6  # the file's rounding stays far below
 
 
@@ -46,14 +52,17 @@ def import_robot(
     convention: Literal["standard", "modified"] | None = None,
     name: str | None = None,
     speed_deg_s: float | None = None,
+    packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> ImportedRobot:
     """Read a URDF, xacro, MJCF file or a DH table (CSV, YAML; then ``convention`` must be said) and write it as a robot file.
 
     base, flange: links (URDF), bodies or sites (MJCF); default: what the file's names suggest. speed_deg_s: of every axis where the source
-    states none. Raises ConfigError for a file that is not understood, or whose forward kinematics the rows do not repeat.
+    states none. packages: folders of the ROS packages that a xacro names and that are not found above it; arguments: of its ``$(arg ..)``.
+    Raises ConfigError for a file that is not understood, or whose forward kinematics the rows do not repeat.
     """
     path = Path(path)
-    source = _read(path, base, flange, convention)
+    source = _read(path, base, flange, convention, packages, arguments)
     rows = chain_from_axes(source.direction, source.point, source.T_base_flange)
     remarks = [*source.remarks, *_frame_remarks(rows)]
     speed = source.speed
@@ -76,26 +85,40 @@ def import_robot(
     )
 
 
-def _read(path: Path, base: str | None, flange: str | None, convention: str | None) -> ArmSource:
+def _read(
+    path: Path,
+    base: str | None,
+    flange: str | None,
+    convention: str | None,
+    packages: Mapping[str, Path] | None,
+    arguments: Mapping[str, str] | None,
+) -> ArmSource:
     kind = path.suffix.lower()
     if kind in (".csv", ".yaml", ".yml"):
         if convention is None:
             raise ConfigError(f"{path}: which convention do its rows follow? say --convention standard or --convention modified")
         return read_dh_table(path, convention)
-    if kind in (".mjcf", ".xml") and _is_mjcf(path):
+    if kind not in (".urdf", ".xacro", ".mjcf", ".xml"):
+        raise ConfigError(f"{path}: '{path.suffix}' is none of .urdf, .xacro, .mjcf, .xml, .csv, .yaml; give a description of these kinds")
+    element = _first_element(path)
+    if element == "mujocoinclude":
+        raise ConfigError(f"{path}: is a part of an MJCF file (<mujocoinclude>); import the file that includes it")
+    if element == "mujoco":
         return read_mjcf(path, base, flange)
-    if kind in (".urdf", ".xacro", ".xml"):
-        return read_urdf(path, base, flange)
-    raise ConfigError(f"{path}: '{path.suffix}' is none of .urdf, .xacro, .mjcf, .xml, .csv, .yaml; give a description of these kinds")
+    return read_urdf(path, base, flange, packages, arguments)
 
 
-def _is_mjcf(path: Path) -> bool:
-    if path.suffix.lower() == ".mjcf":
-        return True
+def _first_element(path: Path) -> str:
+    """The name of the first element of a file, '' where none is seen: a URDF may have a <mujoco> inside."""
     try:
-        return b"<mujoco" in path.read_bytes()[:100_000]
+        with path.open("rb") as file:
+            data = file.read(FIRST_BYTES)
     except OSError as error:
         raise ConfigError(f"{path}: the robot description cannot be read ({error.strerror}); correct the path") from None
+    mark = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    text = _COMMENT.sub("", data.decode("utf-16" if mark else "latin-1", "replace"))
+    found = _ELEMENT.search(text)
+    return found[1] if found else ""
 
 
 def _frame_remarks(rows: ChainInFrames) -> list[str]:

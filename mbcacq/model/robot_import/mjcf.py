@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -11,23 +12,50 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.model.robot_import.kinematic_tree import TURNING, KinematicTree, TreeJoint
 from mbcacq.model.robot_import.source import ArmSource
 
 PLACEHOLDER_MASS = "placeholder_mass_kg"  # <numeric> in <custom>: links of this mass have one that nobody stated
 SIX_DIGITS = 1e-5  # to which MuJoCo writes the numbers of a model, relative
+SHAPES = (
+    "geoms",
+    "meshes",
+    "hfields",
+    "skins",
+    "flexes",
+    "sensors",
+    "pairs",
+    "tendons",
+    "tuples",
+    "materials",
+    "textures",
+)  # and their users
+SMALLEST_MASS = 1e-6  # kg, of a body whose shapes are not there, for MuJoCo compiles none without mass
+
+
+@dataclass(frozen=True)
+class _Model:
+    """What MuJoCo compiled. massless: numbers of bodies whose masses are unknown. remarks: about what was left out."""
+
+    mujoco: Any
+    model: Any
+    massless: frozenset[int]
+    remarks: tuple[str, ...]
 
 
 def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
     """Raises ConfigError where MuJoCo refuses the file, or no serial arm of hinges leads to the flange."""
-    mujoco: Any = import_module("mujoco")
-    try:
-        model: Any = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, OSError) as error:
-        raise ConfigError(f"{path}: MuJoCo cannot read it: {str(error).splitlines()[0]}; correct the file") from None
+    compiled = _compiled(path)
+    mujoco, model = compiled.mujoco, compiled.model
+    names = _Names(mujoco, model)
+    for name in (base, flange):
+        if name is not None and name not in names.frames:
+            bodies, sites = ", ".join(names.bodies), ", ".join(names.sites)
+            raise ConfigError(f"{path}: has no body or site '{name}'; its bodies are {bodies}; its sites {sites or 'none'}")
+    arm = _tree(path, mujoco, model, names).arm(base, flange)
+    hinges = [names.joints[j.name] for j in arm.joints if j.kind in TURNING]
+    chain = [j.name for j in arm.joints if j.kind in TURNING]
     data: Any = mujoco.MjData(model)
-    hinges, others = _hinges(path, mujoco, model, base, flange)
-    body, site = _tip(path, mujoco, model, flange, hinges)
-    foot = _foot(path, mujoco, model, base, hinges)
     address = [model.jnt_qposadr[j] for j in hinges]
     resting = np.array(data.qpos)
 
@@ -35,32 +63,33 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
         data.qpos[:] = resting
         data.qpos[address] = angles
         mujoco.mj_kinematics(model, data)
-        return _frame(data.xpos[foot], data.xmat[foot])
-
-    def end() -> np.ndarray:
-        return _frame(data.site_xpos[site], data.site_xmat[site]) if site is not None else _frame(data.xpos[body], data.xmat[body])
+        return names.frame(data, arm.base)
 
     def forward(q: np.ndarray) -> np.ndarray:
-        return np.array([se3.inverse(place(angles)) @ end() for angles in q])
+        return np.array([se3.inverse(place(angles)) @ names.frame(data, arm.flange) for angles in q])
 
     back = se3.inverse(place(np.zeros(len(hinges))))
-    mass, com = _masses(model, data, hinges, back)
+    mass, com = _masses(compiled, data, hinges, back)
     limited = np.array([bool(model.jnt_limited[j]) for j in hinges])
-    remarks = ["MJCF states no joint speeds; give them by --speed, or speed_deg_s of every axis in the file"]
+    remarks = [
+        "MJCF states no joint speeds; give them by --speed, or speed_deg_s of every axis in the file",
+        *arm.remarks,
+        *compiled.remarks,
+    ]
     if not limited.all():
         remarks.append("joints without a range in the file get -360..360 deg")
     if invented := placeholder_masses(mujoco, model, hinges):
         remarks.append(placeholder_remark(invented))
-    if others:
+    if others := [names.label(j) for j in range(model.njnt) if j not in hinges]:
         remarks.append(f"joints that do not lead to the flange were left as they rest: {', '.join(others)}")
     return ArmSource(
         name=path.stem,
-        base=model.body(foot).name or "world",
-        flange=model.site(site).name if site is not None else model.body(body).name,
-        joints=[model.joint(j).name for j in hinges],
+        base=arm.base,
+        flange=arm.flange,
+        joints=["" if not model.joint(names.joints[name]).name else name for name in chain],
         direction=np.array(data.xaxis[hinges]) @ back[:3, :3].T,
         point=se3.apply(back, 1e3 * np.array(data.xanchor[hinges])),
-        T_base_flange=back @ end(),
+        T_base_flange=back @ names.frame(data, arm.flange),
         limits=np.where(limited[:, None], model.jnt_range[hinges], [[-2 * np.pi, 2 * np.pi]]),
         speed=np.full(len(hinges), np.nan),
         mass=mass,
@@ -70,27 +99,117 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
     )
 
 
-def _hinges(path: Path, mujoco: Any, model: Any, base: str | None, flange: str | None) -> tuple[list[int], list[str]]:
-    """Joints from the base to the flange, and the names of all others."""
-    if flange is None:
-        depth = [len(_ancestors(model, b)) if model.body_jntnum[b] else -1 for b in range(model.nbody)]
-        body = int(np.argmax([sum(int(model.body_jntnum[a]) for a in _ancestors(model, b)) if d > 0 else -1 for b, d in enumerate(depth)]))
-    else:
-        body = _named(path, mujoco, model, flange)[0]
-    stop = None if base is None else _named(path, mujoco, model, base)[0]
-    chain: list[int] = []
-    tied = {int(model.eq_obj1id[e]) for e in range(model.neq) if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT}
-    for b in _ancestors(model, body):
-        if b == stop:
-            break
-        own = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
-        chain[:0] = [j for j in own if len(own) == 1 or not (is_gear_spring(mujoco, model, j) or j in tied)]
-    odd = [model.joint(j).name for j in chain if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE]
-    if odd:
-        raise ConfigError(f"{path}: joint '{odd[0]}' is no hinge; an arm of hinges is needed, name its --base and --flange")
-    if len(chain) < 2:
-        raise ConfigError(f"{path}: fewer than two hinges lead to the flange; name the arm's last body or site with --flange")
-    return chain, [model.joint(j).name for j in range(model.njnt) if j not in chain]
+def _compiled(path: Path) -> _Model:
+    """The model; where its meshes or pictures are not beside it, without any shape, for kinematics needs none. Raises ConfigError."""
+    mujoco: Any = import_module("mujoco")
+    try:
+        return _Model(mujoco, mujoco.MjModel.from_xml_path(str(path)), frozenset(), ())
+    except (ValueError, OSError) as error:
+        reason = str(error).splitlines()[0]
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        massless = _without_shapes(mujoco, spec)
+        model = spec.compile()
+    except (ValueError, OSError):
+        raise ConfigError(f"{path}: MuJoCo cannot read it: {reason}; correct the file") from None
+    about = f"MuJoCo cannot read its shapes ({reason}); they were left out"
+    if massless:
+        about += f", so that the masses of {', '.join(sorted(massless))} are unknown"
+    return _Model(mujoco, model, frozenset(model.body(name).id for name in massless), (about,))
+
+
+def _without_shapes(mujoco: Any, spec: Any) -> set[str]:
+    """Delete shapes and all that names them, give what has no mass then a very small one; returns the names of these bodies."""
+    by_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    unwanted = [element for kind in SHAPES for element in getattr(spec, kind)]
+    unwanted += [actuator for actuator in spec.actuators if actuator.trntype not in by_joint]
+    unwanted += [equality for equality in spec.equalities if equality.type != mujoco.mjtEq.mjEQ_JOINT]
+    for element in unwanted:
+        spec.delete(element)
+    for site in spec.sites:
+        site.material = ""
+    massless = set[str]()
+    for number, body in enumerate(spec.bodies):
+        if number and not body.explicitinertial:
+            body.name = body.name or f"body {number}"
+            body.explicitinertial, body.mass, body.inertia = 1, SMALLEST_MASS, [SMALLEST_MASS] * 3
+            massless.add(body.name)
+    return massless
+
+
+class _Names:
+    """Names of bodies, sites and joints of a model; what has none gets its number. frames: body, or site, of each name."""
+
+    def __init__(self, mujoco: Any, model: Any) -> None:
+        self._model = model
+        self.bodies = [model.body(b).name or f"body {b}" for b in range(model.nbody)]
+        self.sites = [model.site(s).name for s in range(model.nsite)]
+        self.frames: dict[str, tuple[str, int]] = {name: ("site", s) for s, name in enumerate(self.sites) if name}
+        self.frames |= {name: ("body", b) for b, name in enumerate(self.bodies)}
+        self.joints = {self.label(j): j for j in range(model.njnt)}
+
+    def label(self, joint: int) -> str:
+        return self._model.joint(joint).name or f"joint {joint}"
+
+    def frame(self, data: Any, name: str) -> np.ndarray:
+        """(4, 4) mm of a body or site in the world."""
+        kind, number = self.frames[name]
+        position, rotation = (data.site_xpos, data.site_xmat) if kind == "site" else (data.xpos, data.xmat)
+        return se3.transform(np.array(rotation[number]).reshape(3, 3), 1e3 * np.array(position[number]))
+
+
+def _tree(path: Path, mujoco: Any, model: Any, names: _Names) -> KinematicTree:
+    kinds = {
+        int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
+        int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
+        int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint",
+        int(mujoco.mjtJoint.mjJNT_FREE): "free",
+    }
+    follows = _followed(mujoco, model)
+
+    def kind(joint: int) -> str:
+        own = kinds[int(model.jnt_type[joint])]
+        beside = int(model.body_jntnum[model.jnt_bodyid[joint]])
+        if own == "revolute" and beside > 1 and (is_gear_spring(mujoco, model, joint) or joint in follows):
+            return "fixed"
+        return "continuous" if own == "revolute" and not model.jnt_limited[joint] else own
+
+    def joints() -> Iterator[TreeJoint]:
+        for body in range(1, model.nbody):
+            parent, first = names.bodies[model.body_parentid[body]], int(model.body_jntadr[body])
+            own = list(range(first, first + int(model.body_jntnum[body])))
+            bare = model.body_geomnum[body] == 0
+            if not own:
+                yield TreeJoint("", "fixed", parent, names.bodies[body], bare=bare)
+            for number, joint in enumerate(own):
+                # Several joints of a body turn about one another: frames without a name of their own stand between them.
+                child = names.bodies[body] if joint == own[-1] else f"{names.bodies[body]} before joint {number + 2}"
+                names.frames.setdefault(child, ("body", int(model.body_parentid[body])))  # whose frame it has while they rest
+                low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (np.nan, np.nan)
+                leader = follows.get(joint)
+                yield TreeJoint(
+                    names.label(joint),
+                    kind(joint),
+                    parent,
+                    child,
+                    float(low),
+                    float(high),
+                    "" if leader is None else names.label(leader),
+                    bare,
+                )
+                parent = child
+        for site, name in enumerate(names.sites):
+            if name and names.frames[name][0] == "site":
+                yield TreeJoint("", "fixed", names.bodies[model.site_bodyid[site]], name, bare=True)
+
+    found = list(joints())
+    return KinematicTree(found, names.frames, path)
+
+
+def _followed(mujoco: Any, model: Any) -> dict[int, int]:
+    """The joint that each coupled joint follows."""
+    couplings = [e for e in range(model.neq) if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0]
+    return {int(model.eq_obj1id[e]): int(model.eq_obj2id[e]) for e in couplings}
 
 
 def is_gear_spring(mujoco: Any, model: Any, joint: int) -> bool:
@@ -127,38 +246,14 @@ def _ancestors(model: Any, body: int) -> list[int]:
     return out
 
 
-def _named(path: Path, mujoco: Any, model: Any, name: str) -> tuple[int, int | None]:
-    """Body, and site where the name is one."""
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if body >= 0:
-        return body, None
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
-    if site < 0:
-        bodies = ", ".join(model.body(b).name for b in range(1, model.nbody))
-        sites = ", ".join(model.site(s).name for s in range(model.nsite))
-        raise ConfigError(f"{path}: has no body or site '{name}'; its bodies are {bodies}; its sites {sites or 'none'}")
-    return int(model.site_bodyid[site]), site
-
-
-def _tip(path: Path, mujoco: Any, model: Any, flange: str | None, hinges: list[int]) -> tuple[int, int | None]:
-    return (int(model.jnt_bodyid[hinges[-1]]), None) if flange is None else _named(path, mujoco, model, flange)
-
-
-def _foot(path: Path, mujoco: Any, model: Any, base: str | None, hinges: list[int]) -> int:
-    return int(model.body_parentid[model.jnt_bodyid[hinges[0]]]) if base is None else _named(path, mujoco, model, base)[0]
-
-
-def _frame(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    return se3.transform(np.array(rotation).reshape(3, 3), 1e3 * np.array(position))
-
-
-def _masses(model: Any, data: Any, hinges: list[int], back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each joint's body with what is fixed to it; kinematics at zero must be current."""
+def _masses(compiled: _Model, data: Any, hinges: list[int], back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each joint's body with what is fixed to it, zero where the file does not say; kinematics at zero must be current."""
+    model = compiled.model
     owner = {int(model.jnt_bodyid[j]): k for k, j in enumerate(hinges)}
     mass, moment = np.zeros(len(hinges)), np.zeros((len(hinges), 3))
     for body in range(1, model.nbody):
         carrier = next((a for a in _ancestors(model, body) if a in owner or model.body_jntnum[a]), None)
-        if carrier in owner:
+        if carrier in owner and body not in compiled.massless:
             place = 1e3 * (np.array(data.xpos[body]) + np.array(data.xmat[body]).reshape(3, 3) @ np.array(model.body_ipos[body]))
             mass[owner[carrier]] += model.body_mass[body]
             moment[owner[carrier]] += model.body_mass[body] * place

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.model.robot_import.kinematic_tree import TURNING, KinematicTree, TreeJoint
 from mbcacq.model.robot_import.source import ArmSource
+from mbcacq.model.robot_import.xacro_file import expanded, macros
 from mbcacq.model.xml_file import XmlFile
 
-FLANGES = ("flange", "tool0", "tool_flange", "ee_link", "link_ee")  # usual names, the best first
-MOVING = ("revolute", "continuous")
+WITHOUT_LIMITS = 1e3  # rad: limits beyond say that there are none
+MOST_TURNS = 4 * np.pi  # rad: limits beyond, and within ``WITHOUT_LIMITS``, are degrees
+FASTEST = 35.0  # rad/s: no axis of an arm turns at 2000 deg/s
+LONGEST_ARM_MM, SHORTEST_ARM_MM = 50e3, 20.0
 
 
 @dataclass(frozen=True)
 class Joint:
-    """origin: (4, 4) mm in the parent link; axis: (3,) unit; lower, upper, velocity: nan where absent."""
+    """origin: (4, 4) mm in the parent link; axis: (3,) unit; lower, upper, velocity: nan where absent; follows: joint of a <mimic>."""
 
     name: str
     kind: str
@@ -32,31 +35,35 @@ class Joint:
     lower: float
     upper: float
     velocity: float
+    follows: str
 
 
-def read_urdf(path: Path, base: str | None, flange: str | None) -> ArmSource:
+def read_urdf(
+    path: Path, base: str | None, flange: str | None, packages: Mapping[str, Path] | None = None, arguments: Mapping[str, str] | None = None
+) -> ArmSource:
     """Raises ConfigError for a file that describes no serial arm of revolute joints between the two links."""
-    root = _root(path)
-    joints = {j.child: j for j in (_joint(e, path) for e in root.findall("joint")) if j is not None}
-    links = [str(e.get("name")) for e in root.findall("link")]
-    chain = _chain(path, joints, links, base, flange)
-    moving = [j for j in chain if j.kind in MOVING]
-    first, last = chain[0].parent, chain[-1].child
-    remarks = [f"{j.name} turns without limits in the file; -360..360 deg is taken" for j in moving if j.kind == "continuous"]
+    root = _root(path, packages or {}, arguments or {})
+    found = [j for j in (_joint(e, path) for e in root.findall("joint")) if j is not None]
+    tree, joints = _tree(path, root, found), {j.child: j for j in found}
+    arm = tree.arm(base, flange)
+    chain = [joints[j.child] for j in arm.joints]
+    moving = [j for j in chain if j.kind in TURNING]
     frames = _frames(chain, np.zeros((1, len(moving))))
     at_joint = [frames[j.name][0] for j in moving]
     mass, com = _masses(path, root, joints, chain, frames)
-    limits = np.array([[-2 * np.pi, 2 * np.pi] if j.kind == "continuous" else [j.lower, j.upper] for j in moving])
+    limits, about_limits = _limits(moving)
+    speed, about_speed = _speed(moving)
+    remarks = [*arm.remarks, *about_limits, *about_speed, *_roots(tree, root, chain), *_sizes(path, chain)]
     return ArmSource(
         name=str(root.get("name") or path.stem),
-        base=first,
-        flange=last,
+        base=arm.base,
+        flange=arm.flange,
         joints=[j.name for j in moving],
         direction=np.array([T[:3, :3] @ j.axis for T, j in zip(at_joint, moving, strict=True)]),
         point=np.array([T[:3, 3] for T in at_joint]),
         T_base_flange=frames[chain[-1].name][0],
         limits=limits,
-        speed=np.array([j.velocity for j in moving]),
+        speed=speed,
         mass=mass,
         com=com,
         forward=lambda q: _frames(chain, q)[chain[-1].name],
@@ -64,10 +71,17 @@ def read_urdf(path: Path, base: str | None, flange: str | None) -> ArmSource:
     )
 
 
-def _root(path: Path) -> Element:
-    root = XmlFile(_expanded(path) if path.suffix == ".xacro" else _bytes(path), path).root
+def _root(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> Element:
+    data = _bytes(path)
+    is_xacro = path.suffix == ".xacro" or b"<xacro:" in data
+    root = XmlFile(expanded(path, packages, arguments) if is_xacro else data, path).root
     if root.tag != "robot":
         raise ConfigError(f"{path}: begins with <{root.tag}>, not with <robot> as a URDF does; give a .urdf, .xacro or MJCF file")
+    if root.find("link") is None and (defined := macros(data)):
+        raise ConfigError(f"{path}: defines macros only ({', '.join(defined)}); import the file that calls them")
+    for old in ("include", "macro", "property"):
+        if root.find(old) is not None:
+            raise ConfigError(f"{path}: has <{old}> without 'xacro:', as xacro wrote it before 2014; put xacro: before these names")
     return root
 
 
@@ -78,27 +92,35 @@ def _bytes(path: Path) -> bytes:
         raise ConfigError(f"{path}: the robot description cannot be read ({error.strerror}); correct the path") from None
 
 
-def _expanded(path: Path) -> bytes:
-    _bytes(path)
-    try:
-        xacro: Any = import_module("xacro")
-    except ImportError:
-        raise ConfigError(
-            f"{path}: xacro is not installed; run `xacro {path.name} > {path.stem.removesuffix('.urdf')}.urdf` where ROS is "
-            "and import that, or pip install 'mbcacq[xacro]'"
-        ) from None
-    try:
-        return xacro.process_file(str(path)).toxml().encode("utf-8")
-    except Exception as error:  # xacro raises many kinds, also those of the expressions in the file
-        raise ConfigError(f"{path}: xacro cannot expand it: {error}; expand it where its packages are installed") from None
+def _tree(path: Path, root: Element, joints: Sequence[Joint]) -> KinematicTree:
+    links = {str(e.get("name")): e for e in root.findall("link")}
+    shaped = {name for name, e in links.items() if e.find("visual") is not None or e.find("collision") is not None}
+    named = [link for j in joints for link in (j.parent, j.child)]
+    return KinematicTree(
+        (TreeJoint(j.name, j.kind, j.parent, j.child, j.lower, j.upper, j.follows, j.child not in shaped) for j in joints),
+        [*links, *named],
+        path,
+    )
+
+
+def _roots(tree: KinematicTree, root: Element, chain: Sequence[Joint]) -> list[str]:
+    """Sentences about what makes the links no single tree."""
+    declared = {str(e.get("name")) for e in root.findall("link")}
+    out = [f"the file names a link '{link}' and does not describe it" for link in tree.links if link not in declared]
+    if len(tree.roots) > 1:
+        own = (tree.chain(chain[0].child)[0]).parent
+        others = ", ".join(f"'{link}'" for link in tree.roots if link != own)
+        out.append(f"nothing connects the arm, which hangs on '{own}', with {others}")
+    return out
 
 
 def _joint(element: Element, path: Path) -> Joint | None:
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:
         return None  # of a transmission
-    name = str(element.get("name"))
+    name, kind = str(element.get("name")), str(element.get("type"))
     origin, axis, limit = element.find("origin"), element.find("axis"), element.find("limit")
+    mimic = element.find("mimic")
 
     def number(key: str) -> float:
         value = None if limit is None else limit.get(key)
@@ -106,13 +128,15 @@ def _joint(element: Element, path: Path) -> Joint | None:
 
     xyz = _numbers("0 0 0" if origin is None else origin.get("xyz", "0 0 0"), 3, path, name)
     roll, pitch, yaw = _numbers("0 0 0" if origin is None else origin.get("rpy", "0 0 0"), 3, path, name)
-    direction = _numbers("1 0 0" if axis is None else axis.get("xyz", "1 0 0"), 3, path, name)
+    direction = np.array([1.0, 0.0, 0.0])
+    if kind != "fixed" and axis is not None:  # the axis of a fixed joint means nothing; exporters write 0 0 0
+        direction = _numbers(axis.get("xyz", "1 0 0"), 3, path, name)
     length = np.linalg.norm(direction)
     if length < 1e-9:
         raise ConfigError(f"{path}: joint '{name}' has an axis of length zero; correct it")
     return Joint(
         name,
-        str(element.get("type")),
+        kind,
         str(parent.get("link")),
         str(child.get("link")),
         se3.from_abc(1e3 * xyz, np.array([yaw, pitch, roll])),
@@ -120,6 +144,7 @@ def _joint(element: Element, path: Path) -> Joint | None:
         number("lower"),
         number("upper"),
         number("velocity"),
+        "" if mimic is None else str(mimic.get("joint")),
     )
 
 
@@ -128,58 +153,52 @@ def _numbers(text: str, count: int, path: Path, name: str) -> np.ndarray:
         values = np.array([float(v) for v in text.split()])
     except ValueError:
         values = np.empty(0)
-    if len(values) != count or not np.isfinite(values).all():
+    if len(values) != count or not np.isfinite(values).all() or "_" in text:
         raise ConfigError(f"{path}: joint '{name}': '{text}' should be {count} number{'s' if count > 1 else ''}; is it a xacro file?")
     return values
 
 
-def _chain(path: Path, joints: dict[str, Joint], links: list[str], base: str | None, flange: str | None) -> list[Joint]:
-    """The joints from the base link to the flange link."""
-    for link, role in ((base, "base"), (flange, "flange")):
-        if link is not None and link not in links:
-            raise ConfigError(f"{path}: has no link '{link}' for the {role}; its links are {', '.join(links)}")
-    tip = flange or _usual_flange(path, joints, links)
-    chain: list[Joint] = []
-    link = tip
-    while link in joints and link != base:
-        chain.insert(0, joints[link])
-        link = joints[link].parent
-        if len(chain) > len(joints):
-            raise ConfigError(f"{path}: its joints run in a circle; correct the file")
-    if base is not None and link != base:
-        raise ConfigError(f"{path}: no joints lead from link '{base}' to link '{tip}'; name others with --base and --flange")
-    if base is None:  # what holds the arm in the world is none of it
-        while chain and chain[0].kind == "fixed":
-            chain.pop(0)
-    odd = [j for j in chain if j.kind not in (*MOVING, "fixed")]
-    if odd:
-        raise ConfigError(
-            f"{path}: joint '{odd[0].name}' is {odd[0].kind}; an arm of revolute joints is needed, name its --base and --flange"
-        )
-    if sum(j.kind in MOVING for j in chain) < 2:
-        raise ConfigError(f"{path}: fewer than two moving joints lead to link '{tip}'; name the arm's last link with --flange")
-    return chain
+def _limits(moving: Sequence[Joint]) -> tuple[np.ndarray, list[str]]:
+    """(n, 2) rad, nan where the file's cannot be meant, and sentences about those."""
+    out, remarks = [], []
+    for j in moving:
+        low, high = j.lower, j.upper
+        said = f"'{j.name}' has limits {low:g} {high:g}"
+        if j.kind == "continuous" or min(abs(low), abs(high)) > WITHOUT_LIMITS:
+            remarks.append(f"{j.name} turns without limits in the file; -360..360 deg is taken")
+            low, high = -2 * np.pi, 2 * np.pi
+        elif low == high:
+            remarks.append(f"{said}, between which nothing moves; none are taken")
+            low = high = np.nan
+        elif max(abs(low), abs(high)) > MOST_TURNS:
+            remarks.append(f"{said}, which look like degrees where a URDF has radians; none are taken")
+            low = high = np.nan
+        elif low > high:
+            remarks.append(f"{said}, the larger first; they are taken in order")
+            low, high = high, low
+        out.append((low, high) if not np.isnan(low + high) else (np.nan, np.nan))
+    return np.array(out), remarks
 
 
-def _usual_flange(path: Path, joints: dict[str, Joint], links: list[str]) -> str:
-    """The link that is called like a flange, or the last that moves."""
-    for name in FLANGES:
-        found = [link for link in links if link == name or link.endswith(("_" + name, "-" + name))]
-        if len(found) == 1 and found[0] in joints:
-            return found[0]
-    moving = {child: j for child, j in joints.items() if j.kind in MOVING}
-    above: set[str] = set()
-    for joint in moving.values():
-        link = joint.parent
-        while link not in above:
-            above.add(link)
-            if link not in joints:
-                break
-            link = joints[link].parent
-    ends = [child for child in moving if child not in above]
-    if len(ends) != 1:
-        raise ConfigError(f"{path}: {len(ends)} chains of joints end in {', '.join(ends)}; name the arm's flange with --flange")
-    return ends[0]
+def _speed(moving: Sequence[Joint]) -> tuple[np.ndarray, list[str]]:
+    """(n,) rad/s, nan where the file's cannot be meant, and sentences about those."""
+    speed = np.array([j.velocity for j in moving])
+    fast = np.flatnonzero(speed > FASTEST).tolist()
+    remarks = [
+        f"'{moving[i].name}' has a speed of {speed[i]:g} rad/s, more than any axis turns; none is taken (--speed gives one for all)"
+        for i in fast
+    ]
+    speed[fast] = np.nan
+    return speed, remarks
+
+
+def _sizes(path: Path, chain: Sequence[Joint]) -> list[str]:
+    reach = sum(float(np.linalg.norm(j.origin[:3, 3])) for j in chain[1:])
+    if reach > LONGEST_ARM_MM:
+        raise ConfigError(f"{path}: its links are {reach / 1e3:.0f} m long together, which looks like mm; a URDF has lengths in m")
+    if reach < SHORTEST_ARM_MM:
+        return [f"its links are {reach:.3g} mm long together; a URDF has lengths in m"]
+    return []
 
 
 def _frames(chain: list[Joint], q: np.ndarray) -> dict[str, np.ndarray]:
@@ -187,7 +206,7 @@ def _frames(chain: list[Joint], q: np.ndarray) -> dict[str, np.ndarray]:
     T, out, number = np.broadcast_to(np.eye(4), (len(q), 4, 4)), {}, 0
     for joint in chain:
         T = T @ joint.origin
-        if joint.kind in MOVING:
+        if joint.kind in TURNING:
             T = T @ se3.transform(se3.rotation_exp(q[:, number, None] * joint.axis), np.zeros(3))
             number += 1
         out[joint.name] = T
@@ -204,7 +223,7 @@ def _masses(
         below.setdefault(joint.parent, []).append(joint)
     mass, com = [], []
     for joint in chain:
-        if joint.kind not in MOVING:
+        if joint.kind not in TURNING:
             continue
         parts, stack = [], [(joint.child, frames[joint.name][0])]
         while stack:

@@ -11,7 +11,8 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import Cell
-from mbcacq.model.cell_schema import CellSpec
+from mbcacq.model.cell_schema import CellSpec, RobotSpec
+from mbcacq.model.shipped import named_file
 from mbcacq.recording.datasets.cell_writer import cell_to_yaml, robot_to_yaml
 from mbcacq.recording.datasets.yaml_text import line_of, load_yaml, read_yaml_text, validate
 
@@ -21,9 +22,31 @@ __all__ = ["cell_to_yaml", "parse_cell", "read_cell", "robot_to_yaml"]
 
 
 def read_cell(path: Path) -> tuple[Cell, str]:
-    """A cell and the text it was read from. Raises ConfigError with file and line."""
-    text = read_yaml_text(path)
+    """A cell and the text it was read from, in which a robot that is named by its file stands in full. Raises ConfigError with file and
+    line."""
+    text = _with_its_robot(read_yaml_text(path), path)
     return parse_cell(text, str(path)), text
+
+
+def _with_its_robot(text: str, path: Path) -> str:
+    """``robot: ../arm.yaml`` or the name of a robot of the tool, replaced by what that file says; a robot that stands there stays."""
+    data, root = load_yaml(text, str(path))
+    named = data.get("robot")
+    if not isinstance(named, str):
+        return text
+    assert isinstance(root, yaml.MappingNode), "a mapping has a node of its own kind"
+    value = next(value for key, value in root.value if key.value == "robot")
+    beside = path.parent / named
+    try:
+        file = beside if beside.is_file() else named_file("robots", named)
+    except ConfigError as error:
+        raise ConfigError(f"{path}:{value.start_mark.line + 1}: robot: {error}") from None
+    robot, node = load_yaml(read_yaml_text(file), str(file))
+    validate(RobotSpec, robot, node, str(file))
+    whole = yaml.safe_dump(robot, sort_keys=False, default_flow_style=True, width=1 << 30, allow_unicode=True).strip()
+    lines = text.splitlines(keepends=True)
+    begin, end = (sum(len(line) for line in lines[: mark.line]) + mark.column for mark in (value.start_mark, value.end_mark))
+    return text[:begin] + whole + text[end:]
 
 
 def parse_cell(text: str, name: str = "cell.yaml") -> Cell:

@@ -1,0 +1,159 @@
+"""FANUC LS (.ls): positions in joint form that motion instructions go to without INC and without an offset.
+
+The teach pendant counts J3 from the horizontal: the angle between the links of axes 2 and 3 is J2 + J3, and that is the joint angle of a
+description by rows (as of the maker's own for ROS).
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.exports.programs.program import LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses
+
+STATEMENT = r"""
+start: [SIGNED] ":" _any*
+_any: indexed | NAME | SIGNED | STRING | OPERATOR | ":"
+indexed: NAME "[" _inside* "]"
+_inside: indexed | NAME | SIGNED | STRING | OPERATOR | ":"
+NAME: /[A-Za-z_][\w.]*/
+SIGNED: /[-+]?(\d+\.?\d*|\.\d+)/
+STRING: /'[^']*'|"[^"]*"/
+OPERATOR: /[-+*\/=<>,()!@%$&#?.{}|^~]/
+%ignore /[\s\x00-\x1f\x7f-\xa0]+/
+"""
+POSITIONS = r"""
+start: position*
+position: "P" "[" INTEGER [":" STRING] "]" "{" group* "}" ";"
+group: GROUP ":" (field ","?)*
+field: NAME (":" | "=") value
+value: SIGNED NAME? | INTEGER NAME? | STRING | STARS
+GROUP.3: /GP\d+/
+NAME: /[A-Za-z]\w*(\/\w+)*/
+INTEGER.2: /\d+(?![\d.])/
+SIGNED: /[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?/
+STRING: /'[^']*'|"[^"]*"/
+STARS: /\*+/
+%ignore /[\s\x00-\x1f\x7f-\xa0]+/
+"""
+MOTIONS = ("J", "L", "C", "A", "S")
+MOVED = re.compile(r"^(tool_)?offset|^voffset|^lock|^pallet", re.IGNORECASE)
+_SECTION = re.compile(r"^/(MN|POS|END|PROG|ATTR|APPL)\b.*$", re.MULTILINE)
+_REMARK = re.compile(r"\s*\d*\s*:\s*(!|//)")
+DEGREES = float(np.pi / 180)
+
+
+@cache
+def _parser(grammar: str) -> Any:
+    from lark import Lark
+
+    return Lark(grammar, parser="lalr", maybe_placeholders=False)
+
+
+def read(text: str, n: int) -> RobotProgram:
+    """The points of a program for an arm of n axes. Raises ConfigError with the line for positions that are not understood."""
+    from lark.exceptions import UnexpectedInput
+
+    sections = {match[1]: match for match in _SECTION.finditer(text)}
+    if "POS" not in sections:
+        raise ConfigError("has no section /POS, in which an LS program holds its positions; save the program as ASCII (.ls)")
+    begin = sections["POS"].end()
+    end = sections["END"].start() if "END" in sections and sections["END"].start() > begin else len(text)
+    line_of = LineNumbers(text)
+    try:
+        tree = _parser(POSITIONS).parse(text[begin:end])
+    except UnexpectedInput as error:
+        place = begin + max(int(error.pos_in_stream or 0), 0)
+        raise ConfigError(f"line {line_of(place)}: these positions are not understood; save the program as ASCII (.ls) anew") from None
+    uses = _uses(text, sections["MN"].end(), begin, line_of) if "MN" in sections else {}
+    points: list[ProgrammedPoint] = []
+    left: list[LeftAlone] = []
+    for position in tree.children:
+        _position(position, n, begin, line_of, uses, points, left)
+    coupling = np.eye(n)
+    if n == 6:
+        coupling[2, 1] = 1.0
+    notes = ("J3 of the program is counted from the horizontal: the arm's third angle is J2 + J3",) if points and n == 6 else ()
+    return RobotProgram(text, tuple(points), tuple(left), coupling if n == 6 else None, notes)
+
+
+def _position(
+    position: Any, n: int, begin: int, line_of: LineNumbers, uses: dict[str, Uses], points: list[ProgrammedPoint], left: list[LeftAlone]
+) -> None:
+    key = str(position.children[0])
+    line = line_of(begin + position.children[0].start_pos)
+    labels = [str(c).strip("'\"") for c in position.children[1:] if getattr(c, "type", "") == "STRING"]
+    name = f"P[{key}{':' + labels[0] if labels else ''}]"
+    groups = [g for g in position.children if getattr(g, "data", "") == "group" and str(g.children[0]) == "GP1"]
+    fields = {str(f.children[0]).upper(): f.children[1] for g in groups for f in g.children[1:]}
+    values = [fields.get(f"J{i + 1}") for i in range(n)]
+    if any(value is None for value in values):
+        cartesian = {"X", "Y", "Z", "W", "P", "R"} <= set(fields)
+        left.append((name, line, "is a pose, whose joints the controller's own kinematics finds" if cartesian else f"has not {n} axes"))
+        return
+    parts = [[str(c) for c in value.children] for value in values if value is not None]
+    if any(len(p) < 2 or p[0].startswith("*") or p[1].lower() != "deg" for p in parts):
+        left.append((name, line, "is not taught, or has axes in mm"))
+        return
+    reason = uses.get(key, Uses()).reason("p")
+    if reason:
+        left.append((name, line, reason))
+        return
+    tokens = [value.children[0] for value in values if value is not None]
+    spans = tuple((begin + t.start_pos, begin + t.end_pos) for t in tokens)
+    points.append(ProgrammedPoint(name, line, np.radians([float(t) for t in tokens]), spans, (DEGREES,) * n))
+
+
+def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Uses]:
+    """What the statements between two places do with each position."""
+    from lark.exceptions import LarkError
+
+    out: dict[str, Uses] = {}
+    everything = Uses()  # of positions whose number is in a register
+    at = begin
+    for statement in text[begin:end].split(";"):
+        number, at = line_of(at + len(statement) - len(statement.lstrip())), at + len(statement) + 1
+        if _REMARK.match(statement):
+            continue
+        try:
+            tree = _parser(STATEMENT).parse(statement)
+        except LarkError:
+            for key in re.findall(r"\bP\[\s*(\d+)", statement):
+                out.setdefault(key, Uses()).otherwise.append(number)
+            continue
+        words = [str(c) for c in tree.children if getattr(c, "type", "") == "NAME"]
+        motion = bool(words) and (words[0] in MOTIONS or not _numbered(tree))
+        relative = "INC" in [w.upper() for w in words]
+        moved = any(MOVED.match(w) for w in words)
+        for indexed in (t for t in tree.iter_subtrees() if t.data == "indexed" and str(t.children[0]) == "P"):
+            first = indexed.children[1] if len(indexed.children) > 1 else None
+            uses = out.setdefault(str(first), Uses()) if getattr(first, "type", "") == "SIGNED" else everything
+            target = uses.relative if relative else uses.otherwise if moved or not motion else uses.absolute
+            target.append(number)
+    for key in list(out):
+        out[key].absolute += everything.absolute
+        out[key].relative += everything.relative
+        out[key].otherwise += everything.otherwise
+    if everything.absolute or everything.relative or everything.otherwise:
+        return _Either(everything, out)
+    return out
+
+
+class _Either(dict[str, Uses]):
+    """Uses by number; what no statement names by its number may be reached by a register."""
+
+    def __init__(self, everything: Uses, named: dict[str, Uses]) -> None:
+        super().__init__(named)
+        self._everything = everything
+
+    def get(self, key: str, default: Any = None) -> Uses:  # type: ignore[override]
+        return super().get(key) or self._everything
+
+
+def _numbered(tree: Any) -> bool:
+    """Whether the statement begins with the number of its line; the end point of a circle does not."""
+    return bool(tree.children) and getattr(tree.children[0], "type", "") == "SIGNED"

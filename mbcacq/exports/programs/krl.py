@@ -1,0 +1,223 @@
+"""KRL (.src, .dat): points are corrected that a PTP or SPTP goes to, or LIN and the like with joint angles; increments never."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mbcacq.exports.programs.program import LeftAlone, ProgrammedPoint, RobotProgram, Variables, lines, names_in
+
+GRAMMAR = r"""
+start: (motion | _any+)?
+motion: MOTION group ("," group)* tail?
+group: _item+
+tail: WITH _any*
+_any: assignment | _item | ","
+assignment: variable "=" _item
+_item: aggregate | call | variable | SIGNED | STRING | ENUM | OPERATOR | ":" | brackets
+call: variable "(" _any* ")"
+brackets: "(" _any* ")" | "[" _any* "]"
+variable: NAME index? ("." NAME index?)*
+index: "[" _any* "]"
+aggregate: "{" [type] [field ("," field)*] "}"
+type: NAME ":"
+field: NUMBERED | NAME index? value
+value: (aggregate | SIGNED | STRING | ENUM | variable | call | OPERATOR)+
+
+NUMBERED.3: /[A-Za-z]\w*[ \t]+[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(?![\w.'])/
+MOTION.2: /(S?PTP|S?LIN|S?CIRC|SPL|ASYPTP)(_REL)?(?![\w$])/i
+WITH.2: /WITH(?![\w$])/i
+NAME: /[$A-Za-z_][\w$]*/
+SIGNED: /[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|'[BHbh][0-9A-Fa-f]+'/
+STRING: /"[^"]*"/
+ENUM: /#\w+/
+OPERATOR: /==|<>|<=|>=|[-+*\/<>!?.&%@^|~\\]/
+COMMENT: /;.*/
+%ignore COMMENT
+%ignore /[ \t\f\v\x00-\x1f\x7f-\xa0]+/
+"""
+POSE = {"x", "y", "z", "s", "t"}
+DECLARING = ("decl", "global", "const")
+POSE_REASON = "is a pose, whose joints are the controller's choice"
+_DATA = re.compile(r"\s*(?:GLOBAL\s+)?DEFDAT\s+([\w$]+)(\s+PUBLIC)?", re.IGNORECASE)
+_MOVES = re.compile(r"\bS?(?:PTP|LIN|CIRC)(?:_REL)?\b", re.IGNORECASE)
+_WORD = re.compile(r"[$A-Za-z_][\w$]*")
+_INLINE_FORM = re.compile(r"x", re.IGNORECASE)  # the controller's forms call the coordinates of point P1 XP1
+
+
+@cache
+def _parser() -> Any:
+    from lark import Lark
+
+    return Lark(GRAMMAR, parser="lalr", maybe_placeholders=False)
+
+
+class _KrlStatements:
+    """What the lines of a program hold. points: coordinates of all axes, by variable or '' for those in a motion itself."""
+
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self.uses = Variables()
+        self.points: list[tuple[str, str, ProgrammedPoint]] = []  # variable, reason that is known already, point
+        self.left: list[LeftAlone] = []
+        self.targets: dict[str, int] = {}  # variables that motions go to, and the first line
+        self.assigned = set[str]()
+
+    def line(self, number: int, at: int, code: str) -> None:
+        from lark.exceptions import LarkError
+
+        if code.startswith("&") or _DATA.match(code):
+            return
+        try:
+            tree = _parser().parse(code)
+        except LarkError:
+            plain = code.split(";", 1)[0]
+            for word in _WORD.findall(plain):
+                self.uses[word.lower()].otherwise.append(number)
+            if "{" in plain and re.search(r"\bA1\s", plain, re.IGNORECASE):
+                self.left.append((f"line {number}", number, "is a line that is not understood"))
+            return
+        declared = bool(tree.children) and next(iter(names_in(tree.children[0])), "") in DECLARING
+        for child in tree.children:
+            if declared and getattr(child, "data", "") == "variable":
+                continue  # a declaration says what there is and uses nothing
+            if getattr(child, "data", "") == "motion":
+                self._motion(child, number, at)
+            elif getattr(child, "data", "") == "assignment":
+                self._assignment(child, number, at)
+            else:
+                self._other(child, number, at)
+
+    def _motion(self, motion: Any, number: int, at: int) -> None:
+        word = str(motion.children[0]).upper()
+        relative = word.endswith("_REL")
+        for group in motion.children[1:]:
+            if group.data == "tail":
+                for part in group.children:
+                    self._other(part, number, at)
+                continue
+            first, more = group.children[0], group.children[1:]
+            approximated = all(str(name).lower().startswith("c_") for part in more for name in names_in(part)) and all(
+                getattr(part, "data", "") == "variable" for part in more
+            )
+            kind = getattr(first, "data", "")
+            if kind == "aggregate":
+                why = "" if approximated else "is part of an expression"
+                before = len(self.points) + len(self.left)
+                self._coordinates("", f"line {number}", f"is the increment of {word}" if relative else why, first, number, at)
+                if len(self.points) + len(self.left) == before:
+                    self.left.append((f"line {number}", number, f"is the increment of {word}" if relative else POSE_REASON))
+            elif kind == "variable" and approximated:
+                name = str(first.children[0]).lower()
+                (self.uses[name].relative if relative else self.uses[name].absolute).append(number)
+                if not relative:
+                    self.targets.setdefault(name, number)
+                if len(first.children) > 1 and getattr(first.children[1], "data", "") != "index":
+                    self.uses[name].otherwise.append(number)
+            else:
+                for part in group.children:
+                    self._other(part, number, at)
+
+    def _assignment(self, assignment: Any, number: int, at: int) -> None:
+        variable, value = assignment.children
+        name = str(variable.children[0])
+        self.assigned.add(name.lower())
+        for part in variable.children[1:]:
+            for inner in names_in(part):
+                self.uses[inner].otherwise.append(number)
+        whole = len(variable.children) == 1 or (len(variable.children) == 2 and getattr(variable.children[1], "data", "") == "index")
+        if getattr(value, "data", "") == "aggregate" and whole:
+            label = "".join(str(t) for t in variable.scan_values(lambda _: True)) if len(variable.children) == 1 else name
+            self._coordinates(name.lower(), label, "", value, number, at)
+            return
+        self.uses[name.lower()].otherwise.append(number)
+        self._other(value, number, at)
+
+    def _other(self, part: Any, number: int, at: int) -> None:
+        """A piece of a statement that makes nothing of what stands in it a target."""
+        for name in names_in(part):
+            self.uses[name].otherwise.append(number)
+        inside = [part] if not hasattr(part, "iter_subtrees") else [*part.iter_subtrees(), *part.scan_values(lambda t: t.type == "STRING")]
+        for piece in inside:
+            if getattr(piece, "data", "") == "aggregate":
+                self._coordinates("", f"line {number}", "is no target of a motion", piece, number, at)
+            elif getattr(piece, "type", "") == "STRING" and re.search(r"\{[^{}]*\bA1\s", str(piece), re.IGNORECASE):
+                self.left.append((f"line {number}", number, "is text in a string"))
+
+    def _coordinates(self, variable: str, name: str, reason: str, aggregate: Any, number: int, at: int) -> None:
+        fields: dict[str, tuple[int, str]] = {}  # place and text of what may be a number
+        for f in aggregate.children:
+            if f.data != "field":
+                continue
+            token, value = f.children[0], f.children[-1]
+            if token.type == "NUMBERED":
+                word, text = str(token).split()
+                fields[word.lower()] = token.end_pos - len(text), text
+            elif getattr(value.children[0], "data", "") == "aggregate":
+                self._coordinates("", name, "is part of a structure", value.children[0], number, at)
+            elif len(f.children) == 2:
+                single, plain = value.children[0], len(value.children) == 1 and getattr(value.children[0], "type", "") == "SIGNED"
+                fields[str(token).lower()] = getattr(single, "start_pos", 0), str(single) if plain else ""
+        wanted = [f"a{i + 1}" for i in range(self.n)]
+        if not all(key in fields for key in wanted):
+            if any(re.fullmatch(r"a[1-9]", key) for key in fields):
+                self.left.append((name, number, reason or "has not the angles of all axes"))
+            elif POSE <= set(fields):
+                self.left.append((name, number, reason or POSE_REASON))
+            return
+        found = [fields[key] for key in wanted]
+        if not all(text and text[0] != "'" for _, text in found):
+            self.left.append((name, number, reason or "has angles that are computed"))
+            return
+        spans = tuple((at + place, at + place + len(text)) for place, text in found)
+        angles = np.radians([float(text) for _, text in found])
+        self.points.append((variable, reason, ProgrammedPoint(name, number, angles, spans, (float(np.pi / 180),) * self.n)))
+
+
+def read(text: str, n: int, programs: Iterable[str] = ()) -> RobotProgram:
+    """The points of a program for an arm of n axes. programs: texts of those that use a data list (.dat)."""
+    found = _KrlStatements(n)
+    for number, at, line in lines(text):
+        found.line(number, at, line)
+    data = re.search(_DATA.pattern, text, re.IGNORECASE | re.MULTILINE)
+    users = [program for program in programs if data]
+    for program in users:
+        there = _KrlStatements(n)
+        for number, at, line in lines(program):
+            there.line(number, at, line)
+        found.uses.add(there.uses)
+    by_name = data is not None and not users and not _MOVES.search(text)
+    points, left = [], list(found.left)
+    for variable, known, point in found.points:
+        reason = known or _reason(variable, found, by_name)
+        if reason:
+            left.append((point.name, point.line, reason))
+        else:
+            points.append(point)
+    left += _elsewhere(found)
+    notes = (
+        ("no program (.src) stands beside this data list: its points are known by their names, X and the name of the point",)
+        if by_name
+        else ()
+    )
+    return RobotProgram(text, tuple(points), tuple(sorted(left, key=lambda one: one[1])), notes=notes if points else ())
+
+
+def _reason(variable: str, found: _KrlStatements, by_name: bool) -> str:
+    if not variable:
+        return ""
+    uses = found.uses[variable]
+    if by_name and not uses.otherwise:
+        uses.absolute.append(0)
+        return uses.reason(variable) or ("" if _INLINE_FORM.match(variable) else "is a target of no known program, by its name")
+    return uses.reason(variable)
+
+
+def _elsewhere(found: _KrlStatements) -> Iterator[LeftAlone]:
+    for name, number in found.targets.items():
+        if name not in found.assigned and not name.startswith("$"):
+            yield name.upper(), number, "has its coordinates in another file, the data list (.dat); correct that one"

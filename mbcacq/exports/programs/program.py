@@ -1,0 +1,136 @@
+"""A program as its text and the joint targets in it; what is written anew are their numbers alone, every other byte stays."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+LINE_END = re.compile(r"\r\n|\r|\n")  # and no other: to Python's splitlines byte 0x85 ends a line too
+# What names say of coordinates that are no place: tolerances, steps, offsets, limits, speeds.
+NO_PLACE = re.compile(
+    r"tol|offs|delta|step|incr|rel(?![a-z])|diff|limit|^max|^min|max$|min$|(?<!le)vel|acc(?!ess)|speed|dist|range|window", re.IGNORECASE
+)
+
+LeftAlone = tuple[str, int, str]  # name, line and reason
+
+
+@dataclass(frozen=True)
+class ProgrammedPoint:
+    """angles: (n,) rad as the program counts them; spans: where each number stands in the text; unit: rad of one of each."""
+
+    name: str
+    line: int
+    angles: np.ndarray
+    spans: tuple[tuple[int, int], ...]
+    unit: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class RobotProgram:
+    """points: the absolute joint targets. left_alone: name, line and reason of each that looks like one and stays as it is.
+
+    coupling: (n, n), the joint angles of the arm's description from those of the program, where a controller counts them otherwise.
+    """
+
+    text: str
+    points: tuple[ProgrammedPoint, ...]
+    left_alone: tuple[LeftAlone, ...] = ()
+    coupling: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def q(self) -> np.ndarray:
+        """(P, n) rad."""
+        angles = np.array([point.angles for point in self.points])
+        return angles if self.coupling is None else angles @ self.coupling.T
+
+    def written(self, q: np.ndarray, reached: Sequence[bool]) -> str:
+        """The text with joint angles q (P, n) rad; of a point that is not ``reached`` the programmed ones stay."""
+        angles = q if self.coupling is None else q @ np.linalg.inv(self.coupling).T
+        edits: list[tuple[int, int, str]] = []
+        for point, row, ok in zip(self.points, angles, reached, strict=True):
+            if ok:
+                for (begin, end), value, unit in zip(point.spans, row, point.unit, strict=True):
+                    edits.append((begin, end, number(value / unit, 9 if unit == 1.0 else 6)))
+        parts, at = [], 0
+        for begin, end, new in sorted(edits):
+            parts += [self.text[at:begin], new]
+            at = end
+        return "".join([*parts, self.text[at:]])
+
+
+def number(value: float, decimals: int) -> str:
+    """The number with so many decimals; 1e-6 of a degree is 0.02 um at a metre."""
+    text = f"{value:.{decimals}f}"
+    return text.removeprefix("-") if float(text) == 0 else text
+
+
+@dataclass
+class Uses:
+    """Where a program uses a variable: as the target of an absolute motion, as an increment, as a mere hint, or otherwise."""
+
+    absolute: list[int] = field(default_factory=list)
+    relative: list[int] = field(default_factory=list)
+    otherwise: list[int] = field(default_factory=list)
+
+    def reason(self, name: str) -> str:
+        """Why the coordinates of a variable are not to be touched, '' where they are a target."""
+        if self.relative:
+            return f"is the increment of a relative motion (line {self.relative[0]})"
+        if 0 in self.absolute and NO_PLACE.search(name):  # used by no program that is known: the name alone says what it is
+            return "is by its name no place, but a tolerance, a step or a limit"
+        if self.absolute and self.otherwise:
+            return f"is a target, and is used otherwise too (line {self.otherwise[0]})"
+        if self.otherwise:
+            return f"is no target of a motion, but used otherwise (line {self.otherwise[0]})"
+        return "" if self.absolute else "is the target of no motion in this program"
+
+
+class Variables(dict[str, Uses]):
+    """Uses by the name in lower case."""
+
+    def __missing__(self, name: str) -> Uses:
+        self[name] = Uses()
+        return self[name]
+
+    def add(self, others: Variables) -> None:
+        """Take in what another program does with the same variables."""
+        for name, uses in others.items():
+            self[name].absolute += uses.absolute
+            self[name].relative += uses.relative
+            self[name].otherwise += uses.otherwise
+
+
+def lines(text: str) -> Iterable[tuple[int, int, str]]:
+    """Number from 1, place in the text, and content of each line."""
+    at, count = 0, 1
+    for match in LINE_END.finditer(text):
+        yield count, at, text[at : match.start()]
+        at, count = match.end(), count + 1
+    yield count, at, text[at:]
+
+
+class LineNumbers:
+    """The line of each place in a text, from 1."""
+
+    def __init__(self, text: str) -> None:
+        self._ends = [match.end() for match in LINE_END.finditer(text)]
+
+    def __call__(self, place: int) -> int:
+        return bisect_right(self._ends, place) + 1
+
+
+def names_in(tree: Any) -> Iterable[str]:
+    """All names that stand anywhere in a piece of a statement, in lower case."""
+    stack = [tree]
+    while stack:
+        here = stack.pop()
+        if hasattr(here, "children"):
+            stack += here.children
+        elif here is not None and getattr(here, "type", "") == "NAME":
+            yield str(here).lower()

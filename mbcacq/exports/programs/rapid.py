@@ -1,0 +1,152 @@
+"""RAPID (.mod, .modx, .prg, .sys): jointtargets that MoveAbsJ goes to."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.exports.programs.program import LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Variables
+
+GRAMMAR = r"""
+start: _any* motion?
+motion: MOTION group ("," group)*
+group: _item*
+_any: assignment | _item | ","
+assignment: NAME ":=" _item
+_item: list | call | NAME | SIGNED | STRING | OPERATOR | brackets
+call: NAME "(" _any* ")"
+list: "[" [element ("," element)*] "]"
+element: _item+
+brackets: "(" _any* ")" | "{" _any* "}"
+
+MOTION.2: /(Move|Trigg|Search|Arc|Spot|Paint|Disp)\w*(?!\w)/i
+NAME: /[A-Za-z_]\w*(\.[A-Za-z_]\w*)*/
+SIGNED: /[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?/
+STRING: /"([^"]|"")*"/
+OPERATOR: /<>|<=|>=|:=|[-+*\/<>=:\\?.%|#&$@^~!]/
+%ignore /[\s\x00-\x1f\x7f-\xa0]+/
+"""
+# A comment to the end of its line, a string, what ends a statement, and all else: a text is cut into statements by these.
+_PIECES = re.compile(r'![^\r\n]*|"(?:[^"\r\n]|"")*"?|;|[^!";]+')
+AXES = 6
+
+
+@cache
+def _parser() -> Any:
+    from lark import Lark
+
+    return Lark(GRAMMAR, parser="lalr", maybe_placeholders=False)
+
+
+class _RapidStatements:
+    def __init__(self) -> None:
+        self.uses = Variables()
+        self.points: list[tuple[str, str, ProgrammedPoint]] = []
+        self.left: list[LeftAlone] = []
+        self.moves = False
+
+    def statement(self, begin: int, code: str, line_of: LineNumbers) -> None:
+        from lark.exceptions import LarkError
+
+        try:
+            tree = _parser().parse(code)
+        except LarkError:
+            for word in re.findall(r"[A-Za-z_]\w*", code):
+                self.uses[word.lower()].otherwise.append(line_of(begin))
+            if re.search(r"jointtarget|MoveAbsJ", code, re.IGNORECASE):
+                at = line_of(begin + len(code) - len(code.lstrip()))
+                self.left.append((f"line {at}", at, "is a statement that is not understood"))
+            return
+        names = [str(child).lower() for child in tree.children if getattr(child, "type", "") == "NAME"]
+        for child in tree.children:
+            kind = getattr(child, "data", "")
+            if kind == "motion":
+                self._motion(child, begin, line_of)
+            elif kind == "assignment":
+                self._assignment(child, names, begin, line_of)
+            else:
+                self._other(child, begin, line_of)
+
+    def _assignment(self, assignment: Any, names: list[str], begin: int, line_of: LineNumbers) -> None:
+        name, value = assignment.children
+        number, label = line_of(begin + name.start_pos), str(name)
+        if getattr(value, "data", "") == "list" and "jointtarget" in names:
+            self._jointtarget(label.lower(), label, "", value, begin, number)
+        elif getattr(value, "data", "") == "list" and "robtarget" in names:
+            self.left.append((label, number, "is a pose, whose joints the controller's own kinematics finds"))
+        else:
+            self.uses[label.lower().split(".")[0]].otherwise.append(number)
+            self._other(value, begin, line_of)
+
+    def _motion(self, motion: Any, begin: int, line_of: LineNumbers) -> None:
+        word = str(motion.children[0]).lower()
+        groups = [g for g in motion.children[1:] if not (g.children and str(g.children[0]) == "\\")]  # \Conc and its like come first
+        number = line_of(begin + motion.children[0].start_pos)
+        self.moves = self.moves or word == "moveabsj"
+        for count, group in enumerate(groups):
+            first = group.children[0] if group.children else None
+            alone = len(group.children) == 1 or str(group.children[1]) == "\\"
+            if word == "moveabsj" and count == 0 and alone and getattr(first, "type", "") == "NAME":
+                self.uses[str(first).lower()].absolute.append(number)
+            elif word == "moveabsj" and count == 0 and alone and getattr(first, "data", "") == "list":
+                self._jointtarget("", f"line {number}", "", first, begin, number)
+            elif getattr(first, "data", "") == "list" and count == 0:
+                self.left.append((f"line {number}", number, "is a pose, whose joints the controller's own kinematics finds"))
+            else:
+                for part in group.children:
+                    self._other(part, begin, line_of)
+
+    def _other(self, part: Any, begin: int, line_of: LineNumbers) -> None:
+        stack = [part]
+        while stack:
+            here = stack.pop()
+            if hasattr(here, "children"):
+                stack += here.children
+            elif getattr(here, "type", "") == "NAME":
+                self.uses[str(here).lower().split(".")[0]].otherwise.append(line_of(begin + here.start_pos))
+
+    def _jointtarget(self, variable: str, name: str, reason: str, value: Any, begin: int, number: int) -> None:
+        axes = value.children[0].children if value.children else []
+        inner = axes[0] if len(axes) == 1 and getattr(axes[0], "data", "") == "list" else None
+        if inner is None or len(inner.children) != AXES:
+            self.left.append((name, number, "is no jointtarget of six axes"))
+            return
+        tokens = [e.children[0] for e in inner.children if len(e.children) == 1 and getattr(e.children[0], "type", "") == "SIGNED"]
+        if len(tokens) != AXES:
+            self.left.append((name, number, "has angles that are computed"))
+            return
+        spans = tuple((begin + token.start_pos, begin + token.end_pos) for token in tokens)
+        angles = np.radians([float(token) for token in tokens])
+        self.points.append((variable, reason, ProgrammedPoint(name, number, angles, spans, (float(np.pi / 180),) * AXES)))
+
+
+def read(text: str, n: int) -> RobotProgram:
+    """The points of a module for an arm of six axes. Raises ConfigError for another arm."""
+    if n != AXES:
+        raise ConfigError(f"a jointtarget of RAPID has six axes, this arm has {n}; give the module of an arm of six")
+    found, line_of = _RapidStatements(), LineNumbers(text)
+    begin, parts = 0, list[str]()
+    for match in _PIECES.finditer(text):
+        piece = match[0]
+        if piece == ";":
+            found.statement(begin, "".join(parts), line_of)
+            begin, parts = match.end(), []
+        else:
+            parts.append(" " * len(piece) if piece.startswith("!") else piece)
+    points, left = [], list(found.left)
+    for variable, known, point in found.points:
+        uses = found.uses[variable]
+        if not found.moves and not uses.otherwise:
+            uses.absolute.append(0)  # a module of data alone: a jointtarget is a target by its type
+        if reason := known or (uses.reason(variable) if variable else ""):
+            left.append((point.name, point.line, reason))
+        else:
+            points.append(point)
+    notes = (
+        () if found.moves or not points else ("no MoveAbsJ stands in this module: its jointtargets are taken for targets by their type",)
+    )
+    return RobotProgram(text, tuple(points), tuple(sorted(left, key=lambda one: one[1])), notes=notes)

@@ -1,0 +1,181 @@
+"""URScript (.script): lists of joint angles that movej and its like go to, in rad, also as d2r(..)."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mbcacq.exports.programs.program import LeftAlone, ProgrammedPoint, RobotProgram, Variables, lines, names_in
+
+GRAMMAR = r"""
+start: (assignment | _any+)?
+assignment: SCOPE? NAME "=" _item+
+_any: _item | "," | "="
+_item: pose | list | call | NAME | SIGNED | STRING | OPERATOR | brackets
+call: NAME "(" [argument ("," argument)*] ")"
+argument: [NAME "="] _item+
+list: "[" [element ("," element)*] "]"
+element: _item+
+pose: POSE [element ("," element)*] "]"
+brackets: "(" _any* ")"
+
+POSE.3: "p["
+SCOPE.2: /(global|local)(?!\w)/
+NAME: /[A-Za-z_]\w*(\.[A-Za-z_]\w*)*/
+SIGNED: /[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?/
+STRING: /"[^"]*"|'[^']*'/
+OPERATOR: /==|!=|<=|>=|[-+*\/%<>:.?!&|^~;{}@]/
+COMMENT: /#.*/
+%ignore COMMENT
+%ignore /[ \t\f\v\x00-\x1f\x7f-\xa0]+/
+"""
+MOVES = ("movej", "movel", "movep", "movec", "servoj", "servop", "servoc")  # whose first arguments are places, joint angles or poses
+PLACES = {"movec": 2, "servoc": 2}  # a via point and an end
+HINTS = ("get_inverse_kin", "get_inverse_kin_has_solution")  # joint angles there are where the search begins
+SPEEDS = ("speedj", "speedl", "stopj", "stopl")
+DEGREES = float(np.pi / 180)
+
+
+@cache
+def _parser() -> Any:
+    from lark import Lark
+
+    return Lark(GRAMMAR, parser="lalr", maybe_placeholders=False)
+
+
+class _UrStatements:
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self.uses = Variables()
+        self.points: list[tuple[str, ProgrammedPoint]] = []
+        self.left: list[LeftAlone] = []
+
+    def line(self, number: int, at: int, code: str) -> None:
+        from lark.exceptions import LarkError
+
+        try:
+            tree = _parser().parse(code)
+        except LarkError:
+            if "[" in code.split("#", 1)[0] and any(move in code for move in MOVES):
+                self.left.append((f"line {number}", number, "is a line that is not understood"))
+            return
+        for child in tree.children:
+            if getattr(child, "data", "") == "assignment":
+                self._assignment(child, number, at)
+            else:
+                self._part(child, number, at)
+
+    def _assignment(self, assignment: Any, number: int, at: int) -> None:
+        children = [c for c in assignment.children if getattr(c, "type", "") != "SCOPE"]
+        name, value = str(children[0]), children[1:]
+        if len(value) == 1 and getattr(value[0], "data", "") in ("list", "pose"):
+            self._coordinates(name.lower(), name, "", value[0], number, at)
+            return
+        if value and getattr(value[0], "data", "") == "call" and len(value) == 1:
+            self._part(value[0], number, at)
+        else:
+            for part in value:
+                self._part(part, number, at)
+
+    def _part(self, part: Any, number: int, at: int) -> None:
+        """A piece of a statement. What is handed to a motion is a target, all else is not."""
+        stack = [part]
+        while stack:
+            here = stack.pop()
+            kind = getattr(here, "data", "")
+            if kind == "call":
+                stack += self._call(here, number, at)
+            elif kind in ("list", "pose"):
+                for name in names_in(here):
+                    self.uses[name].otherwise.append(number)
+                self._coordinates("", f"line {number}", "is no target of a motion", here, number, at)
+            elif hasattr(here, "children"):
+                stack += here.children
+            elif getattr(here, "type", "") == "NAME":
+                self.uses[str(here).lower()].otherwise.append(number)
+
+    def _call(self, call: Any, number: int, at: int) -> list[Any]:
+        """The pieces of a call that are still to be looked at."""
+        word = str(call.children[0]).lower()
+        if word in MOVES:
+            return self._motion(call, number, at)
+        if word in HINTS:
+            self._pose_of(call, number)
+            return []
+        items = [item for argument in call.children[1:] for item in argument.children]
+        speeds = [item for item in items if word in SPEEDS and getattr(item, "data", "") == "list"]
+        for item in speeds:
+            self._coordinates("", f"line {number}", "is a speed", item, number, at)
+        return [item for item in items if item not in speeds]
+
+    def _motion(self, call: Any, number: int, at: int) -> list[Any]:
+        """The pieces of a motion that are not its places."""
+        word, rest = str(call.children[0]).lower(), []
+        for count, argument in enumerate(call.children[1:]):
+            items = argument.children
+            named = len(items) > 1 and getattr(items[0], "type", "") == "NAME" and str(items[0]).lower() in ("q", "pose")
+            only = items[-1] if len(items) == 1 or (named and len(items) == 2) else None
+            if count >= PLACES.get(word, 1) or only is None:
+                rest += items[1:] if len(items) > 1 and getattr(items[0], "type", "") == "NAME" else items
+            elif getattr(only, "data", "") in ("list", "pose"):
+                self._coordinates("", f"line {number}", "", only, number, at)
+            elif getattr(only, "type", "") == "NAME":
+                self.uses[str(only).lower()].absolute.append(number)
+            else:
+                rest.append(only)
+        return rest
+
+    def _pose_of(self, call: Any, number: int) -> None:
+        """get_inverse_kin: the pose is the target, and its joints are found by the controller's own kinematics."""
+        for name in names_in(call.children[1]) if len(call.children) > 1 else ():
+            self.uses[name].absolute.append(number)
+
+    def _coordinates(self, variable: str, name: str, reason: str, brackets: Any, number: int, at: int) -> None:
+        if brackets.data == "pose":
+            if len(brackets.children) == 7 and not reason:  # 'p[' itself is one
+                self.left.append((name, number, "is a pose, whose joints the controller's own kinematics finds"))
+            return
+        if len(brackets.children) != self.n:
+            return
+        numbers = [_angle(element) for element in brackets.children]
+        if not all(numbers):
+            if not variable:
+                self.left.append((name, number, reason or "has angles that are computed"))
+            return
+        spans = tuple((at + token.start_pos, at + token.end_pos) for token, _ in numbers)
+        angles = np.array([float(token) * unit for token, unit in numbers])
+        point = ProgrammedPoint(name, number, angles, spans, tuple(unit for _, unit in numbers))
+        if reason:
+            self.left.append((name, number, reason))
+        else:
+            self.points.append((variable, point))
+
+
+def _angle(element: Any) -> Any:
+    """The number of an element and the unit that it has, rad or by d2r() deg; None where it is computed."""
+    if len(element.children) != 1:
+        return None
+    item = element.children[0]
+    if getattr(item, "type", "") == "SIGNED":
+        return item, 1.0
+    if getattr(item, "data", "") == "call" and str(item.children[0]) == "d2r" and len(item.children) == 2:
+        inside = item.children[1].children
+        if len(inside) == 1 and getattr(inside[0], "type", "") == "SIGNED":
+            return inside[0], DEGREES
+    return None
+
+
+def read(text: str, n: int) -> RobotProgram:
+    """The points of a program for an arm of n axes."""
+    found = _UrStatements(n)
+    for number, at, line in lines(text):
+        found.line(number, at, line)
+    points, left = [], list(found.left)
+    for variable, point in found.points:
+        if reason := found.uses[variable].reason(variable) if variable else "":
+            left.append((point.name, point.line, reason))
+        else:
+            points.append(point)
+    return RobotProgram(text, tuple(points), tuple(sorted(left, key=lambda one: one[1])))

@@ -1,0 +1,154 @@
+"""xacro expanded without ROS: packages are found by their package.xml above the file, or named."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from defusedxml import ElementTree
+
+from mbcacq.errors import ConfigError
+
+PACKAGE, MOST_BYTES = "package.xml", 1 << 20
+MOST_FOLDERS, DEEPEST = 4000, 3  # looked through for packages beside one that is found, a repository of a maker has a few hundred
+_MACRO = re.compile(rb"""<xacro:macro\s[^>]*?\bname\s*=\s*["']([^"']+)""")
+_OURS = "mbcacq: "  # before sentences of ours that pass through xacro
+
+
+def expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> bytes:
+    """The URDF that xacro makes of a file.
+
+    packages: folder of each package that is not found above the file. arguments: values of ``$(arg name)``. Raises ConfigError.
+    """
+    try:
+        xacro: Any = import_module("xacro")
+    except ImportError:
+        raise ConfigError(
+            f"{path}: xacro is not installed; run `xacro {path.name} > {path.stem.removesuffix('.urdf')}.urdf` where ROS is "
+            "and import that, or pip install 'mbcacq[xacro]'"
+        ) from None
+    finder = _Packages(path, packages)
+    xacro.filestack = None  # of a file that it could not expand, xacro keeps the stack
+    try:
+        with _found_by(finder), contextlib.redirect_stderr(io.StringIO()):
+            return xacro.process_file(str(path), mappings=dict(arguments)).toxml().encode("utf-8")
+    except Exception as error:  # xacro raises many kinds, also those of the expressions in the file
+        raise ConfigError(f"{path}: {_reason(error, xacro, path)}") from None
+
+
+def macros(data: bytes) -> list[str]:
+    """Names of the macros that a file defines."""
+    return [name.decode("utf-8", "replace") for name in _MACRO.findall(data)]
+
+
+def _reason(error: Exception, xacro: Any, path: Path) -> str:
+    said = str(error)
+    if _OURS in said:
+        return said.split(_OURS, 1)[1].splitlines()[0]
+    name = str(error.args[0]) if error.args else ""
+    if type(error).__name__ == "ArgException" or (undefined := re.search(r"Undefined substitution argument (\S+)", said)):
+        name = name if type(error).__name__ == "ArgException" else undefined[1]  # type: ignore[possibly-unbound]
+        return f"xacro needs an argument '{name}'; give it by --arg {name}=VALUE"
+    where = [f for f in xacro.filestack or () if f and Path(f).resolve() != path.resolve()]
+    return f"xacro cannot expand it{f' (in {where[-1]})' if where else ''}: {said.splitlines()[0] if said else type(error).__name__}"
+
+
+@contextlib.contextmanager
+def _found_by(finder: _Packages) -> Iterator[None]:
+    """xacro asks ament_index_python for the folder of a package; a module of that name answers while the file is expanded."""
+    names = ("ament_index_python", "ament_index_python.packages")
+    before = {name: sys.modules.get(name) for name in names}
+    top, own = (ModuleType(name) for name in names)
+    own.get_package_share_directory = finder.folder  # type: ignore[attr-defined]
+    top.packages = own  # type: ignore[attr-defined]
+    sys.modules.update(zip(names, (top, own), strict=True))
+    try:
+        yield
+    finally:
+        for name, module in before.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
+
+
+class _Packages:
+    """Folders of packages: named ones, those above the file and beside them, those that ROS has in its environment."""
+
+    def __init__(self, path: Path, named: Mapping[str, Path]) -> None:
+        self._path, self._named = path.resolve(), named
+        self._seen: dict[str, Path] | None = None
+
+    def folder(self, package: str) -> str:
+        if package in self._named:
+            folder = Path(self._named[package])
+            if not folder.is_dir():
+                raise ConfigError(f"{_OURS}--package {package}={folder}: there is no such folder; correct it")
+            return str(folder.resolve())
+        if self._seen is None:
+            self._seen = dict(self._around())
+        found = self._seen.get(package) or _of_ros(package)
+        if found is None:  # a package that was copied without its package.xml is known by its folder
+            found = next((f for f in self._path.parents if f.name == package), None)
+        if found is None:
+            raise ConfigError(
+                f"{_OURS}package '{package}' is not found above the file or beside it; say where by --package {package}=DIR, "
+                "or expand the file where its packages are installed"
+            )
+        return str(found)
+
+    def _around(self) -> Iterator[tuple[str, Path]]:
+        """Packages by name, the nearest last: what stands in the folders above the outermost package, then what is above the file."""
+        above = [f for f in self._path.parents if (f / PACKAGE).is_file()]
+        if above:
+            outermost = above[-1].parent
+            for folder in _folders(outermost):
+                if (folder / PACKAGE).is_file() and (name := _name(folder / PACKAGE)):
+                    yield name, folder
+        for folder in reversed(above):
+            if name := _name(folder / PACKAGE):
+                yield name, folder
+
+
+def _folders(top: Path) -> Iterator[Path]:
+    """Folders below one, a few deep, those that can be read."""
+    count, level = 0, [top]
+    for _ in range(DEEPEST):
+        following: list[Path] = []
+        for folder in level:
+            with contextlib.suppress(OSError):
+                following += sorted(Path(e.path) for e in os.scandir(folder) if e.is_dir(follow_symlinks=False) and e.name[0] != ".")
+        for folder in following:
+            count += 1
+            if count > MOST_FOLDERS:
+                return
+            yield folder
+        level = following
+
+
+def _name(path: Path) -> str:
+    """The name in a package.xml, '' where it has none."""
+    try:
+        with path.open("rb") as file:
+            return (ElementTree.fromstring(file.read(MOST_BYTES)).findtext("name") or "").strip()
+    except (OSError, SyntaxError, ValueError):  # ParseError is a SyntaxError, what defusedxml refuses a ValueError
+        return ""
+
+
+def _of_ros(package: str) -> Path | None:
+    """Where an installed ROS has a package."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix and (folder := Path(prefix) / "share" / package).is_dir():
+            return folder
+    for top in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep):
+        if top and (folder := Path(top) / package).is_dir():
+            return folder
+    return None

@@ -1,0 +1,246 @@
+"""Point clouds in PLY and PCD files with all properties of their points in the types they have: whole and of numbers, or refused."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.spheres.ply_header import PlyElement, read_header
+
+MAX_BYTES = 4 * 2**30
+MAX_PCD_HEADER = 64 * 1024
+PCD_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+PACKED = ("rgb", "rgba")  # PCD's colours: four bytes in one number
+UNITS_MM = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "in": 25.4}
+FEWEST_TO_JUDGE = 10  # points whose size says something
+SMALLEST_MM, LARGEST_MM = 5.0, 100e3  # of the largest coordinate: a field in mm is not smaller, a hall not larger
+
+
+@dataclass(frozen=True)
+class CloudFile:
+    """points: (N, 3) in the file's type and unit; properties: (N,) each, by name, of the points alone; missing: how many places of an
+    organised cloud hold no point and were left out."""
+
+    points: np.ndarray
+    properties: dict[str, np.ndarray]
+    missing: int
+
+
+def read_cloud_file(path: str | Path) -> CloudFile:
+    """The cloud of a PLY or PCD file. Raises ConfigError, naming the file, where it is not whole or holds no points."""
+    path = Path(path)
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such cloud; give the PLY or PCD file of a scan")
+    kind = path.suffix.lower()
+    if kind not in (".ply", ".pcd"):
+        raise ConfigError(f"{path}: a cloud must be a .ply or .pcd file")
+    if path.stat().st_size > MAX_BYTES:
+        raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one cloud")
+    columns = _ply(path) if kind == ".ply" else _pcd(path)
+    points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
+    if points.dtype not in (np.float32, np.float64):
+        points = points.astype(np.float64)
+    none = np.isnan(points).all(axis=1)
+    if not np.isfinite(points[~none]).all():
+        number = int(np.flatnonzero(~none & ~np.isfinite(points).all(axis=1))[0])
+        raise ConfigError(f"{path}: point {number + 1} has a coordinate that is no finite number; export the cloud anew")
+    if none.all():
+        raise ConfigError(f"{path}: holds no points; export the cloud anew")
+    return CloudFile(points[~none], {name: values[~none] for name, values in columns.items()}, int(none.sum()))
+
+
+def in_mm(path: str | Path, points: np.ndarray, unit: str | None) -> np.ndarray:
+    """Points (N, 3) in mm. unit: of the file, None where nobody said it. Raises ConfigError where their size cannot be mm."""
+    if unit is not None:
+        return points if unit == "mm" else points.astype(np.float64) * UNITS_MM[unit]
+    largest = float(np.abs(points).max())
+    if len(points) >= FEWEST_TO_JUDGE and largest < SMALLEST_MM:
+        raise ConfigError(
+            f"{path}: all coordinates are within {largest:.3g}, which looks like metres; say --unit m, or --unit mm if they are mm"
+        )
+    if len(points) >= FEWEST_TO_JUDGE and largest > LARGEST_MM:
+        raise ConfigError(f"{path}: coordinates reach {largest:.3g}, which looks like um; say --unit um, or --unit mm if they are mm")
+    return points
+
+
+def _ply(path: Path) -> dict[str, np.ndarray]:
+    header = read_header(path)
+    at = next(i for i, element in enumerate(header.elements) if element.name == "vertex")
+    vertex, before = header.elements[at], header.elements[:at]
+    if any(p.counted for element in (vertex, *before) for p in element.properties):
+        raise ConfigError(f"{path}: has lists before or in its vertices, which are not read; export the points alone")
+    names = [p.name for p in vertex.properties]
+    if len(set(names)) != len(names):
+        raise ConfigError(f"{path}: a property of its vertices stands twice; export the cloud anew")
+    if header.text:
+        lines = [line for line in path.read_bytes()[header.size :].splitlines() if line.strip()]
+        first = sum(element.count for element in before)
+        rows = lines[first : first + vertex.count]
+        if len(lines) < sum(element.count for element in header.elements):
+            raise ConfigError(f"{path}: is cut off: its header announces {vertex.count} points and {len(rows)} lines follow; copy it anew")
+        return _text_columns(path, rows, [(p.name, np.dtype(p.type)) for p in vertex.properties])
+    order = "<" if header.little else ">"
+    dtype = _row_type(vertex, order)
+    offset = header.size + sum(element.count * _row_type(element, order).itemsize for element in before)
+    if not any(p.counted for element in header.elements for p in element.properties):
+        whole = header.size + sum(element.count * _row_type(element, order).itemsize for element in header.elements)
+        if path.stat().st_size not in (whole, whole + 1):  # some writers end the file with a line feed
+            raise ConfigError(f"{path}: has {path.stat().st_size} bytes where its header announces {whole}; copy it anew")
+    with path.open("rb") as file:
+        file.seek(offset)
+        data = file.read(dtype.itemsize * vertex.count)
+    rows = np.frombuffer(data, dtype)
+    return {name: rows[name].astype(rows[name].dtype.newbyteorder("=")) for name in names}
+
+
+def _row_type(element: PlyElement, order: str) -> np.dtype:
+    return np.dtype([(f"{i} {p.name}" if element.name != "vertex" else p.name, order + p.type) for i, p in enumerate(element.properties)])
+
+
+def _text_columns(path: Path, lines: Sequence[bytes], columns: Sequence[tuple[str, np.dtype]]) -> dict[str, np.ndarray]:
+    """Columns of rows of numbers. Raises ConfigError at the first row that is none."""
+    try:
+        table = np.loadtxt(io.BytesIO(b"\n".join(lines)), dtype=np.float64, ndmin=2, comments=None)
+    except ValueError:
+        table = np.empty((0, 0))
+    if table.shape != (len(lines), len(columns)):
+        raise ConfigError(f"{path}: {_first_bad_row(lines, len(columns))}")
+    out = {}
+    for (name, dtype), values in zip(columns, table.T, strict=True):
+        with np.errstate(invalid="ignore", over="ignore"):
+            typed = values.astype(dtype)
+        if dtype.kind in "iu" and not np.array_equal(typed, values):
+            row = int(np.flatnonzero(typed != values)[0])
+            raise ConfigError(f"{path}: point {row + 1}: {name} is {values[row]:g}, which is no {dtype.name}; export the cloud anew")
+        out[name] = typed
+    return out
+
+
+def _first_bad_row(lines: Sequence[bytes], count: int) -> str:
+    for number, line in enumerate(lines, 1):
+        words = line.split()
+        for word in words:
+            try:
+                float(word)
+            except ValueError:
+                comma = "; decimal commas are not read, save it with decimal points" if b"," in word else "; export the cloud anew"
+                return f"point {number}: '{word.decode('ascii', 'replace')[:40]}' is not a number{comma}"
+        if len(words) != count:
+            return f"point {number} has {len(words)} numbers where its header announces {count}; export the cloud anew"
+    return "its points are not understood; export the cloud anew"
+
+
+def _pcd(path: Path) -> dict[str, np.ndarray]:
+    with path.open("rb") as file:
+        head = file.read(MAX_PCD_HEADER)
+    found = re.search(rb"(?m)^DATA[ \t]+(\w+)[ \t]*\r?\n", head)
+    if found is None:
+        raise ConfigError(
+            f"{path}: is no PCD file (its header must end with DATA ascii, binary or binary_compressed); export the cloud anew"
+        )
+    said: dict[str, list[str]] = {}
+    for line in head[: found.end()].decode("latin-1").splitlines():
+        words = line.split()
+        if words and not words[0].startswith("#"):
+            if words[0] not in PCD_KEYS:
+                raise ConfigError(f"{path}: '{line[:60]}' is nothing a PCD header may say; export the cloud anew")
+            said[words[0]] = words[1:]
+    fields, count = _pcd_fields(path, said)
+    kind, data = found[1].decode(), path.read_bytes()[found.end() :]
+    if kind not in ("ascii", "binary", "binary_compressed"):
+        raise ConfigError(f"{path}: DATA {kind} is not known (ascii, binary, binary_compressed); export the cloud anew")
+    if kind == "ascii":
+        lines = [line for line in data.splitlines() if line.strip()]
+        if len(lines) != count:
+            raise ConfigError(f"{path}: has {len(lines)} lines of points where its header announces {count}; copy it anew")
+        columns = _text_columns(path, lines, [(name, t) for name, t in fields])
+    else:
+        columns = _pcd_binary(path, data, fields, count, compressed=kind == "binary_compressed")
+    return _unpacked({name: values for name, values in columns.items() if not name.startswith("_")})
+
+
+def _pcd_fields(path: Path, said: dict[str, list[str]]) -> tuple[list[tuple[str, np.dtype]], int]:
+    """Name and type of each field, one for each of several numbers of it; and the number of points."""
+    names = said.get("FIELDS", [])
+    counts = said.get("COUNT", ["1"] * len(names))
+    try:
+        types = [np.dtype({"F": "f", "I": "i", "U": "u"}[t] + size) for t, size in zip(said["TYPE"], said["SIZE"], strict=True)]
+        numbers = [int(c) for c in counts]
+        points = int(said["POINTS"][0]) if "POINTS" in said else int(said["WIDTH"][0]) * int(said.get("HEIGHT", ["1"])[0])
+    except (KeyError, IndexError, ValueError, TypeError):
+        raise ConfigError(
+            f"{path}: its header lacks FIELDS, SIZE, TYPE, COUNT or POINTS, or they are no numbers; export the cloud anew"
+        ) from None
+    whole = len(names) == len(types) == len(numbers) and all(0 < c <= 4096 for c in numbers) and 0 < points <= MAX_BYTES
+    if not whole or not {"x", "y", "z"} <= set(names):
+        raise ConfigError(f"{path}: holds no points (fields x, y and z of as many types and sizes); export the cloud anew")
+    out: list[tuple[str, np.dtype]] = []
+    for i, (name, dtype, number) in enumerate(zip(names, types, numbers, strict=True)):
+        padding = name == "_"
+        out += [(f"_{i}_{k}" if padding else name if number == 1 else f"{name}_{k}", dtype) for k in range(number)]
+    if len({name for name, _ in out}) != len(out):
+        raise ConfigError(f"{path}: a field stands twice; export the cloud anew")
+    return out, points
+
+
+def _pcd_binary(path: Path, data: bytes, fields: list[tuple[str, np.dtype]], count: int, *, compressed: bool) -> dict[str, np.ndarray]:
+    size = count * sum(t.itemsize for _, t in fields)
+    if not compressed:
+        if len(data) not in (size, size + 1):
+            raise ConfigError(f"{path}: has {len(data)} bytes of points where its header announces {size}; copy it anew")
+        rows = np.frombuffer(data[:size], np.dtype([(name, t.newbyteorder("<")) for name, t in fields]))
+        return {name: rows[name].astype(t) for name, t in fields}
+    length, announced = np.frombuffer(data[:8], "<u4") if len(data) >= 8 else (0, -1)
+    if announced != size or len(data) < 8 + length:
+        raise ConfigError(f"{path}: its compressed points are not whole; copy it anew")
+    plain, out, at = _lzf(path, data[8 : 8 + int(length)], size), {}, 0
+    for name, t in fields:  # one field after the other
+        out[name] = np.frombuffer(plain, t.newbyteorder("<"), count, at).astype(t)
+        at += count * t.itemsize
+    return out
+
+
+def _lzf(path: Path, data: bytes, size: int) -> bytes:
+    """LZF: a control byte below 32 is followed by one more literal bytes, another is a copy of what came before."""
+    out, at = bytearray(), 0
+    try:
+        while at < len(data):
+            control = data[at]
+            at += 1
+            if control < 32:
+                out += data[at : at + control + 1]
+                at += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += data[at]
+                at += 1
+            start = len(out) - ((control & 31) << 8) - data[at] - 1
+            at += 1
+            if start < 0 or len(out) > size:
+                break
+            for place in range(start, start + length + 2):  # may run into what it has just written
+                out.append(out[place])
+    except IndexError:
+        out.clear()
+    if len(out) != size:
+        raise ConfigError(f"{path}: its compressed points are damaged; copy it anew")
+    return bytes(out)
+
+
+def _unpacked(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """With PCD's packed colours as red, green and blue, and its names of normals as PLY has them."""
+    out: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        if name in PACKED and values.dtype.itemsize == 4:
+            number = values.view(np.uint32)
+            out |= {c: (number >> shift & 255).astype(np.uint8) for c, shift in (("red", 16), ("green", 8), ("blue", 0))}
+        else:
+            out[f"n{name[-1]}" if re.fullmatch("normal_[xyz]", name) else name] = values
+    return out

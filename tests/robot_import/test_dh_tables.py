@@ -1,0 +1,93 @@
+"""Tables of Denavit-Hartenberg rows as people write them; units that cannot be meant, and axes that do not turn, are refused."""
+
+import numpy as np
+import pytest
+import yaml
+
+from mbcacq.errors import ConfigError
+from mbcacq.model.cell_schema import RobotSpec
+from mbcacq.model.robot_import import import_robot
+
+PLAIN = "theta_deg,d_mm,a_mm,alpha_deg\n0,400,25,-90\n0,0,560,0\n-90,0,25,-90\n0,515,0,90\n0,0,0,-90\n180,90,0,0\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text, name="rows.csv"):
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        found = import_robot(path, convention="standard")
+        return RobotSpec.model_validate(yaml.safe_load(found.text)).model().chain.rows, found.remarks
+
+    return read
+
+
+FORMS = {
+    "tabs": PLAIN.replace(",", "\t"),
+    "units in brackets": PLAIN.replace("theta_deg,d_mm,a_mm,alpha_deg", "theta (deg),d [mm],a (mm),alpha (°)"),
+    "Greek letters": PLAIN.replace("theta_deg", "θ (deg)").replace("alpha_deg", "α (deg)"),
+    "pi": PLAIN.replace("theta_deg", "theta_rad")
+    .replace("alpha_deg", "alpha_rad")
+    .replace("-90", "-pi/2")
+    .replace(",90\n", ",π/2\n")
+    .replace("180", "pi"),
+    "degree signs": PLAIN.replace("-90", "-90°").replace(",90\n", ",90°\n"),
+    "trailing separators": PLAIN.replace("\n", ",,\n"),
+    "quoted decimal commas": PLAIN.replace("400", '"400,0"').replace(",25,", ',"25,0",'),
+    "semicolons and decimal commas": PLAIN.replace(",", ";").replace("400", "400,0"),
+    "metres": PLAIN.replace("d_mm,a_mm", "d_m,a_m")
+    .replace("400,25", "0.4,0.025")
+    .replace("560", "0.56")
+    .replace(",0,25,", ",0,0.025,")
+    .replace("515", "0.515")
+    .replace("180,90", "180,0.09"),
+    "UTF-16": PLAIN.replace(",", "\t").encode("utf-16"),
+    "lone carriage returns": PLAIN.replace("\n", "\r"),
+    "type R": PLAIN.replace("alpha_deg\n", "alpha_deg,type\n")
+    .replace("-90\n", "-90,R\n")
+    .replace(",0\n", ",0,R\n")
+    .replace(",90\n", ",90,R\n"),
+}
+
+
+@pytest.mark.parametrize("text", FORMS.values(), ids=FORMS)
+def test_one_arm_in_many_forms(read, text):
+    assert read(text)[0] == pytest.approx(read(PLAIN)[0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (FORMS["metres"].replace("d_m,a_m", "d_mm,a_mm"), "looks like metres; name the columns d_m, a_m"),
+        (PLAIN.replace("d_mm,a_mm", "d_m,a_m"), "looks like mm; name the columns d_mm, a_mm"),
+        (PLAIN.replace("-90\n", "-1.5708\n"), "has -1.5708, which looks like radians; name the column alpha_rad"),
+        (PLAIN.replace("alpha_deg", "alpha_rad"), "which looks like degrees; name the column alpha_deg"),
+        (
+            PLAIN.replace("theta_deg,d_mm", "theta,d_mm"),
+            "has no column theta_deg or theta_rad .its columns are a_mm, alpha_deg, d_mm, theta.; the unit is part of the name",
+        ),
+        (PLAIN.replace("d_mm", "d (kg)"), "'kg' is no unit of d"),
+        (PLAIN.replace("d_mm", "d_deg"), "is no unit of d"),
+        (FORMS["type R"].replace(",R", ",P", 1), "row 1 is of type 'P'; an arm of revolute joints is needed"),
+        (PLAIN.replace("0,400,25,-90", "0,400,25,5,-90"), "rows.csv:2: the row has 5 cells, the header 4"),
+        (PLAIN.replace("400", "4_00"), "not a number"),
+        (PLAIN.replace("theta_deg", "d_cm"), "are both d"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(read, text, words):
+    with pytest.raises(ConfigError, match=words):
+        read(text)
+
+
+def test_columns_that_are_not_known_are_said(read):
+    rows, remarks = read(
+        PLAIN.replace("alpha_deg\n", "alpha_deg,motor\n").replace("-90\n", "-90,a\n").replace(",0\n", ",0,a\n").replace(",90\n", ",90,a\n")
+    )
+    assert rows == pytest.approx(read(PLAIN)[0])
+    assert "columns not used: motor" in remarks
+
+
+def test_a_calibrated_table_is_not_taken_for_radians(read):
+    """Its angles differ from whole quarters of a turn by thousandths of a degree, small ones are small."""
+    rows, _ = read(PLAIN.replace("-90\n", "-90.0131\n").replace("0,0,560,0", "0.0312,0,560.21,0.0093"))
+    assert np.degrees(rows[0][3]) == pytest.approx(-90.0131)

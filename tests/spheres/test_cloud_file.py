@@ -1,0 +1,145 @@
+"""Clouds of other programs: all properties in their types, nothing of a file that is not whole or not of numbers."""
+
+import numpy as np
+import pytest
+
+from mbcacq.errors import ConfigError
+from mbcacq.exports.clouds import write_cloud
+from mbcacq.lazy import open3d
+from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
+
+ROWS = [(1.5, -2.0, 300.25, 40000, 65535), (2.5, 0.0, 301.0, 1, 0), (-3.5, 1.0, 299.5, 500, 256)]
+TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<u2"), ("red", "<u2")])
+NAMES = {"f4": "float", "u2": "ushort", "f8": "double"}
+
+
+def ply(kind="binary_little_endian", rows=ROWS, announced=None, order="<", more=b""):
+    head = f"ply\nformat {kind} 1.0\nelement vertex {announced or len(rows)}\n"
+    head += "".join(f"property {NAMES[t]} {n}\n" for n, t in zip(TYPE.names, ("f4", "f4", "f4", "u2", "u2"), strict=True)) + "end_header\n"
+    if kind == "ascii":
+        return head.encode() + "".join(" ".join(map(str, row)) + "\n" for row in rows).encode() + more
+    return head.encode() + np.array(rows, TYPE).astype(TYPE.newbyteorder(order)).tobytes() + more
+
+
+def pcd(kind="ascii", rows=ROWS, announced=None, data=None):
+    head = f"# .PCD v.7\nVERSION .7\nFIELDS x y z intensity red\nSIZE 4 4 4 2 2\nTYPE F F F U U\nCOUNT 1 1 1 1 1\nWIDTH {len(rows)}\nHEIGHT 1\n"
+    head += f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {announced or len(rows)}\nDATA {kind}\n"
+    if data is None:
+        data = np.array(rows, TYPE).tobytes() if kind == "binary" else "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
+    return head.encode() + data
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(data, name):
+        (tmp_path / name).write_bytes(data)
+        return read_cloud_file(tmp_path / name)
+
+    return read
+
+
+def literal_lzf(data):
+    """LZF of literal runs, with one copy of 32 zero bytes in front to show overlapping copies."""
+    out = b"\x00\x00" + bytes([7 << 5, 22]) + b"\x00"  # one zero, then 31 more copied from one byte before
+    for i in range(0, len(data), 32):
+        out += bytes([len(data[i : i + 32]) - 1]) + data[i : i + 32]
+    return out
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (ply(), "a.ply"),
+        (ply("binary_big_endian", order=">"), "a.ply"),
+        (ply("ascii"), "a.ply"),
+        (ply("ascii").replace(b"\n", b"\r\n"), "a.ply"),
+        (pcd(), "a.pcd"),
+        (pcd("binary"), "a.pcd"),
+    ],
+    ids=["little", "big", "text", "CRLF", "PCD text", "PCD binary"],
+)
+def test_sixteen_bits_stay_sixteen_bits(read, tmp_path, data, name):
+    found = read(data, name)
+    assert found.points.tolist() == [list(row[:3]) for row in ROWS]
+    assert {n: (v.dtype, v.tolist()) for n, v in found.properties.items()} == {
+        "intensity": (np.dtype("u2"), [40000, 1, 500]),
+        "red": (np.dtype("u2"), [65535, 0, 256]),
+    }
+    write_cloud(tmp_path / "out.ply", found.points, found.properties, np.eye(4))
+    again = read_cloud_file(tmp_path / "out.ply")
+    assert again.points.dtype == np.float64
+    assert again.points.tolist() == found.points.tolist()
+    assert again.properties["intensity"].tolist() == [40000, 1, 500]
+
+
+def test_compressed_pcd_and_packed_colours(read, tmp_path):
+    x = np.zeros(8, "<f4")
+    y, z = np.arange(8, dtype="<f4"), np.arange(8, dtype="<f4") + 300
+    packed = np.full(8, 0x00FF8001, "<u4")
+    plain = b"".join(v.tobytes() for v in (x, y, z, packed))
+    small = literal_lzf(plain[32:])
+    head = "VERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 8\nHEIGHT 1\nPOINTS 8\nDATA binary_compressed\n"
+    data = head.encode() + np.array([len(small), len(plain)], "<u4").tobytes() + small
+    found = read(data, "a.pcd")
+    assert found.points[5].tolist() == [0, 5, 305]
+    assert [found.properties[c][0] for c in ("red", "green", "blue")] == [255, 128, 1]
+    with pytest.raises(ConfigError, match="compressed points are"):
+        read(data[:-3], "a.pcd")
+
+
+def test_what_another_library_writes_is_read(tmp_path):
+    o3d, points = open3d(), np.random.default_rng(0).normal(size=(200, 3)).astype(np.float32)
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(points))
+    for name, options in (("a.ply", {}), ("a.pcd", {}), ("b.pcd", {"compressed": True}), ("c.pcd", {"write_ascii": True})):
+        o3d.t.io.write_point_cloud(str(tmp_path / name), cloud, **options)
+        np.testing.assert_allclose(read_cloud_file(tmp_path / name).points, points, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "sentence"),
+    [
+        (ply("ascii", announced=5), "a.ply", "is cut off"),
+        (ply(announced=5), "a.ply", "is cut off"),
+        (ply(more=b"12345"), "a.ply", "where its header announces"),
+        (ply("ascii").replace(b"300.25", b"300,25"), "a.ply", "point 1: '300,25' is not a number; decimal commas are not read"),
+        (ply("ascii").replace(b"300.25", b"0x1F"), "a.ply", "point 1: '0x1F' is not a number"),
+        (ply("ascii").replace(b"300.25 ", b""), "a.ply", "point 1 has 4 numbers where its header announces 5"),
+        (ply("ascii").replace(b"40000", b"70000"), "a.ply", "intensity is 70000, which is no uint16"),
+        (ply("ascii").replace(b"300.25", b"inf"), "a.ply", "point 1 has a coordinate that is no finite number"),
+        (ply("ascii").replace(b"300.25", b"nan"), "a.ply", "point 1 has a coordinate that is no finite number"),
+        (pcd(announced=5), "a.pcd", "has 3 lines of points where its header announces 5"),
+        (pcd().replace(b"300.25", b"300,25"), "a.pcd", "decimal commas are not read"),
+        (pcd("binary", announced=5), "a.pcd", "where its header announces"),
+        (pcd().replace(b"FIELDS x y z", b"FIELDS a y z"), "a.pcd", "holds no points"),
+        (pcd().replace(b"TYPE F F F U U", b"TYPE F F F U"), "a.pcd", "lacks FIELDS, SIZE, TYPE"),
+        (pcd("ebcdic"), "a.pcd", "DATA ebcdic is not known"),
+    ],
+)
+def test_nothing_of_a_file_that_is_not_whole(read, data, name, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        read(data, name)
+
+
+def test_places_without_a_point_are_left_out(read):
+    found = read(ply(rows=[(np.nan, np.nan, np.nan, 7, 7), *ROWS]), "a.ply")
+    assert (len(found.points), found.missing) == (3, 1)
+    assert found.properties["intensity"].tolist() == [40000, 1, 500]
+
+
+def test_a_cloud_in_metres_is_asked_about():
+    points = np.random.default_rng(0).uniform(-0.05, 0.35, (100, 3))
+    with pytest.raises(ConfigError, match="looks like metres; say --unit m"):
+        in_mm("scan.ply", points, None)
+    np.testing.assert_allclose(in_mm("scan.ply", points, "m"), 1e3 * points)
+    assert in_mm("scan.ply", points, "mm") is points
+    with pytest.raises(ConfigError, match="looks like um"):
+        in_mm("scan.ply", 1e6 * points, None)
+    assert in_mm("scan.ply", 1e3 * points, None).max() > 100
+
+
+def test_normals_turn_with_the_points(tmp_path):
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    write_cloud(tmp_path / "a.ply", np.ones((1, 3)), {"nx": np.ones(1), "ny": np.zeros(1), "nz": np.zeros(1), "id": np.array([7])}, T)
+    found = read_cloud_file(tmp_path / "a.ply")
+    assert [float(found.properties[n][0]) for n in ("nx", "ny", "nz", "id")] == [0, 1, 0, 7]
