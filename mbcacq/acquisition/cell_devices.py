@@ -73,12 +73,15 @@ class CellDevices:
 
 def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> CellDevices:
     """Construct the drivers a plan names; nothing is opened. ``overrides`` (by 'robot', 'scanner', 'positioner') win over the plan's
-    options, and those under 'drivers' (by the same roles) over its drivers."""
+    options, and those under 'drivers' (by the same roles) over its drivers, whose options are then those of ``overrides`` alone."""
     overrides = overrides or {}
     plan, robot = loaded.plan, loaded.cell.robot
-    arm_driver = str(overrides.get("drivers", {}).get("robot", plan.robot.driver))
+    replaced = overrides.get("drivers", {})
+    arm_driver = str(replaced.get("robot", plan.robot.driver))
 
     def device(kind: str, role: str, driver: str, model: str, options: Mapping[str, Any]) -> Any:
+        if role != "robot" and role in replaced:
+            driver, options = str(replaced[role]), {}
         return create(kind, driver, model, {**options, **overrides.get(role, {})})
 
     devices = CellDevices(

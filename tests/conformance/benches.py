@@ -12,6 +12,7 @@ from bench_gopxl import gopxl
 from bench_kuka import kuka_eki, kuka_rsi
 from bench_manual import EXCUSED, manual
 from bench_simulated import OPTIONS_OF_OTHERS, simulated
+from bench_simulated_scanner import simulated_scanner
 
 from mbcacq.conformance import DriverBench
 
@@ -27,6 +28,7 @@ BENCHES = {
         DriverBench("kuka_rsi with EKI", "robot", partial(kuka_rsi, eki=True)),
         DriverBench("kuka_eki", "robot", kuka_eki),
         DriverBench("simulated", "robot", simulated, excused=OPTIONS_OF_OTHERS),
+        DriverBench("simulated scanner", "scanner", simulated_scanner, excused=OPTIONS_OF_OTHERS),
         DriverBench("manual", "positioner", manual, excused=EXCUSED),
         DriverBench("modbus positioner", "positioner", modbus_positioner),
         DriverBench("modbus sensor", "sensor", modbus_sensor),

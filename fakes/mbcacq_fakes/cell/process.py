@@ -16,12 +16,14 @@ from typing import Any
 
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import make_camera, make_world
-from mbcacq_fakes.cell.ports import line_address
+from mbcacq_fakes.cell.ports import NEUTRAL, line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
+from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_fakes.world.operator import NOBODY
 from mbcacq_fakes.world.options import FakeOptions, Mishap
+from mbcacq_fakes.world.scanner import Optics
 
 
 class Servers:
@@ -35,8 +37,16 @@ class Servers:
         stack.callback(state.close)
         world = make_world(job["facts"], options, job["seed"])
         self._camera: Camera = make_camera(
-            world, state, options, job["planned_q"], job["planned_station"], job["exposure_us"], job["clock_start_s"]
+            world,
+            state,
+            options,
+            job["planned_q"],
+            job["planned_station"],
+            job["exposure_us"],
+            job["clock_start_s"],
+            Optics.above(world.facts.view) if job["scanner_driver"] == NEUTRAL else None,
         )
+        self._sensor: Any = None
         self.addresses: dict[str, dict[str, Any]] = {"scanner": self._start_scanner(options)}
         self.addresses["positioner"] = self._start_positioner()
         for k, (driver, given) in enumerate(job["sensors"]):
@@ -55,11 +65,19 @@ class Servers:
         check(FakeOptions(mishaps=(mishap,)), self._camera.world.facts)
         self._camera.mishap(mishap)
 
+    def expose(self, exposure_us: float) -> ScannerFrame:
+        return self._camera(exposure_us)
+
     def scanner_fault(self, fault: str, value: Any, times: int | None) -> None:
-        self._sensor.faults.set(fault, value, times)
+        self._wire_sensor().faults.set(fault, value, times)
 
     def clear_scanner_fault(self, fault: str | None) -> None:
-        self._sensor.faults.clear(fault)
+        self._wire_sensor().faults.clear(fault)
+
+    def _wire_sensor(self) -> Any:
+        if self._sensor is None:
+            raise ConfigError("the plan's scanner is not one the fake cell plays at the wire")
+        return self._sensor
 
     def positioner_fault(self, **values: Any) -> None:
         if self._positioner is None:
@@ -72,6 +90,12 @@ class Servers:
             setattr(self._sensors[number], name, value)
 
     def _start_scanner(self, options: FakeOptions) -> dict[str, Any]:
+        if self._job["scanner_driver"] == NEUTRAL:
+            if options.scanner:
+                raise ConfigError(
+                    f"fake.scanner: the simulated scanner has no option {', '.join(sorted(options.scanner))}; remove the section"
+                )
+            return {}
         place, given = self._job["scanner"], self._job["scanner_options"]
         default = "3504" if self._job["scanner_driver"] == "gopxl" else "3210"
         settings = {
@@ -110,7 +134,9 @@ class Servers:
             return self._start_modbus_positioner(given)
         if driver == "serial":
             return self._start_serial_positioner(given)
-        raise ConfigError(f"the fake cell plays no positioner '{driver}'; use manual, modbus or serial")
+        if self._job["ports"] == "plan":
+            raise ConfigError(f"the fake cell plays no positioner '{driver}' at the wire; use manual, modbus or serial")
+        return {"assume_yes": True}  # a person who follows the plan, in its place
 
     def _start_modbus_positioner(self, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.modbus import PositionerOptions
