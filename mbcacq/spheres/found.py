@@ -35,7 +35,7 @@ class SphereOptions:
 
     @classmethod
     def for_noise(cls, noise_mm: Sequence[float] | None) -> SphereOptions:
-        """Limits for a scanner whose centres scatter by noise_mm (3,): a surface that is as rough as its scanner is no fault of the ball."""
+        """Limits for a scanner whose centres scatter by noise_mm (3,): the roughness it causes is no fault of the ball."""
         if noise_mm is None:
             return cls()
         noise, usual = max(noise_mm), cls()
