@@ -9,6 +9,23 @@ from pydantic import Field
 from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, Vector
 
 
+class Coupling(Strict):
+    """``factor`` times the angle of axis ``of`` is added to that of ``axis``, both counted from 1."""
+
+    axis: int = Field(ge=1)
+    of: int = Field(ge=1)
+    factor: float
+
+
+class ControllerJoints(Strict):
+    """How the controller counts its joints where that differs from the robot file: sign * angle + offset, then the couplings."""
+
+    sign: tuple[Literal[-1, 1], ...] | None = None
+    offset_deg: tuple[float, ...] | None = None
+    couplings: tuple[Coupling, ...] = ()  # of FANUC, whose A3 is counted from the horizontal: {axis: 3, of: 2, factor: -1}
+    pulses_per_deg: tuple[float, ...] | None = None  # of encoders, for jobs that hold pulses (INFORM)
+
+
 class RobotUse(Strict):
     """Which arm, how to reach it, and how fast it may move."""
 
@@ -25,6 +42,7 @@ class RobotUse(Strict):
     payload: PayloadSpec | None = None  # scanner with bracket, in the flange frame; default: the robot file's
     link_radius_mm: float | None = Field(default=None, gt=0)  # of the upper arm, for collisions; default: 7 % of the arm's reach
     base_to_gravity: Vector | None = None  # for an arm on a wall or a ceiling; default: the robot file's
+    controller_joints: ControllerJoints | None = None  # for programs, joint logs and readings of the controller
 
 
 class FieldOfView(Strict):
