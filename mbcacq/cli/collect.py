@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
 
+if TYPE_CHECKING:
+    from mbcacq.workflow.collect import PairedClouds
+
 
 @click.command("collect")
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.option("--clouds", type=click.Path(path_type=Path), required=True, help="Folder of the clouds (PLY, PCD, STL, XYZ, ASC, TIFF ...).")
 @click.option("--joints", type=click.Path(path_type=Path), help="Joint angles as the controller logged them (.csv, .dat, .log).")
-@click.option("--poses", "table", type=click.Path(path_type=Path), help="poses.csv of the robot program [default: the one among the clouds].")
+@click.option(
+    "--poses", "table", type=click.Path(path_type=Path), help="poses.csv of the robot program [default: the one among the clouds]."
+)
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=RunPath(), help="Add to this run folder what it lacks.")
 @click.option("--unit", type=click.Choice(["mm", "m", "cm", "um", "inch"]), help="Of the clouds [default: the plan's, or mm].")
 @click.option("--axes", help="Axes of the clouds that are the scanner frame's x, y, z, such as 'x -y -z' [default: the plan's].")
 @click.option("--range-map", help="Scale of TIFF range maps: mm a column, mm a row, mm a count, mm at count 0.")
 @click.option("--by", type=click.Choice(["auto", "number", "time"]), default="auto", show_default=True, help="Order of the clouds.")
+@click.option("--check", is_flag=True, help="Only pair the clouds with the poses and say what is odd; record nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 def command(
     plan: Path,
@@ -34,6 +41,7 @@ def command(
     axes: str | None,
     range_map: str | None,
     by: str,
+    check: bool,
     as_json: bool,
 ) -> None:
     """Pair the clouds of a folder with the poses of PLAN, find the balls, judge them, and calibrate: a run without drivers.
@@ -62,6 +70,13 @@ def command(
     operator = mbcacq.Operator(
         message=lambda sentence: echo(sentence, err=True), progress=steps.begin, subscribers=(RunProgress(steps.begin),)
     )
+    if check:
+        from mbcacq.workflow.collect import pair_clouds
+
+        with steps:
+            paired = pair_clouds(loaded, mbcacq.Sources(clouds, form, by, joints, table), operator=operator)
+        print_pairs(paired, as_json)
+        return
     with steps:
         done = mbcacq.collect(loaded, mbcacq.Sources(clouds, form, by, joints, table), out=out, resume=resume, operator=operator)
     if as_json:
@@ -71,6 +86,19 @@ def command(
 
         print_result(done.to_dict())
     done.refuse_beyond_limit()
+
+
+def print_pairs(paired: PairedClouds, as_json: bool) -> None:
+    """Which cloud belongs to which pose, and what is odd."""
+    pairs = {here.pose.number: [path.name for path in here.clouds] for here in paired.poses}
+    if as_json:
+        echo(json.dumps({"format": "mbcacq-collect-check/1", "poses": pairs, "notes": [text for _, text in paired.notes]}))
+        return
+    for number, names in pairs.items():
+        echo(f"pose {number}: {', '.join(names)}")
+    for _, text in paired.notes:
+        echo(f"odd: {text}")
+    echo(f"{len(pairs)} of {len(paired.session.poses)} poses have clouds")
 
 
 def scale_of(given: object) -> tuple[float, float, float, float] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
@@ -74,6 +75,31 @@ class _Session:
         return self.look(cloud.path, replace(self.form, unit=unit or self.form.unit, axes=axes or self.form.axes))
 
 
+@dataclass(frozen=True)
+class PairedClouds:
+    """The clouds of each pose that has some, and sentences on what was odd: (number of the pose that is left out by it or None, text)."""
+
+    poses: tuple[CollectedPose, ...]
+    notes: tuple[tuple[int | None, str], ...]
+    session: _Session = field(repr=False)
+
+
+def pair_clouds(
+    plan: LoadedPlan | Path | str, sources: Sources | Path | str, *, done: frozenset[int] = frozenset(), operator: Operator | None = None
+) -> PairedClouds:
+    """Pair the clouds of a folder with the poses of a plan that are not ``done``, and say what is odd; nothing is recorded.
+
+    Raises ConfigError as ``collect`` does.
+    """
+    operator, loaded = operator or Operator(), as_plan(plan)
+    sources = sources if isinstance(sources, Sources) else Sources(Path(sources))
+    operator.progress("looking for postures that reach every pose")
+    session = _session(loaded, expand(loaded), sources, done, operator)
+    collected = _paired(session, sources, done)
+    operator.progress("")
+    return PairedClouds(tuple(collected), tuple(session.notes), session)
+
+
 def collect(
     plan: LoadedPlan | Path | str,
     sources: Sources | Path | str,
@@ -97,8 +123,6 @@ def collect(
 
     operator, loaded = operator or Operator(), as_plan(plan)
     sources = sources if isinstance(sources, Sources) else Sources(Path(sources))
-    operator.progress("looking for postures that reach every pose")
-    poses = expand(loaded)
     folder = None if resume is None else Path(resume)
     with ExitStack() as held:
         if folder is not None and folder.is_dir():
@@ -106,15 +130,15 @@ def collect(
         before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, CELL)
         for sentence in before.repairs:
             operator.message(sentence)
-        session = _session(loaded, poses, sources, before.done, operator)
-        collected = _paired(session, sources, before.done)
-        operator.progress("")
-        if not collected:
+        paired = pair_clouds(loaded, sources, done=before.done, operator=operator)
+        if not paired.poses:
+            for _, text in paired.notes:
+                operator.message(text)
             raise ConfigError(f"{sources.clouds}: no cloud belongs to a pose that is still missing; look at the messages above")
         if folder is None:
             folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
             held.enter_context(write_lock(folder, "collect"))
-        _record(session, collected, folder, before.part, before.done, operator)
+        _record(paired, folder, before.part, before.done, operator)
         return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
 
 
@@ -162,7 +186,9 @@ def _slots(loaded: LoadedPlan, poses: Sequence[PlannedPose], table: Path | None,
         digests = {row["plan"] for row in rows}
         slots = [Slot(index[int(row["pose"])], int(row["exposure"])) for row in rows]
     except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError, TypeError) as error:
-        raise ConfigError(f"{table}: is no table of a robot program of this plan ({type(error).__name__}); take the one written with it") from None
+        raise ConfigError(
+            f"{table}: is no table of a robot program of this plan ({type(error).__name__}); take the one written with it"
+        ) from None
     if digests != {plan_digest(loaded)}:
         raise ConfigError(
             f"{table}: the robot program was written for another plan, or for this one before it was changed; give the plan it was written "
@@ -175,12 +201,18 @@ def _paired(session: _Session, sources: Sources, done: frozenset[int]) -> list[C
     """The clouds of each pose; what is odd goes into the session's notes."""
     clouds = _usable(session)
     fit, found, clouds = _best_order(session, clouds, sources.by)
-    mistakes.refuse_other_session(session.loaded, fit, clouds, session.slots, found)
-    _note_pairs(session, clouds, found)
-    for before, after, mm in mistakes.moved_artefacts(fit, clouds, session.slots, found.cloud):
-        station = next(p.station for p in session.poses if p.number == after)
+    mistakes.refuse_other_session(session.loaded, fit, clouds, session.slots, found, session.form.axes)
+    moved = list(mistakes.moved_artefacts(fit, clouds, session.slots, found.cloud))
+    station_of = {p.number: p.station for p in session.poses}
+    _note_pairs(session, clouds, found, {station_of[after] for _, after, _ in moved})
+    for before, after, mm in moved:
+        station = station_of[after]
         session.notes.append(
-            (None, f"the artefact at station '{station}' was moved by {mm:.1f} mm between pose {before} and pose {after}; measure the station anew")
+            (
+                None,
+                f"the artefact at station '{station}' was moved by {mm:.1f} mm between pose {before} and pose {after}; "
+                "measure the station anew",
+            )
         )
     logged = {}
     if sources.joints is not None:
@@ -222,7 +254,9 @@ def _best_order(session: _Session, clouds: list[FoundCloud], by: str) -> tuple[P
     if len(tried) > 1 and best == "time":
         pair = next(((a, b) for a, b in pairwise(tried["number"][2]) if a.written_s > b.written_s + SAME_TIME_S), None)
         named = f" ({pair[0].name} was written after {pair[1].name})" if pair else ""
-        session.notes.append((None, f"the names of the clouds are not in the order in which they were taken{named}: renamed? Their times are used"))
+        session.notes.append(
+            (None, f"the names of the clouds are not in the order in which they were taken{named}: renamed? Their times are used")
+        )
     return tried[best]
 
 
@@ -232,35 +266,55 @@ def _by_name(cloud: FoundCloud) -> tuple:
     return (1, cloud.number if cloud.number is not None else -1, 0, cloud.name)
 
 
-def _note_pairs(session: _Session, clouds: list[FoundCloud], found: Assignment) -> None:
-    """Missing, doubled, exchanged and stray clouds, and a session that ended early."""
+def _note_pairs(session: _Session, clouds: list[FoundCloud], found: Assignment, moved: set[str]) -> None:
+    """Missing, doubled, exchanged and stray clouds, and a session that ended early. moved: stations whose artefact was moved."""
     slots, poses = session.slots, session.poses
     for c, where in found.moved.items():
         own = next(s for s, k in enumerate(found.cloud) if k == c)
         shown = poses[slots[own].pose].number
         place = "" if where is None else f" stands where pose {poses[slots[where].pose].number} should, but"
-        late = where is not None and slots[own].pose == slots[where].pose + 1
-        why = "taken late, after the arm had moved on?" if late else "exchanged or renamed?"
+        why = "exchanged or renamed?" if where is None else _why(slots[own].pose, slots[where].pose)
         session.notes.append((None, f"{clouds[c].name}{place} shows pose {shown} ({why}); it is taken for pose {shown}"))
+    _note_strays(session, clouds, found, moved)
     for c in found.spare:
         session.notes.append((None, f"{clouds[c].name} {_spare(session, found, c)}; it is left out"))
-    missing: dict[int, int] = {}
-    for slot, c in zip(slots, found.cloud, strict=True):
-        if c is None:
-            missing[slot.pose] = missing.get(slot.pose, 0) + 1
-    wanted = {k: sum(slot.pose == k for slot in slots) for k in missing}
-    gone = [k for k in missing if missing[k] == wanted[k]]
+    _note_missing(session, found)
+
+
+def _note_strays(session: _Session, clouds: list[FoundCloud], found: Assignment, moved: set[str]) -> None:
+    """Clouds that do not show what their pose would."""
+    poses = session.poses
+    for slot, c in zip(session.slots, found.cloud, strict=True):
+        if c is None or c in found.moved or poses[slot.pose].station in moved or np.isnan(found.distances[c]).any():
+            continue
+        off, k = found.distances[c, slot.pose], int(np.argmin(found.distances[c]))
+        known = found.distances[c, k] < min(found.near_mm, mistakes.CLEARLY * off)
+        if off > found.near_mm or (known and off > mistakes.MOVED_MM):
+            other = f"it shows pose {poses[k].number} ({_why(k, slot.pose)})" if known else "it fits no pose"
+            session.notes.append((None, f"{clouds[c].name} is {off:.0f} mm off what pose {poses[slot.pose].number} would show; {other}"))
+
+
+def _note_missing(session: _Session, found: Assignment) -> None:
+    slots, poses = session.slots, session.poses
+    missing = Counter(slot.pose for slot, c in zip(slots, found.cloud, strict=True) if c is None)
+    wanted = Counter(slot.pose for slot in slots)
     last = max((slot.pose for slot, c in zip(slots, found.cloud, strict=True) if c is not None), default=-1)
+    gone = [k for k in missing if missing[k] == wanted[k]]
     after = [k for k in gone if k > last]
     if len(after) > 1:
-        session.notes.append(
-            (None, f"the session ended after pose {poses[last].number}: {len(after)} poses remain; write a program for them with --resume")
-        )
-    for k in gone:
-        if k not in after or len(after) == 1:
-            session.notes.append((poses[k].number, f"pose {poses[k].number}: its cloud is missing, pose left out"))
-    for k in missing.keys() - set(gone):
-        session.notes.append((None, f"pose {poses[k].number}: {missing[k]} of {wanted[k]} clouds are missing; it is taken from the others"))
+        ended = f"the session ended after pose {poses[last].number}: {len(after)} poses remain; write a program for them with --resume"
+        session.notes.append((None, ended))
+    for k, count in missing.items():
+        number = poses[k].number
+        if count < wanted[k]:
+            session.notes.append((None, f"pose {number}: {count} of {wanted[k]} clouds are missing; it is taken from the others"))
+        elif k not in after or len(after) == 1:
+            session.notes.append((number, f"pose {number}: its cloud is missing, pose left out"))
+
+
+def _why(shown: int, wanted: int) -> str:
+    """What may have happened to a cloud that shows another pose than it should."""
+    return "taken late, after the arm had moved on?" if shown == wanted + 1 else "exchanged or renamed?"
 
 
 def _spare(session: _Session, found: Assignment, c: int) -> str:
@@ -268,7 +322,7 @@ def _spare(session: _Session, found: Assignment, c: int) -> str:
     if np.isnan(distances).any():
         return "shows too few balls to say of which pose it is, and is one too many"
     k = int(np.argmin(distances))
-    if distances[k] < 2 * mistakes.NEAR_MM:
+    if distances[k] < 2 * found.near_mm:
         return f"shows pose {session.poses[k].number} once more than was asked for: taken twice?"
     return f"shows the artefact as no pose of the plan would (the nearest, {session.poses[k].number}, is {distances[k]:.0f} mm off)"
 
@@ -303,15 +357,14 @@ def _directions(session: _Session) -> list[np.ndarray]:
     return out
 
 
-def _record(
-    session: _Session, collected: list[CollectedPose], folder: Path, part: int, done: frozenset[int], operator: Operator
-) -> None:
+def _record(paired: PairedClouds, folder: Path, part: int, done: frozenset[int], operator: Operator) -> None:
     from mbcacq.recording import Journal, Recorder
     from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
     from mbcacq.recording.run_folder.latest import mark_latest
     from mbcacq.recording.run_folder.recovery import WHOLE
     from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
 
+    session, collected = paired.session, paired.poses
     loaded = session.loaded
     (folder / WHOLE).unlink(missing_ok=True)
     simulated = any(says_simulated(path) for here in collected for path in here.clouds[:1])
@@ -336,4 +389,3 @@ def _record(
         ).run()
     if part:
         resuming.merge_parts(folder, operator.message)
-

@@ -28,8 +28,10 @@ class JointLog:
 
 
 def read_joint_log(path: Path, loaded: LoadedPlan, poses: list[PlannedPose]) -> JointLog:
-    """The log of the poses that a program went through, ``poses`` being in its order. Raises ConfigError naming file and line; also where it
-    is in radians, or of another plan."""
+    """The log of the poses that a program went through, ``poses`` being in its order.
+
+    Raises ConfigError naming file and line; also where it is in radians, or of another plan.
+    """
     if path.suffix.lower() == ".dat":
         rows, number = _krl(path, loaded.cell.robot.n)
     elif path.suffix.lower() in (".log", ".txt") and _TEXT_MESSAGE.search(_text(path)):

@@ -44,9 +44,7 @@ def robot_program(
     if done and all(pose.number in done for pose in poses):
         raise ConfigError(f"all {len(poses)} poses are measured already; there is nothing left for a program to do")
     checked = plan_acquisition(loaded, poses, done, 0, "")
-    program = motion_program(
-        loaded, poses, checked.paths, checked.path_home, plan_digest(loaded), name=name, trigger=trigger, done=done
-    )
+    program = motion_program(loaded, poses, checked.paths, checked.path_home, plan_digest(loaded), name=name, trigger=trigger, done=done)
     return written(loaded, program, dialect)
 
 

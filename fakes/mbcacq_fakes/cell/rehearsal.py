@@ -41,9 +41,7 @@ class _Arm:
     """Where the program has brought the arm."""
 
     def __init__(self, n: int) -> None:
-        self.now = SimpleNamespace(
-            q=(0.0,) * n, qd=(0.0,) * n, direction=(0.0,) * n, arrivals=0, time_s=0.0, standstill=True
-        )
+        self.now = SimpleNamespace(q=(0.0,) * n, qd=(0.0,) * n, direction=(0.0,) * n, arrivals=0, time_s=0.0, standstill=True)
 
     def read(self) -> Any:
         return self.now
@@ -68,7 +66,7 @@ def rehearse(loaded: Any, poses: list[Any], program: Path, out: Path, *, seed: i
     for cloud in taken(loaded, poses, steps, seed):
         path = out / f"cloud_{cloud.number:04d}.ply"
         write_ply(path, cloud.points, simulated=True)
-        os.utime(path, (DAY_S + cloud.time_s,) * 2)
+        os.utime(path, (DAY_S + cloud.time_s, DAY_S + cloud.time_s))
         files.append(path)
         if not rows or rows[-1][0] != cloud.pose:
             rows.append([cloud.pose, *(f"{angle:.6f}" for angle in np.degrees(cloud.q))])

@@ -10,7 +10,8 @@ import numpy as np
 from mbcacq.acquisition.collected.found_cloud import FoundCloud
 from mbcacq.acquisition.collected.placement_fit import PlacementFit
 
-NEAR_MM, FAR_MM = 12.0, 40.0  # a cloud that is so far from a pose was taken there; one that is farther away was not
+FAR_MM, NEAR_MM = 40.0, 12.0  # how far a cloud may be from its pose: as planned, and once scanner and stations are known from others
+LEAST_NEAR_MM, NEAR_TIMES = 3.0, 6.0  # in the end: so many times the median of all pairs, which is the error of the nominal arm
 SKIP = 1.1  # cost of a pose without cloud, or a cloud without pose; a pair costs from 0 (it fits) to 3
 UNTOLD = 0.4  # cost of a pair whose cloud does not say what it shows
 ROUNDS = 3
@@ -28,13 +29,14 @@ class Slot:
 class Assignment:
     """cloud: for each slot the index of its cloud, or None. spare: clouds without slot. moved: clouds that fit their slot only out of order
     (index of the cloud -> index of the slot where its order would put it, or None). distances: (C, P) mm, see PlacementFit. cost: a slot,
-    on average."""
+    on average. near_mm: how far a cloud may be from its pose."""
 
     cloud: tuple[int | None, ...]
     spare: tuple[int, ...]
     moved: dict[int, int | None]
     distances: np.ndarray
     cost: float
+    near_mm: float
 
 
 def assign(fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot]) -> Assignment:
@@ -48,11 +50,13 @@ def assign(fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot
         fit.fit(clouds, _pose_of_cloud(pairs, slots, len(clouds)))
         near = NEAR_MM
     distances = fit.distances(clouds)
-    pairs, cost = _aligned(_costs(distances, slots, NEAR_MM), len(clouds), len(slots))
-    pairs, moved = _out_of_order(pairs, distances, slots)
+    each = [distances[c, slot.pose] for slot, c in zip(slots, pairs, strict=True) if c is not None and not np.isnan(distances[c, 0])]
+    near = float(np.clip(NEAR_TIMES * np.median(each), LEAST_NEAR_MM, NEAR_MM)) if each else NEAR_MM
+    pairs, cost = _aligned(_costs(distances, slots, near), len(clouds), len(slots))
+    pairs, moved = _out_of_order(pairs, distances, slots, near)
     used = {c for c in pairs if c is not None}
     spare = tuple(c for c in range(len(clouds)) if c not in used)
-    return Assignment(tuple(pairs), spare, moved, distances, cost / max(len(slots), 1))
+    return Assignment(tuple(pairs), spare, moved, distances, cost / max(len(slots), 1), near)
 
 
 def _pose_of_cloud(pairs: Sequence[int | None], slots: Sequence[Slot], n: int) -> list[int | None]:
@@ -92,11 +96,11 @@ def _aligned(cost: np.ndarray, clouds: int, slots: int) -> tuple[list[int | None
 
 
 def _out_of_order(
-    pairs: list[int | None], distances: np.ndarray, slots: Sequence[Slot]
+    pairs: list[int | None], distances: np.ndarray, slots: Sequence[Slot], near_mm: float
 ) -> tuple[list[int | None], dict[int, int | None]]:
     """Give clouds that fit a free slot to it although others stand between; a cloud in a slot that it does not fit counts as free."""
     pairs = list(pairs)
-    ill = [s for s, c in enumerate(pairs) if c is not None and not np.isnan(distances[c, 0]) and distances[c, slots[s].pose] > NEAR_MM]
+    ill = [s for s, c in enumerate(pairs) if c is not None and not np.isnan(distances[c, 0]) and distances[c, slots[s].pose] > near_mm]
     place: dict[int, int | None] = {pairs[s]: s for s in ill}  # type: ignore[misc]
     for s in ill:
         pairs[s] = None
@@ -106,7 +110,7 @@ def _out_of_order(
     moved: dict[int, int | None] = {}
     options = sorted((distances[c, slots[s].pose], c, s) for c in free for s in empty)
     for distance, c, s in options:
-        if distance > NEAR_MM or c in moved or pairs[s] is not None:
+        if distance > near_mm or c in moved or pairs[s] is not None:
             continue
         pairs[s], moved[c] = c, place.get(c)
     for s in ill:  # what fits nowhere stays where its order puts it: the checks of the run judge it

@@ -19,8 +19,9 @@ Look = Callable[[FoundCloud, str, str], FoundCloud]  # a cloud read once more: i
 TRIED = 5  # clouds that a guess is tried with
 MOST_OF = 0.6  # of the clouds
 GOOD_COST, POOR_COST = 0.5, 0.9  # of an assignment, a slot
-TURN_DEG = 15.0  # steps in which another way of sitting on the flange is tried
 OTHER_MOUNT_MM, OTHER_MOUNT_DEG = 25.0, 8.0  # a hand-eye from a drawing is better than this
+EXCHANGED_MM, EXCHANGED_DEG = 25.0, 10.0  # how near to an exchange of axes the mount seems turned
+CLEARLY = 0.4  # of the distance to its own pose: a cloud that is so near to another one was taken there
 MOVED_MM = 3.0  # of an artefact between two poses; less is an arm's own error
 
 
@@ -65,34 +66,58 @@ def refuse_other_axes(loaded: LoadedPlan, poses: Sequence[PlannedPose], clouds: 
     )
 
 
-def refuse_other_session(loaded: LoadedPlan, fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot], found: Assignment) -> None:
+def refuse_other_session(
+    loaded: LoadedPlan, fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot], found: Assignment, axes: str
+) -> None:
     """Raises ConfigError where the clouds as a whole do not fit the plan: another mount of the scanner, or another plan."""
     told = [k for k, cloud in enumerate(clouds) if cloud.identified]
     if not told:
         return
-    best = np.min(found.distances[told], axis=1)
+    pose_of = {c: slot.pose for slot, c in zip(slots, found.cloud, strict=True) if c is not None}
+    best = np.array([found.distances[c, pose_of[c]] if c in pose_of else np.inf for c in told])
     if np.mean(best < NEAR_MM) >= MOST_OF:
-        _refuse_other_mount(loaded, fit)
+        _refuse_other_mount(loaded, fit, axes)
         return
     some = [clouds[k] for k in told]
     for axis, turned in _turned(loaded.cell.T_flange_scanner):
         other = PlacementFit(loaded.cell, fit.poses, turned)
         tried = assign(other, some, slots)
-        if np.mean(np.min(tried.distances, axis=1) < NEAR_MM) >= MOST_OF:
+        fitting = [tried.distances[c, slot.pose] < NEAR_MM for slot, c in zip(slots, tried.cloud, strict=True) if c is not None]
+        if sum(fitting) >= MOST_OF * len(some):
             raise ConfigError(
-                f"the scanner sits otherwise on the flange than the plan's hand_eye says: turned by {axis:.0f} deg about the flange's z axis "
-                "the clouds fit; correct hand_eye, or mount it as planned"
+                f"the scanner sits otherwise on the flange than the plan's hand_eye says: turned by {axis:.0f} deg about the flange's z "
+                "axis the clouds fit; correct hand_eye, or mount it as planned"
             )
     raise ConfigError(
-        f"{int(np.sum(best >= NEAR_MM))} of {len(told)} clouds show the artefact as no pose of this plan would: "
+        f"{int(np.sum(best >= NEAR_MM))} of {len(told)} clouds do not show what the poses of this plan would: "
         "are they of another plan, another arm or another bracket?"
     )
 
 
-def _refuse_other_mount(loaded: LoadedPlan, fit: PlacementFit) -> None:
+def _refuse_exchanged(R: np.ndarray, axes: str) -> None:
+    """R (3, 3): from the clouds' coordinates to those of the plan's scanner frame."""
+    nearest = max(rotations(), key=lambda M: float(np.trace(M.T @ R)))
+    if np.degrees(np.arccos(np.clip((np.trace(nearest.T @ R) - 1) / 2, -1, 1))) > EXCHANGED_DEG:
+        return
+    named = _named(nearest, axes)
+    if nearest[2, 2] > 0.5:
+        angle = np.degrees(np.arctan2(nearest[1, 0], nearest[0, 0]))
+        raise ConfigError(
+            f"the scanner is turned by {angle:.0f} deg about its own axis against the plan's hand_eye: mounted otherwise on the flange? "
+            f"Correct hand_eye, or, if it is the clouds that have other axes, add --axes '{named}'"
+        )
+    raise ConfigError(
+        "the clouds have other axes than the plan's scanner frame, whose z points to the scanner: they fit the plan with "
+        f"--axes '{named}'; add that (scanner: options: axes in the plan)"
+    )
+
+
+def _refuse_other_mount(loaded: LoadedPlan, fit: PlacementFit, axes: str) -> None:
     away = se3.inverse(loaded.cell.T_flange_scanner) @ fit.T_flange_scanner
     shift = fit.T_flange_scanner[:3, 3] - loaded.cell.T_flange_scanner[:3, 3]
     turn = np.degrees(np.arccos(np.clip((np.trace(away[:3, :3]) - 1) / 2, -1, 1)))
+    if np.linalg.norm(shift) < EXCHANGED_MM and turn > 45:
+        _refuse_exchanged(away[:3, :3], axes)
     if np.linalg.norm(shift) > OTHER_MOUNT_MM or turn > OTHER_MOUNT_DEG:
         at = ", ".join(f"{v:.0f}" for v in fit.T_flange_scanner[:3, 3])
         raise ConfigError(
@@ -171,8 +196,7 @@ def _named(M: np.ndarray, axes: str) -> str:
 
 
 def _turned(T_flange_scanner: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
-    """The scanner turned about the flange's z axis; right angles first."""
-    steps = np.arange(TURN_DEG, 360.0, TURN_DEG)
-    for angle in sorted(steps, key=lambda a: (a % 90 != 0, a)):
+    """The scanner turned about the flange's z axis by the angles at which its bolts let it sit; the fit finds smaller ones by itself."""
+    for angle in (90.0, 180.0, 270.0):
         c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
         yield angle, se3.transform(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.zeros(3)) @ T_flange_scanner

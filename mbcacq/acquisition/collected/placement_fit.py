@@ -42,8 +42,8 @@ class PlacementFit:
         return out
 
     def distances(self, clouds: Sequence[FoundCloud]) -> np.ndarray:
-        """(C, P) mm: root mean square between the balls of each cloud and where each pose would show them; inf where none is common, NaN for
-        a cloud that does not say what it shows."""
+        """(C, P) mm: root mean square between the balls of each cloud and where each pose would show them; inf where none is common, NaN
+        for a cloud that does not say what it shows."""
         expected = self.predicted()
         out = np.full((len(clouds), len(self.poses)), np.nan)
         for c, cloud in enumerate(clouds):

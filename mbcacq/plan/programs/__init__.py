@@ -89,7 +89,17 @@ def _table(program: MotionProgram) -> str:
     writer.writerow(["step", "do", "pose", "station", "clouds", "duration_s", *(f"q{k}_deg" for k in range(1, program.n + 1))])
     for number, step in enumerate(program.steps, 1):
         if isinstance(step, MoveTo):
-            writer.writerow([number, "move", "", "", "", "" if step.duration_s is None else f"{step.duration_s:.3f}", *(f"{a + 0.0:.6f}" for a in step.angles)])
+            writer.writerow(
+                [
+                    number,
+                    "move",
+                    "",
+                    "",
+                    "",
+                    "" if step.duration_s is None else f"{step.duration_s:.3f}",
+                    *(f"{a + 0.0:.6f}" for a in step.angles),
+                ]
+            )
         elif isinstance(step, ExposeAt):
             writer.writerow([number, "expose", step.pose, step.station, len(step.clouds), "", *[""] * program.n])
         else:

@@ -48,7 +48,7 @@ def _module(program: MotionProgram) -> Iterator[str]:
     yield '    Write mb_file, NumToStr(pose,0) + "," \\NoNewLine;'
     yield '    Write mb_file, CDate() + "T" + CTime() + "," \\NoNewLine;'
     for k in range(1, 7):
-        end = ';' if k == 6 else ' + "," \\NoNewLine;'
+        end = ";" if k == 6 else ' + "," \\NoNewLine;'
         yield f"    Write mb_file, NumToStr(at.robax.rax_{k},5){end}"
     yield "    FOR k FROM 1 TO clouds DO"
     yield from (f"      {line}" for line in _expose(program))
