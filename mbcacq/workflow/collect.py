@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.acquisition.collected import mistakes
-from mbcacq.acquisition.collected.assignment import Assignment, Slot, assign
+from mbcacq.acquisition.collected.assignment import CloudAssignment, Slot, assign
 from mbcacq.acquisition.collected.collected_run import CollectedPose, CollectedRun
 from mbcacq.acquisition.collected.found_cloud import FoundCloud, look_at
 from mbcacq.acquisition.collected.placement_fit import PlacementFit
@@ -236,7 +236,7 @@ def _usable(session: _Session) -> list[FoundCloud]:
     return list(seen.values())
 
 
-def _best_order(session: _Session, clouds: list[FoundCloud], by: str) -> tuple[PlacementFit, Assignment, list[FoundCloud]]:
+def _best_order(session: _Session, clouds: list[FoundCloud], by: str) -> tuple[PlacementFit, CloudAssignment, list[FoundCloud]]:
     """Pair the clouds in the order of their names or of their times, whichever fits the plan."""
     orders: dict[str, list[FoundCloud]] = {}
     if by in ("auto", "number"):
@@ -266,7 +266,7 @@ def _by_name(cloud: FoundCloud) -> tuple:
     return (1, cloud.number if cloud.number is not None else -1, 0, cloud.name)
 
 
-def _note_pairs(session: _Session, clouds: list[FoundCloud], found: Assignment, moved: set[str]) -> None:
+def _note_pairs(session: _Session, clouds: list[FoundCloud], found: CloudAssignment, moved: set[str]) -> None:
     """Missing, doubled, exchanged and stray clouds, and a session that ended early. moved: stations whose artefact was moved."""
     slots, poses = session.slots, session.poses
     for c, where in found.moved.items():
@@ -281,7 +281,7 @@ def _note_pairs(session: _Session, clouds: list[FoundCloud], found: Assignment, 
     _note_missing(session, found)
 
 
-def _note_strays(session: _Session, clouds: list[FoundCloud], found: Assignment, moved: set[str]) -> None:
+def _note_strays(session: _Session, clouds: list[FoundCloud], found: CloudAssignment, moved: set[str]) -> None:
     """Clouds that do not show what their pose would."""
     poses = session.poses
     for slot, c in zip(session.slots, found.cloud, strict=True):
@@ -294,7 +294,7 @@ def _note_strays(session: _Session, clouds: list[FoundCloud], found: Assignment,
             session.notes.append((None, f"{clouds[c].name} is {off:.0f} mm off what pose {poses[slot.pose].number} would show; {other}"))
 
 
-def _note_missing(session: _Session, found: Assignment) -> None:
+def _note_missing(session: _Session, found: CloudAssignment) -> None:
     slots, poses = session.slots, session.poses
     missing = Counter(slot.pose for slot, c in zip(slots, found.cloud, strict=True) if c is None)
     wanted = Counter(slot.pose for slot in slots)
@@ -317,7 +317,7 @@ def _why(shown: int, wanted: int) -> str:
     return "taken late, after the arm had moved on?" if shown == wanted + 1 else "exchanged or renamed?"
 
 
-def _spare(session: _Session, found: Assignment, c: int) -> str:
+def _spare(session: _Session, found: CloudAssignment, c: int) -> str:
     distances = found.distances[c]
     if np.isnan(distances).any():
         return "shows too few balls to say of which pose it is, and is one too many"
@@ -328,7 +328,7 @@ def _spare(session: _Session, found: Assignment, c: int) -> str:
 
 
 def _collected(
-    session: _Session, clouds: list[FoundCloud], found: Assignment, logged: dict[int, np.ndarray], done: frozenset[int]
+    session: _Session, clouds: list[FoundCloud], found: CloudAssignment, logged: dict[int, np.ndarray], done: frozenset[int]
 ) -> list[CollectedPose]:
     start = min(cloud.written_s for cloud in clouds) if clouds else 0.0
     direction = _directions(session)

@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -113,10 +114,7 @@ def _krl(folder: Path) -> list[Step]:
     """Runs the program; where it halts, it is started again."""
     steps: list[Step] = []
 
-    class System:
-        pass
-
-    system: Any = System()
+    system: Any = SimpleNamespace()
     sources = {p.name: p.read_text(encoding="ascii") for p in folder.iterdir() if p.suffix.lower() in (".src", ".dat")}
     system.vel_axis, system.acc_axis, system.advance = [0] * 7, [0] * 7, 3
     system.axis_act_meas, system.stopmess = Struct(), False

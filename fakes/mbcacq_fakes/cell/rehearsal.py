@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.plan.controller_joints import from_controller
+from mbcacq.plan.controller_joints import from_controller, to_controller
 from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.cell.program_steps import Step, steps_of
@@ -69,7 +69,7 @@ def rehearse(loaded: Any, poses: list[Any], program: Path, out: Path, *, seed: i
         os.utime(path, (DAY_S + cloud.time_s, DAY_S + cloud.time_s))
         files.append(path)
         if not rows or rows[-1][0] != cloud.pose:
-            rows.append([cloud.pose, *(f"{angle:.6f}" for angle in np.degrees(cloud.q))])
+            rows.append([cloud.pose, *(f"{angle:.6f}" for angle in to_controller(loaded, cloud.q))])
     log = out / "joints.csv"
     with log.open("w", encoding="ascii", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

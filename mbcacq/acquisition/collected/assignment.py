@@ -26,7 +26,7 @@ class Slot:
 
 
 @dataclass(frozen=True)
-class Assignment:
+class CloudAssignment:
     """cloud: for each slot the index of its cloud, or None. spare: clouds without slot. moved: clouds that fit their slot only out of order
     (index of the cloud -> index of the slot where its order would put it, or None). distances: (C, P) mm, see PlacementFit. cost: a slot,
     on average. near_mm: how far a cloud may be from its pose."""
@@ -39,7 +39,7 @@ class Assignment:
     near_mm: float
 
 
-def assign(fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot]) -> Assignment:
+def assign(fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot]) -> CloudAssignment:
     """Pair clouds in their order with the slots in theirs; a cloud or a slot may stay alone. ``fit`` learns from the pairs."""
     near = FAR_MM
     pairs: list[int | None] = []
@@ -56,7 +56,7 @@ def assign(fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot
     pairs, moved = _out_of_order(pairs, distances, slots, near)
     used = {c for c in pairs if c is not None}
     spare = tuple(c for c in range(len(clouds)) if c not in used)
-    return Assignment(tuple(pairs), spare, moved, distances, cost / max(len(slots), 1), near)
+    return CloudAssignment(tuple(pairs), spare, moved, distances, cost / max(len(slots), 1), near)
 
 
 def _pose_of_cloud(pairs: Sequence[int | None], slots: Sequence[Slot], n: int) -> list[int | None]:

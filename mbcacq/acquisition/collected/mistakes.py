@@ -7,7 +7,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from mbcacq.acquisition.collected.assignment import NEAR_MM, Assignment, Slot, assign
+from mbcacq.acquisition.collected.assignment import NEAR_MM, CloudAssignment, Slot, assign
 from mbcacq.acquisition.collected.found_cloud import FoundCloud
 from mbcacq.acquisition.collected.placement_fit import PlacementFit
 from mbcacq.devices import ConfigError
@@ -67,18 +67,18 @@ def refuse_other_axes(loaded: LoadedPlan, poses: Sequence[PlannedPose], clouds: 
 
 
 def refuse_other_session(
-    loaded: LoadedPlan, fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot], found: Assignment, axes: str
+    loaded: LoadedPlan, fit: PlacementFit, clouds: Sequence[FoundCloud], slots: Sequence[Slot], found: CloudAssignment, axes: str
 ) -> None:
     """Raises ConfigError where the clouds as a whole do not fit the plan: another mount of the scanner, or another plan."""
-    told = [k for k, cloud in enumerate(clouds) if cloud.identified]
-    if not told:
+    known = [k for k, cloud in enumerate(clouds) if cloud.identified]
+    if not known:
         return
     pose_of = {c: slot.pose for slot, c in zip(slots, found.cloud, strict=True) if c is not None}
-    best = np.array([found.distances[c, pose_of[c]] if c in pose_of else np.inf for c in told])
+    best = np.array([found.distances[c, pose_of[c]] if c in pose_of else np.inf for c in known])
     if np.mean(best < NEAR_MM) >= MOST_OF:
         _refuse_other_mount(loaded, fit, axes)
         return
-    some = [clouds[k] for k in told]
+    some = [clouds[k] for k in known]
     for axis, turned in _turned(loaded.cell.T_flange_scanner):
         other = PlacementFit(loaded.cell, fit.poses, turned)
         tried = assign(other, some, slots)
@@ -89,7 +89,7 @@ def refuse_other_session(
                 "axis the clouds fit; correct hand_eye, or mount it as planned"
             )
     raise ConfigError(
-        f"{int(np.sum(best >= NEAR_MM))} of {len(told)} clouds do not show what the poses of this plan would: "
+        f"{int(np.sum(best >= NEAR_MM))} of {len(known)} clouds do not show what the poses of this plan would: "
         "are they of another plan, another arm or another bracket?"
     )
 
