@@ -7,6 +7,8 @@ from functools import partial
 
 import pytest
 from bench_bus import modbus_positioner, modbus_sensor, serial_positioner, serial_sensor
+from bench_folder import NO_IDENTITY as NO_IDENTITY_OF_FILES
+from bench_folder import folder
 from bench_gocator import gocator
 from bench_gopxl import gopxl
 from bench_kuka import kuka_eki, kuka_rsi
@@ -21,6 +23,7 @@ NO_IDENTITY = {"refuses_the_wrong_device": "RSI telegrams carry no identity; the
 BENCHES = {
     bench.name: bench
     for bench in (
+        DriverBench("folder", "scanner", folder, excused=NO_IDENTITY_OF_FILES),
         DriverBench("gocator", "scanner", gocator),
         DriverBench("gocator trigger", "scanner", partial(gocator, mode="trigger")),
         DriverBench("gopxl", "scanner", gopxl),

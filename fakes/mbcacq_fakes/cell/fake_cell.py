@@ -18,7 +18,7 @@ from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
 from mbcacq_fakes.cell.controller import CLOCK_START_MS, SIMULATED, Controller, StartedController, check_options, normal, start_controller
 from mbcacq_fakes.cell.faults import CellFaults
-from mbcacq_fakes.cell.ports import NEUTRAL, POSITIONERS, SCANNERS, scanner_address
+from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, POSITIONERS, SCANNERS, scanner_address
 from mbcacq_fakes.protocols.krc.arm_state import MOST_AXES, ArmState
 from mbcacq_fakes.world import options as fake_options
 from mbcacq_fakes.world.description import CellFacts, from_cell
@@ -39,8 +39,8 @@ class FakeCell:
         self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0, ports: Literal["free", "plan"] = "free"
     ) -> None:
         plan = loaded.plan
-        self._scanner = normal(plan.scanner.driver) if normal(plan.scanner.driver) in SCANNERS else NEUTRAL
-        if self._scanner == NEUTRAL and ports == "plan":
+        self._scanner = normal(plan.scanner.driver) if normal(plan.scanner.driver) in (*SCANNERS, FOLDER) else NEUTRAL
+        if self._scanner in (NEUTRAL, FOLDER) and ports == "plan":
             raise ConfigError(
                 f"there is no fake of a scanner '{plan.scanner.driver}' at the wire, only a simulated one inside a dry run: "
                 f"mbcacq run {loaded.path} --dry-run"
@@ -181,7 +181,7 @@ class FakeCell:
             "realtime": self._realtime,
             "scanner_options": dict(plan.scanner.options),
             "scanner_driver": self._scanner,
-            "scanner": {} if self._scanner == NEUTRAL else scanner_address(self._scanner, plan.scanner.options, self._ports),
+            "scanner": {} if self._scanner in (NEUTRAL, FOLDER) else scanner_address(self._scanner, plan.scanner.options, self._ports),
             "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
             "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
         }

@@ -9,14 +9,17 @@ from __future__ import annotations
 import pickle
 import signal
 import sys
+import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError, ConnectError
+from mbcacq.spheres.cloud_files import read_points
 from mbcacq_fakes.cell.build_world import make_camera, make_world
-from mbcacq_fakes.cell.ports import NEUTRAL, line_address
+from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
@@ -44,7 +47,7 @@ class Servers:
             job["planned_station"],
             job["exposure_us"],
             job["clock_start_s"],
-            Optics.above(world.facts.view) if job["scanner_driver"] == NEUTRAL else None,
+            Optics.above(world.facts.view) if job["scanner_driver"] in (NEUTRAL, FOLDER) else None,
         )
         self._sensor: Any = None
         self.addresses: dict[str, dict[str, Any]] = {"scanner": self._start_scanner(options)}
@@ -90,12 +93,12 @@ class Servers:
             setattr(self._sensors[number], name, value)
 
     def _start_scanner(self, options: FakeOptions) -> dict[str, Any]:
-        if self._job["scanner_driver"] == NEUTRAL:
+        if self._job["scanner_driver"] in (NEUTRAL, FOLDER):
             if options.scanner:
                 raise ConfigError(
                     f"fake.scanner: the simulated scanner has no option {', '.join(sorted(options.scanner))}; remove the section"
                 )
-            return {}
+            return self._start_program() if self._job["scanner_driver"] == FOLDER else {}
         place, given = self._job["scanner"], self._job["scanner_options"]
         default = "3504" if self._job["scanner_driver"] == "gopxl" else "3210"
         settings = {
@@ -113,6 +116,16 @@ class Servers:
             raise ConnectError(f"the fake sensor cannot listen on {place['host']}: {error}; is another one running?") from error
         self._stack.callback(self._sensor.stop)
         return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}}
+
+    def _start_program(self) -> dict[str, Any]:
+        """The scanner's own program, with a folder of its own."""
+        from mbcacq_fakes.protocols.folder import FakeScannerProgram
+
+        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="mbcacq-clouds-")))
+        self._sensor = self._stack.enter_context(FakeScannerProgram(self._camera, folder))
+        trigger = {"tcp": f"127.0.0.1:{self._sensor.port}", "send": "trigger\n", "reply": "OK"}
+        plain = {"pattern": "*.ply", "unit": "mm", "axes": "x y z", "range_map": None}
+        return {"folder": str(folder), "trigger": trigger, "quiet_s": 0.02, **plain, "read_cloud": read_points}
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
         """The fake of the plan's scanner driver. given: what the plan says of it. Raises ConfigError."""
