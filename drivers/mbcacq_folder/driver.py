@@ -14,7 +14,7 @@ import numpy as np
 
 from mbcacq.devices import Aborted, ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, Scan
 from mbcacq_folder.options import parse
-from mbcacq_folder.trigger import POLL_S, Trigger
+from mbcacq_folder.trigger import POLL_S, CloudTrigger
 
 Written = tuple[int, int]  # size, time of the last change in ns
 
@@ -31,7 +31,7 @@ class FolderScanner:
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model, self._options = name, model, parse(name, options)
         self._stop, self._connected, self._count = threading.Event(), False, 0
-        self._trigger = Trigger(name, self._options.trigger, self._options.connect_timeout_s, self._stop.is_set)
+        self._trigger = CloudTrigger(name, self._options.trigger, self._options.connect_timeout_s, self._stop.is_set)
 
     def describe(self) -> Description:
         o = self._options
@@ -54,7 +54,7 @@ class FolderScanner:
         self._connected = True
 
     def capture(self, exposure_us: float | None = None) -> Scan:
-        """Trigger, wait for a new cloud, read it. The exposure is the program's own; ``exposure_us`` is not used.
+        """CloudTrigger, wait for a new cloud, read it. The exposure is the program's own; ``exposure_us`` is not used.
 
         Raises ConnectError, DeviceTimeout where no new cloud was written whole in time, DeviceFault for one that cannot be read,
         ProtocolError for another reply to the trigger, Aborted after ``stop``.

@@ -17,7 +17,7 @@ LISTENS_S = 0.2
 LONGEST_REPLY = 4096
 
 
-class Trigger:
+class CloudTrigger:
     """``stopped()``: whether the wait is to end."""
 
     def __init__(self, name: str, options: TriggerOptions, connect_timeout_s: float, stopped: Callable[[], bool]) -> None:

@@ -15,6 +15,8 @@ from bench_kuka import kuka_eki, kuka_rsi
 from bench_manual import EXCUSED, manual
 from bench_simulated import OPTIONS_OF_OTHERS, simulated
 from bench_simulated_scanner import simulated_scanner
+from bench_ur import NO_IDENTITY as NO_IDENTITY_OF_UR
+from bench_ur import ur_rtde
 
 from mbcacq.conformance import DriverBench
 
@@ -32,6 +34,7 @@ BENCHES = {
         DriverBench("kuka_eki", "robot", kuka_eki),
         DriverBench("simulated", "robot", simulated, excused=OPTIONS_OF_OTHERS),
         DriverBench("simulated scanner", "scanner", simulated_scanner, excused=OPTIONS_OF_OTHERS),
+        DriverBench("ur_rtde", "robot", ur_rtde, excused=NO_IDENTITY_OF_UR),
         DriverBench("manual", "positioner", manual, excused=EXCUSED),
         DriverBench("modbus positioner", "positioner", modbus_positioner),
         DriverBench("modbus sensor", "sensor", modbus_sensor),

@@ -21,6 +21,7 @@ NO_LINE = {
 }
 SKIPPED = {
     "manual": NO_LINE,
+    "ur_rtde": {"refuses_the_wrong_device"},
     "folder": {"refuses_the_wrong_device"},
     "simulated": (NO_LINE - {"refuses_to_work_unconnected"}) | {"refuses_an_unknown_option"},
     "simulated scanner": (NO_LINE - {"refuses_to_work_unconnected"}) | {"refuses_an_unknown_option"},
@@ -28,6 +29,7 @@ SKIPPED = {
 }
 QUICK = {
     "manual",
+    "ur_rtde",
     "folder",
     "simulated",
     "simulated scanner",
