@@ -24,7 +24,7 @@ from mbcacq.devices import (
     RobotState,
     SafetyStop,
 )
-from mbcacq_ur.link import Link, Values
+from mbcacq_ur.link import RtdeLink, Values
 from mbcacq_ur.options import AXES, parse
 from mbcacq_ur.safety import PLAYING, not_ready, safety_stop
 
@@ -44,7 +44,7 @@ class UrRtdeRobot:
         self._name, self._model, self._options = f"robot '{name}'", model, parse(name, options)
         self._limits = np.radians(self._options.limits_deg)
         self._changed = threading.Condition()
-        self._link: Link | None = None
+        self._link: RtdeLink | None = None
         self._forget()
 
     @staticmethod
@@ -94,7 +94,7 @@ class UrRtdeRobot:
         """
         self.close()
         self._forget()
-        self._link = Link(self._name, self._options, self._take, self._fail)
+        self._link = RtdeLink(self._name, self._options, self._take, self._fail)
         self._link.connect()
         with self._changed:
             self._changed.wait_for(lambda: self._error is not None or self._why() == "", self._options.connect_timeout_s)

@@ -23,7 +23,7 @@ TAKEN = (*(f"input_double_register_{k}" for k in range(8)), *(f"input_int_regist
 Values = Mapping[str, Any]
 
 
-class Link:
+class RtdeLink:
     """``on_values`` is called with every package and gives the registers of the answer; ``on_error`` with what ended the exchange."""
 
     def __init__(
