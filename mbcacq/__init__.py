@@ -6,6 +6,7 @@
     done = mbcacq.run(plan, dry_run=True)                 # recorded, calibrated, verified, in a folder of its own
     data = mbcacq.load_observations("ur5-tracker")        # a run folder, a .rrd, an observation set
     cell = mbcacq.calibrate(data)                         # cell.errors (n, 5), cell.covariance (g, g), cell.to_base(q, xyz)
+    mbcacq.collect(plan, "clouds")                        # a run of clouds that the scanner's own program saved
     mbcacq.verify(data, cell)                             # sphere spacing errors before and after, mm
     better = mbcacq.calibrate(data, effects=mbcacq.diagnose(data))   # the same cell with the effects that were found
     mbcacq.verify_elsewhere("another-day", better)        # that arm and its effects on another recording
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
     from mbcacq.workflow.calibrate import calibrate, calibrate_together, compare, verify, verify_elsewhere
+    from mbcacq.workflow.collect import Sources, collect
     from mbcacq.workflow.correct import correct
     from mbcacq.workflow.diagnose import diagnose
     from mbcacq.workflow.diagnosis_result import DiagnosisResult
@@ -65,12 +67,14 @@ __all__ = [
     "Observations",
     "Operator",
     "RunResult",
+    "Sources",
     "Targets",
     "Trajectory",
     "Verification",
     "__version__",
     "calibrate",
     "calibrate_together",
+    "collect",
     "compare",
     "correct",
     "diagnose",
@@ -101,6 +105,7 @@ _MODULES = {
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),
     "workflow.calibrate": ("calibrate", "calibrate_together", "compare", "verify", "verify_elsewhere"),
+    "workflow.collect": ("Sources", "collect"),
     "workflow.correct": ("correct",),
     "workflow.diagnose": ("diagnose",),
     "workflow.diagnosis_result": ("DiagnosisResult",),

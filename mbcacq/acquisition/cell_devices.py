@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, create, load_driver
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.motion_limits import axis_limits
+from mbcacq.spheres.cloud_files import CloudFormat, read_points
 
 Overrides = Mapping[str, Mapping[str, Any]]
 
@@ -73,17 +75,20 @@ class CellDevices:
 
 def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> CellDevices:
     """Construct the drivers a plan names; nothing is opened. ``overrides`` (by 'robot', 'scanner', 'positioner') win over the plan's
-    options, and those under 'drivers' (by the same roles) over its drivers."""
+    options, and those under 'drivers' (by the same roles) over its drivers, whose options are then those of ``overrides`` alone."""
     overrides = overrides or {}
     plan, robot = loaded.plan, loaded.cell.robot
-    arm_driver = str(overrides.get("drivers", {}).get("robot", plan.robot.driver))
+    replaced = overrides.get("drivers", {})
+    arm_driver = str(replaced.get("robot", plan.robot.driver))
 
     def device(kind: str, role: str, driver: str, model: str, options: Mapping[str, Any]) -> Any:
+        if role != "robot" and role in replaced:
+            driver, options = str(replaced[role]), {}
         return create(kind, driver, model, {**options, **overrides.get(role, {})})
 
     devices = CellDevices(
         robot=device("robots", "robot", arm_driver, robot.name, robot_options(loaded, arm_driver)),
-        scanner=device("scanners", "scanner", plan.scanner.driver, plan.scanner.model, plan.scanner.options),
+        scanner=device("scanners", "scanner", plan.scanner.driver, plan.scanner.model, scanner_options(loaded, replaced)),
         positioner=device("positioners", "positioner", plan.positioner.driver, plan.positioner.model, plan.positioner.options),
         sensors=tuple(device("sensors", f"sensor {i + 1}", s.driver, s.model, s.options) for i, s in enumerate(plan.sensors)),
     )
@@ -112,6 +117,18 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
         rows[:, [0, 3, 4]] = np.degrees(rows[:, [0, 3, 4]])
         facts["kinematics"] = np.column_stack([robot.chain.sign, rows]).tolist()
     return {**facts, **use.options}
+
+
+def scanner_options(loaded: LoadedPlan, replaced: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """The options that the scanner's driver gets: the plan's own and, where it names 'cloud_reader' in ``plan_facts``, read_cloud, which
+    reads a file as points (N, 3) mm in the scanner frame."""
+    use = loaded.plan.scanner
+    if "scanner" in (replaced or {}) or "cloud_reader" not in getattr(load_driver("scanners", use.driver), "plan_facts", ()):
+        return dict(use.options)
+    given = use.options
+    form = CloudFormat(str(given.get("unit", "mm")), str(given.get("axes", "x y z")), given.get("range_map"))
+    form.matrix()  # says now, in one sentence, what it would not accept later
+    return {**given, "read_cloud": partial(read_points, form=form)}
 
 
 def _refuse_equal_names(sensors: Sequence[Sensor]) -> None:

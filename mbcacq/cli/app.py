@@ -20,6 +20,7 @@ from mbcacq.version import __version__
 FULL = (errno.ENOSPC, errno.EDQUOT)
 COMMANDS = {
     "run": "execute a plan, record it, calibrate the cell",
+    "collect": "calibrate from clouds that the scanner's own program saved",
     "plan": "make, show, check or design a plan, without opening a socket",
     "robot": "make a robot file from a URDF, an MJCF file or a table of DH rows",
     "calibrate": "calibrate the cell from a run, a recording or an observation set",

@@ -15,16 +15,30 @@ from mbcacq.cli.terminal import echo
 @click.command("fakes")
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.option("--fast", is_flag=True, help="Lock-step: as fast as the client answers, instead of real time at 4 ms.")
+@click.option("--program", type=click.Path(path_type=Path), help="Folder of a robot program: play it, and save its clouds (--clouds).")
+@click.option("--clouds", type=click.Path(path_type=Path), help="Folder for the clouds of --program, and joints.csv.")
 @click.option("--seed", default=0, show_default=True, help="Seed of everything the fake world draws.")
-def command(plan: Path, fast: bool, seed: int) -> None:
-    """Start the fake cell of PLAN; run the plan from another terminal with `mbcacq run PLAN`. Ctrl-C ends it."""
+def command(plan: Path, fast: bool, program: Path | None, clouds: Path | None, seed: int) -> None:
+    """Start the fake cell of PLAN; run the plan from another terminal with `mbcacq run PLAN`. Ctrl-C ends it.
+
+    With --program, a program of `mbcacq plan program` is played in the fake cell instead, as a rehearsal of `mbcacq collect`.
+    """
     from mbcacq.devices import load_driver
+    from mbcacq.errors import ConfigError
     from mbcacq.plan import expand, load
 
     loaded = load(plan)
     with StepProgress() as steps:
         steps.begin("looking for postures that reach every pose")
         poses = expand(loaded)
+        if program is not None or clouds is not None:
+            if program is None or clouds is None:
+                raise ConfigError("--program and --clouds belong together; give the folder of the program and one for its clouds")
+            steps.begin("playing the program")
+            files = load_driver("fakes", "rehearsal")(loaded, poses, program, clouds, seed=seed)
+            echo(f"{len(files) - 1} clouds and {files[-1]}")
+            echo(f"next: mbcacq collect {plan} --clouds {clouds} --joints {files[-1]}")
+            return
     quit_event = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: quit_event.set())

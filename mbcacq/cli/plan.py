@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from mbcacq.cli.plan_design import design
+from mbcacq.cli.plan_program import program
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
@@ -18,10 +19,11 @@ from mbcacq.errors import ExitCode
 
 @click.group("plan")
 def command() -> None:
-    """Make, show, check or design a plan, without opening a socket."""
+    """Make, show, check or design a plan, write it as a robot program; without opening a socket."""
 
 
 command.add_command(design)
+command.add_command(program)
 
 
 @command.command("new")

@@ -11,7 +11,7 @@ from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.clearance import clearance_of
 from mbcacq.plan.expansion import aim_points
-from mbcacq.plan.field_of_view import T_base_scanner, margin
+from mbcacq.plan.field_of_view import T_base_scanner, aim_depth, margin
 from mbcacq.plan.ik_selection import cheapest_from_home, wrist_bend
 from mbcacq.plan.inverse_kinematics import inverse_kinematics, wrist_axis
 from mbcacq.plan.occlusion import occluded
@@ -96,7 +96,7 @@ class _Choice:
         ids, radii = np.array(artefact.ball_ids), artefact.diameters / 2
         point = aim_points(artefact, "all" if aim is None else (aim,))[0]
         fewest = min(self._options.fewest_balls, len(ids)) if aim is None else 1
-        T_base_scanners = np.stack([T_base_scanner(T_base_station, point, v) for v in views])
+        T_base_scanners = np.stack([T_base_scanner(T_base_station, point, v, aim_depth(field)) for v in views])
         flanges = T_base_scanners @ se3.inverse(cell.T_flange_scanner)
         xyz = se3.apply(se3.inverse(T_base_scanners)[:, None] @ T_base_station, artefact.centres)
         inside = margin(field, xyz, radii) >= 0

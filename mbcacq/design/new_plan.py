@@ -134,10 +134,10 @@ def _head(request: NewPlan, spec: RobotSpec, artefact: ArtefactSpec, names: dict
     scanner = read(request.scanner, "scanner").data
     if not {"scanner", "hand_eye"} <= set(scanner):
         raise ConfigError(f"{request.scanner}: a scanner file has the keys scanner and hand_eye, as they stand in a plan")
+    request.out.parent.mkdir(parents=True, exist_ok=True)  # a name with '..' leads nowhere from a folder that is not there
     for path, name in names.items():
         target = request.out.parent / name
         if not target.exists():
-            request.out.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, target)
         elif target.read_bytes() != path.read_bytes():
             raise ConfigError(

@@ -12,7 +12,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.numerical_inverse import NumericalInverse
 from mbcacq.model.cell import Artefact
-from mbcacq.plan.field_of_view import T_base_scanner, margin
+from mbcacq.plan.field_of_view import T_base_scanner, aim_depth, margin
 from mbcacq.plan.ik_selection import select_solutions
 from mbcacq.plan.inverse_kinematics import wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
@@ -158,7 +158,8 @@ def _looking(
     loaded: LoadedPlan, station: str, point: np.ndarray, view: View, where: tuple[str, int, str, int], offset_mm=(0.0, 0.0, 0.0)
 ) -> Target:
     """Looks at ``point`` (3,) mm of the station frame, the scanner moved by an offset along the base axes."""
-    scanner = T_base_scanner(loaded.cell.station(station).planned_pose, point, view)
+    depth = aim_depth(loaded.plan.scanner.field_of_view)
+    scanner = T_base_scanner(loaded.cell.station(station).planned_pose, point, view, depth)
     scanner[:3, 3] += offset_mm
     flange = scanner @ se3.inverse(loaded.cell.T_flange_scanner)
     return Target(where[1], station, flange, None, visible_balls(loaded, station, flange), view.wrist, where)

@@ -8,15 +8,22 @@ from mbcacq.geometry import se3
 from mbcacq.plan.schema import FieldOfView, View
 
 
-def T_base_scanner(T_base_station: np.ndarray, point: np.ndarray, view: View) -> np.ndarray:
+def aim_depth(field: FieldOfView) -> float:
+    """z (mm, scanner frame) at which what is looked at appears: 0, or the middle of the view where the frame's origin is not in it, as
+    that of a scanner whose frame is its camera's."""
+    return 0.0 if field.far_z_mm <= 0 <= field.near_z_mm else (field.near_z_mm + field.far_z_mm) / 2
+
+
+def T_base_scanner(T_base_station: np.ndarray, point: np.ndarray, view: View, depth_mm: float = 0.0) -> np.ndarray:
     """Scanner pose (4, 4) that looks at ``point`` (3,) mm of the station frame.
 
     The scanner's z axis (towards the scanner) is tilted by tilt from the station's z axis towards azimuth, counted from the station's
-    x axis; at tilt 0 and roll 0 both frames are parallel. The point appears at ``view.shift_mm`` in the scanner frame.
+    x axis; at tilt 0 and roll 0 both frames are parallel. The point appears at ``view.shift_mm`` in the scanner frame,
+    ``depth_mm`` along z added (``aim_depth``).
     """
     tilt, azimuth, roll = np.radians([view.tilt_deg, view.azimuth_deg, view.roll_deg])
     R = _about_z(azimuth) @ _about_y(tilt) @ _about_z(roll - azimuth)
-    return T_base_station @ se3.transform(R, point - R @ np.array(view.shift_mm))
+    return T_base_station @ se3.transform(R, point - R @ (np.array(view.shift_mm) + [0, 0, depth_mm]))
 
 
 def margin(field: FieldOfView, xyz: np.ndarray, radius: float | np.ndarray = 0.0) -> np.ndarray:

@@ -9,6 +9,23 @@ from pydantic import Field
 from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, Vector
 
 
+class Coupling(Strict):
+    """``factor`` times the angle of axis ``of`` is added to that of ``axis``, both counted from 1."""
+
+    axis: int = Field(ge=1)
+    of: int = Field(ge=1)
+    factor: float
+
+
+class ControllerJoints(Strict):
+    """How the controller counts its joints where that differs from the robot file: sign * angle + offset, then the couplings."""
+
+    sign: tuple[Literal[-1, 1], ...] | None = None
+    offset_deg: tuple[float, ...] | None = None
+    couplings: tuple[Coupling, ...] = ()  # of FANUC, whose A3 is counted from the horizontal: {axis: 3, of: 2, factor: -1}
+    pulses_per_deg: tuple[float, ...] | None = None  # of encoders, for jobs that hold pulses (INFORM)
+
+
 class RobotUse(Strict):
     """Which arm, how to reach it, and how fast it may move."""
 
@@ -25,6 +42,7 @@ class RobotUse(Strict):
     payload: PayloadSpec | None = None  # scanner with bracket, in the flange frame; default: the robot file's
     link_radius_mm: float | None = Field(default=None, gt=0)  # of the upper arm, for collisions; default: 7 % of the arm's reach
     base_to_gravity: Vector | None = None  # for an arm on a wall or a ceiling; default: the robot file's
+    controller_joints: ControllerJoints | None = None  # for programs, joint logs and readings of the controller
 
 
 class FieldOfView(Strict):
@@ -43,7 +61,10 @@ class ScannerUse(Strict):
     options: dict[str, Any] = {}
     field_of_view: FieldOfView
     exposure_us: float | None = None
-    noise_mm: Vector | None = None  # of one fitted ball centre along x, y, z
+    noise_mm: Vector | None = None  # of one fitted ball centre along x, y, z, in the middle of the field of view
+    noise_far_mm: Vector | None = None  # the same at its far end, where it differs; between and before them by their ratio
+    noise_factor_at_60_deg: float = Field(default=1.0, ge=1, le=100)  # how many times noisier a surface is that is seen 60 deg aslant
+    resolution_mm: float | None = Field(default=None, gt=0.03)  # between neighbouring points, in the middle of the field of view
     scan_time_s: float = Field(default=1.0, ge=0)  # of one exposure with its transfer, for the estimate of the duration
     reconnect_s: float = Field(default=90.0, ge=0)  # how long a scanner that went away (a reboot, a cable) is tried again
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -114,7 +115,7 @@ class Acquisition:
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
         from mbcacq.recording.run_folder.recovery import WHOLE
         from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
-        from mbcacq.spheres import find_spheres
+        from mbcacq.spheres import SphereOptions, find_spheres
 
         def gate(q: np.ndarray) -> None:
             mark_latest(self.folder)  # not before every device answered
@@ -136,7 +137,7 @@ class Acquisition:
                 self.path_home,
                 create_devices(self.loaded, overrides),
                 EventBus([recorder, journal, *subscribers]),
-                find_spheres,
+                partial(find_spheres, options=SphereOptions.for_noise(self.loaded.plan.scanner.noise_mm)),
                 cell_to_yaml(replace(solver_cell(self.loaded), simulated=self.simulated)),
                 versions(),
                 gate,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from mbcacq.acquisition.event_bus import Subscriber
 from mbcacq.design.planned_scope import scope_sentence
+from mbcacq.devices import load_driver
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
@@ -80,8 +81,10 @@ def run(
 
     refuse_small_address_space()
     operator = operator or Operator()
-    operator.progress("checking that every pose can be reached and seen")
     loaded = as_plan(plan)
+    if not dry_run:
+        refuse_unknown_drivers(loaded)
+    operator.progress("checking that every pose can be reached and seen")
     poses = expand(loaded)
     refuse_errors(loaded, poses)
     operator.progress("")
@@ -115,6 +118,14 @@ def run(
         except ConnectError as error:
             raise _with_fakes_named(error, loaded, dry_run) from error
         return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
+
+
+def refuse_unknown_drivers(loaded: LoadedPlan) -> None:
+    """Raises ConfigError for the first device whose driver is not installed, before anything that takes long."""
+    plan = loaded.plan
+    used = [("robots", plan.robot), ("scanners", plan.scanner), ("positioners", plan.positioner), *(("sensors", s) for s in plan.sensors)]
+    for kind, use in used:
+        load_driver(kind, use.driver)
 
 
 def _with_fakes_named(error: ConnectError, loaded: LoadedPlan, dry_run: bool) -> ConnectError:

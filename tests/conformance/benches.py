@@ -7,11 +7,16 @@ from functools import partial
 
 import pytest
 from bench_bus import modbus_positioner, modbus_sensor, serial_positioner, serial_sensor
+from bench_folder import NO_IDENTITY as NO_IDENTITY_OF_FILES
+from bench_folder import folder
 from bench_gocator import gocator
 from bench_gopxl import gopxl
 from bench_kuka import kuka_eki, kuka_rsi
 from bench_manual import EXCUSED, manual
 from bench_simulated import OPTIONS_OF_OTHERS, simulated
+from bench_simulated_scanner import simulated_scanner
+from bench_ur import NO_IDENTITY as NO_IDENTITY_OF_UR
+from bench_ur import ur_rtde
 
 from mbcacq.conformance import DriverBench
 
@@ -20,6 +25,7 @@ NO_IDENTITY = {"refuses_the_wrong_device": "RSI telegrams carry no identity; the
 BENCHES = {
     bench.name: bench
     for bench in (
+        DriverBench("folder", "scanner", folder, excused=NO_IDENTITY_OF_FILES),
         DriverBench("gocator", "scanner", gocator),
         DriverBench("gocator trigger", "scanner", partial(gocator, mode="trigger")),
         DriverBench("gopxl", "scanner", gopxl),
@@ -27,6 +33,8 @@ BENCHES = {
         DriverBench("kuka_rsi with EKI", "robot", partial(kuka_rsi, eki=True)),
         DriverBench("kuka_eki", "robot", kuka_eki),
         DriverBench("simulated", "robot", simulated, excused=OPTIONS_OF_OTHERS),
+        DriverBench("simulated scanner", "scanner", simulated_scanner, excused=OPTIONS_OF_OTHERS),
+        DriverBench("ur_rtde", "robot", ur_rtde, excused=NO_IDENTITY_OF_UR),
         DriverBench("manual", "positioner", manual, excused=EXCUSED),
         DriverBench("modbus positioner", "positioner", modbus_positioner),
         DriverBench("modbus sensor", "sensor", modbus_sensor),

@@ -21,10 +21,24 @@ NO_LINE = {
 }
 SKIPPED = {
     "manual": NO_LINE,
+    "ur_rtde": {"refuses_the_wrong_device"},
+    "folder": {"refuses_the_wrong_device"},
     "simulated": (NO_LINE - {"refuses_to_work_unconnected"}) | {"refuses_an_unknown_option"},
+    "simulated scanner": (NO_LINE - {"refuses_to_work_unconnected"}) | {"refuses_an_unknown_option"},
     "serial sensor pty": {"stop_ends_what_is_under_way"},
 }
-QUICK = {"manual", "simulated", "gocator", "kuka_rsi with EKI", "kuka_eki", "modbus positioner", "serial sensor pty"}
+QUICK = {
+    "manual",
+    "ur_rtde",
+    "folder",
+    "simulated",
+    "simulated scanner",
+    "gocator",
+    "kuka_rsi with EKI",
+    "kuka_eki",
+    "modbus positioner",
+    "serial sensor pty",
+}
 
 
 @pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)

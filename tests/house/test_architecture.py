@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("mbcacq", "drivers", "fakes")
-PACKAGES = ("mbcacq", "mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq_fakes")
+PACKAGES = ("mbcacq", "mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq_folder", "mbcacq_ur", "mbcacq_fakes")
 REPLACED = {"told", "chance", "crew", "atlas", "ledger", "worth", "envelope", "envelopes", "leftover", "wiggle", "prospect", "foreseen"}
 # held-out data, expected from noise alone, identified with the correct cause, a one-sided test, unmodelled effects
 REPLACED_PHRASES = re.compile(

@@ -106,7 +106,7 @@ def test_a_dry_run_drives_it_through_its_own_fake(tmp_path):
 
     folder = shipped.folder()
     plan = yaml.safe_load((folder / "quick.yaml").read_text())
-    plan["robot"] = {"driver": "ur_rtde", "model": str(folder / "robots" / "ur10.yaml"), "options": {"address": "192.168.0.10"}}
+    plan["robot"] = {"driver": "ur_rtde_example", "model": str(folder / "robots" / "ur10.yaml"), "options": {"address": "192.168.0.10"}}
     plan["robot"]["home_deg"] = [0, -90, -90, -90, 90, 0]
     plan["artefacts"] = [str(folder / a) for a in plan["artefacts"]]
     plan["stations"][0]["pose_in_base"] = {"translation_mm": [-800, -150, 200]}

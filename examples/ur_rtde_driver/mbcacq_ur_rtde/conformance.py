@@ -53,7 +53,7 @@ def opened() -> Iterator[Stand]:
             robot.close()
 
 
-BENCH = DriverBench("ur_rtde", "robot", opened, excused=EXCUSED)
+BENCH = DriverBench("ur_rtde_example", "robot", opened, excused=EXCUSED)
 
 
 def main() -> int:

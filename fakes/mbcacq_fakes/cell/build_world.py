@@ -8,12 +8,14 @@ from mbcacq.errors import ConfigError
 from mbcacq_fakes.world.camera import ArmReadout, Camera
 from mbcacq_fakes.world.description import CellFacts
 from mbcacq_fakes.world.environment import Environment
-from mbcacq_fakes.world.noise import ScannerNoise
+from mbcacq_fakes.world.noise import NoiseGrowth, ScannerNoise
 from mbcacq_fakes.world.operator import FakeOperator
 from mbcacq_fakes.world.options import FakeOptions, arm_errors
 from mbcacq_fakes.world.rays import Grid
-from mbcacq_fakes.world.scanner import FringeScanner
+from mbcacq_fakes.world.scanner import FringeScanner, Optics
 from mbcacq_fakes.world.world import Deviations, World
+
+USUAL_BALL_MM = 12.0
 
 
 def make_world(facts: CellFacts, options: FakeOptions, seed: int) -> World:
@@ -39,13 +41,23 @@ def make_camera(
     planned_station: np.ndarray,
     right_exposure_us: float | None = None,
     clock_start_s: float = 0.0,
+    optics: Optics | None = None,
 ) -> Camera:
-    """planned_q (P, n) rad and planned_station (P,) index: the poses of the plan, by which the operator knows what comes next."""
+    """planned_q (P, n) rad and planned_station (P,) index: the poses of the plan, by which the operator knows what comes next. optics: of
+    the scanner; default: as a Gocator's."""
     check(options, world.facts)
-    noise = ScannerNoise.for_centres(np.array(options.noise_mm), options.speckle_mm)
-    scanner = FringeScanner(Grid.with_pitch(world.facts.view, options.pitch_mm), noise)
+    view, ball = world.facts.view, smallest_ball(world.facts)
+    growth = NoiseGrowth.stated(view, options.noise_mm, options.noise_far_mm, options.noise_factor_at_60_deg)
+    noise = ScannerNoise.for_centres(np.array(options.noise_mm), options.speckle_mm, ball, growth)
+    scanner = FringeScanner(Grid.with_pitch(view, options.pitch_mm), noise, optics or Optics())
     operator = FakeOperator(planned_q, planned_station, world.facts.station_artefact)
     return Camera(world, scanner, operator, arm, options, right_exposure_us, clock_start_s)
+
+
+def smallest_ball(facts: CellFacts) -> float:
+    """mm: over it the scanner's noise is nearly one shift; larger balls average it."""
+    diameters = np.concatenate([a.diameters for a in facts.artefacts])
+    return float(np.min(diameters[diameters > 0], initial=np.inf)) if np.any(diameters > 0) else USUAL_BALL_MM
 
 
 def check(options: FakeOptions, facts: CellFacts) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from mbcacq.devices import available, load_driver
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
+from mbcacq_fakes.cell.simulated_clock import SimulatedClock
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
@@ -69,7 +70,7 @@ def start_controller(
                 f"there is no fake controller for the driver '{use.driver}', only a simulated arm inside a dry run: "
                 f"mbcacq run {loaded.path} --dry-run"
             )
-        return StartedController(_Nothing(), {"state": state, "clock_start_s": CLOCK_START_MS * 1e-3}, SIMULATED)
+        return StartedController(_Nothing(), {"state": state, "clock_start_s": CLOCK_START_MS * 1e-3, "clock": SimulatedClock()}, SIMULATED)
     if "moving" in given:
         from mbcacq_fakes.dynamics.online import description
 

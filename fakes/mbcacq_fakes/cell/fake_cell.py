@@ -16,12 +16,13 @@ import numpy as np
 from mbcacq.devices import signals_deferred
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
-from mbcacq_fakes.cell.controller import CLOCK_START_MS, Controller, StartedController, check_options, start_controller
+from mbcacq_fakes.cell.controller import CLOCK_START_MS, SIMULATED, Controller, StartedController, check_options, normal, start_controller
 from mbcacq_fakes.cell.faults import CellFaults
-from mbcacq_fakes.cell.ports import SCANNERS, scanner_address
+from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, POSITIONERS, SCANNERS, scanner_address
 from mbcacq_fakes.protocols.krc.arm_state import MOST_AXES, ArmState
 from mbcacq_fakes.world import options as fake_options
 from mbcacq_fakes.world.description import CellFacts, from_cell
+from mbcacq_fakes.world.frame import ScannerFrame
 
 PACE_S = 4.0  # robot time from one pose to the next, roughly
 
@@ -38,14 +39,16 @@ class FakeCell:
         self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0, ports: Literal["free", "plan"] = "free"
     ) -> None:
         plan = loaded.plan
-        if plan.scanner.driver not in SCANNERS:
+        self._scanner = normal(plan.scanner.driver) if normal(plan.scanner.driver) in (*SCANNERS, FOLDER) else NEUTRAL
+        if self._scanner in (NEUTRAL, FOLDER) and ports == "plan":
             raise ConfigError(
-                f"the fake cell plays an LMI sensor (gocator, gopxl), not a scanner '{plan.scanner.driver}'; name one of these"
+                f"there is no fake of a scanner '{plan.scanner.driver}' at the wire, only a simulated one inside a dry run: "
+                f"mbcacq run {loaded.path} --dry-run"
             )
         if loaded.cell.robot.n > MOST_AXES:
             raise ConfigError(f"the fake cell plays arms of up to {MOST_AXES} axes, this one has {loaded.cell.robot.n}")
         self._loaded, self._plan, self._realtime, self._ports = loaded, plan, realtime, ports
-        self._options = fake_options.parse(plan.fake)
+        self._options = fake_options.parse(fake_options.of_scanner(plan.scanner, plan.fake))
         self._seed = seed if self._options.seed is None else self._options.seed
         self._planned_q = np.array([p.q for p in poses], dtype=float).reshape(-1, loaded.cell.robot.n)
         pace_s = PACE_S * self._options.climate.time_scale
@@ -80,9 +83,22 @@ class FakeCell:
             self.stop()
             raise
         self._overrides = {"robot": robot.options, **addresses}
-        if robot.driver is not None:
-            self._overrides["drivers"] = {"robot": robot.driver}
+        drivers = {} if robot.driver is None else {"robot": robot.driver}
+        if self._scanner == NEUTRAL:
+            drivers["scanner"] = SIMULATED
+            self._overrides["scanner"] = {
+                "expose": self._expose,
+                "clock": robot.options.get("clock"),
+                "scan_time_s": float(self._plan.scanner.scan_time_s),
+            }
+        if normal(self._plan.positioner.driver) not in POSITIONERS:
+            drivers["positioner"] = "manual"
+        if drivers:
+            self._overrides["drivers"] = drivers
         return self
+
+    def _expose(self, exposure_us: float) -> ScannerFrame:
+        return self.ask("expose", exposure_us=exposure_us)
 
     def stop(self) -> None:
         """Idempotent; no process and no shared memory stays behind."""
@@ -164,8 +180,8 @@ class FakeCell:
             "ports": self._ports,
             "realtime": self._realtime,
             "scanner_options": dict(plan.scanner.options),
-            "scanner_driver": plan.scanner.driver,
-            "scanner": scanner_address(plan.scanner.driver, plan.scanner.options, self._ports),
+            "scanner_driver": self._scanner,
+            "scanner": {} if self._scanner in (NEUTRAL, FOLDER) else scanner_address(self._scanner, plan.scanner.options, self._ports),
             "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
             "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],
         }

@@ -15,6 +15,9 @@ from mbcacq.errors import ConfigError, ConnectError
 LOOPBACK = "127.0.0.1"
 ANY = ("0.0.0.0", "", "::")
 _NOT_DRAWN, _MOST_TRIES = (12_000, 32_000), 1000  # Linux draws from 32768 on, Windows and macOS from 49152 on
+NEUTRAL = "neutral"  # a scanner of any other driver: no fake at the wire
+FOLDER = "folder"  # a scanner's own program, which saves clouds
+POSITIONERS = ("manual", "modbus", "serial")
 SCANNERS = {  # driver -> its options that are ports, with where the sensor listens as delivered
     "gocator": {"control_port": 3190, "health_port": 3194, "data_port": 3196},
     "gopxl": {"control_port": 3600, "data_port": 3601},

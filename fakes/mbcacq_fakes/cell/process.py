@@ -9,19 +9,24 @@ from __future__ import annotations
 import pickle
 import signal
 import sys
+import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError, ConnectError
+from mbcacq.spheres.cloud_files import read_points
 from mbcacq_fakes.cell.build_world import make_camera, make_world
-from mbcacq_fakes.cell.ports import line_address
+from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
+from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_fakes.world.operator import NOBODY
 from mbcacq_fakes.world.options import FakeOptions, Mishap
+from mbcacq_fakes.world.scanner import Optics
 
 
 class Servers:
@@ -35,8 +40,16 @@ class Servers:
         stack.callback(state.close)
         world = make_world(job["facts"], options, job["seed"])
         self._camera: Camera = make_camera(
-            world, state, options, job["planned_q"], job["planned_station"], job["exposure_us"], job["clock_start_s"]
+            world,
+            state,
+            options,
+            job["planned_q"],
+            job["planned_station"],
+            job["exposure_us"],
+            job["clock_start_s"],
+            Optics.above(world.facts.view) if job["scanner_driver"] in (NEUTRAL, FOLDER) else None,
         )
+        self._sensor: Any = None
         self.addresses: dict[str, dict[str, Any]] = {"scanner": self._start_scanner(options)}
         self.addresses["positioner"] = self._start_positioner()
         for k, (driver, given) in enumerate(job["sensors"]):
@@ -55,11 +68,19 @@ class Servers:
         check(FakeOptions(mishaps=(mishap,)), self._camera.world.facts)
         self._camera.mishap(mishap)
 
+    def expose(self, exposure_us: float) -> ScannerFrame:
+        return self._camera(exposure_us)
+
     def scanner_fault(self, fault: str, value: Any, times: int | None) -> None:
-        self._sensor.faults.set(fault, value, times)
+        self._wire_sensor().faults.set(fault, value, times)
 
     def clear_scanner_fault(self, fault: str | None) -> None:
-        self._sensor.faults.clear(fault)
+        self._wire_sensor().faults.clear(fault)
+
+    def _wire_sensor(self) -> Any:
+        if self._sensor is None:
+            raise ConfigError("the plan's scanner is not one the fake cell plays at the wire")
+        return self._sensor
 
     def positioner_fault(self, **values: Any) -> None:
         if self._positioner is None:
@@ -72,6 +93,12 @@ class Servers:
             setattr(self._sensors[number], name, value)
 
     def _start_scanner(self, options: FakeOptions) -> dict[str, Any]:
+        if self._job["scanner_driver"] in (NEUTRAL, FOLDER):
+            if options.scanner:
+                raise ConfigError(
+                    f"fake.scanner: the simulated scanner has no option {', '.join(sorted(options.scanner))}; remove the section"
+                )
+            return self._start_program() if self._job["scanner_driver"] == FOLDER else {}
         place, given = self._job["scanner"], self._job["scanner_options"]
         default = "3504" if self._job["scanner_driver"] == "gopxl" else "3210"
         settings = {
@@ -89,6 +116,16 @@ class Servers:
             raise ConnectError(f"the fake sensor cannot listen on {place['host']}: {error}; is another one running?") from error
         self._stack.callback(self._sensor.stop)
         return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}}
+
+    def _start_program(self) -> dict[str, Any]:
+        """The scanner's own program, with a folder of its own."""
+        from mbcacq_fakes.protocols.folder import FakeScannerProgram
+
+        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="mbcacq-clouds-")))
+        self._sensor = self._stack.enter_context(FakeScannerProgram(self._camera, folder))
+        trigger = {"tcp": f"127.0.0.1:{self._sensor.port}", "send": "trigger\n", "reply": "OK"}
+        plain = {"pattern": "*.ply", "unit": "mm", "axes": "x y z", "range_map": None}
+        return {"folder": str(folder), "trigger": trigger, "quiet_s": 0.02, **plain, "read_cloud": read_points}
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
         """The fake of the plan's scanner driver. given: what the plan says of it. Raises ConfigError."""
@@ -110,7 +147,9 @@ class Servers:
             return self._start_modbus_positioner(given)
         if driver == "serial":
             return self._start_serial_positioner(given)
-        raise ConfigError(f"the fake cell plays no positioner '{driver}'; use manual, modbus or serial")
+        if self._job["ports"] == "plan":
+            raise ConfigError(f"the fake cell plays no positioner '{driver}' at the wire; use manual, modbus or serial")
+        return {"assume_yes": True}  # a person who follows the plan, in its place
 
     def _start_modbus_positioner(self, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.modbus import PositionerOptions

@@ -23,12 +23,14 @@ BRAKING_S = 0.1  # from the largest speed to rest
 
 
 class SimulatedRobot:
-    """Implements mbcacq.devices.Robot. options: limits_deg (n, 2) and, from the fake cell, state; others are of the plan's own driver."""
+    """Implements mbcacq.devices.Robot. options: limits_deg (n, 2) and, from the fake cell, state, clock_start_s and clock, which says how
+    long other devices took; others are of the plan's own driver."""
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
         self._limits = np.radians(np.array(options.get("limits_deg", ()), dtype=float).reshape(-1, 2))
         self._state, self._clock_start = options.get("state"), float(options.get("clock_start_s", 0.0))
+        self._clock = options.get("clock")
         self._lock = threading.RLock()
         self._connected = False
 
@@ -86,7 +88,8 @@ class SimulatedRobot:
         """The state a little later than at the last call. Raises ConfigError before ``connect``."""
         with self._lock:
             self._check()
-            for _ in range(CYCLES_AT_ONCE if self._motion is not None or self._wanted is not None else 1):
+            waited = 0.0 if self._clock is None else self._clock.take()
+            for _ in range(round(waited / CYCLE_S) + (CYCLES_AT_ONCE if self._motion is not None or self._wanted is not None else 1)):
                 self._step()
             wanted = self._wanted
             arrived = (

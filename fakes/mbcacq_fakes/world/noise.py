@@ -2,34 +2,69 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from mbcacq_fakes.world.description import ScannerView
+
+
+@dataclass(frozen=True)
+class NoiseGrowth:
+    """How the noise grows over the field of view: by ``ratio`` (3,) along x, y, z for each ``span_mm`` away from ``middle_z``, away from
+    the scanner; and with the incidence by its cosine to the power of -``slant``."""
+
+    ratio: np.ndarray
+    middle_z: float
+    span_mm: float
+    slant: float
+
+    @classmethod
+    def stated(cls, view: ScannerView, noise_mm: Sequence[float], far_mm: Sequence[float] | None, factor_at_60_deg: float) -> NoiseGrowth:
+        """Of a scanner whose centres scatter by noise_mm (3,) in the middle of its view and by far_mm (3,) at the far end."""
+        middle = np.asarray(noise_mm, dtype=float)
+        far = middle if far_mm is None else np.asarray(far_mm, dtype=float)
+        ratio = np.divide(far, middle, out=np.ones(3), where=(middle > 0) & (far > 0))
+        z = (view.near_z + view.far_z) / 2
+        return cls(ratio, z, z - view.far_z, float(np.log2(factor_at_60_deg)))
+
+    def factors(self, z: np.ndarray, facing: np.ndarray) -> np.ndarray:
+        """(3, N) at places z (N,) mm seen at the cosine of incidence ``facing`` (N,)."""
+        out = np.ones((3, len(z)))
+        if np.any(self.ratio != 1):
+            out *= self.ratio[:, None] ** ((self.middle_z - z) / self.span_mm)
+        if self.slant:
+            out *= np.clip(facing, 0.1, 1.0) ** -self.slant
+        return out
 
 
 @dataclass(frozen=True)
 class ScannerNoise:
     """field_mm: (3,) sigma of the smooth error along x, y, z; it varies over about ``pitch_mm``. speckle_mm: of one point along z
-    at normal incidence. centre_mm: (3,) sigma of a fitted centre of a 12 mm ball that results from both.
+    at normal incidence. centre_mm: (3,) sigma of a fitted centre of a ball that results from both. growth: over the field of view.
     """
 
     field_mm: np.ndarray
     pitch_mm: float
     speckle_mm: float
     centre_mm: np.ndarray
+    growth: NoiseGrowth | None = None
 
     @classmethod
-    def for_centres(cls, centre_mm: np.ndarray, speckle_mm: float = 0.012, pitch_mm: float = 12.0) -> ScannerNoise:
-        """The noise whose fitted 12 mm balls (known radius) scatter by ``centre_mm`` (3,), e.g. 0.005, 0.005, 0.009.
+    def for_centres(
+        cls, centre_mm: np.ndarray, speckle_mm: float = 0.012, pitch_mm: float = 12.0, growth: NoiseGrowth | None = None
+    ) -> ScannerNoise:
+        """The noise whose fitted balls (known radius), as wide as ``pitch_mm``, scatter by ``centre_mm`` (3,), e.g. 0.005, 0.005, 0.009.
 
         A depth error that rises across a ball looks like a sideways shift of it, so the sideways field is smaller than the
         scatter asked for. The factors were found by Monte Carlo.
         """
         x, y, z = np.asarray(centre_mm, dtype=float)
         depth = z / SMOOTHED
-        leak = LEAK * depth * 12.0 / pitch_mm
+        leak = LEAK * depth
         side = np.sqrt(np.maximum(np.array([x, y]) ** 2 - leak**2, 0.0)) / SMOOTHED
-        return cls(np.append(side, depth), pitch_mm, speckle_mm, np.array([x, y, z]))
+        return cls(np.append(side, depth), pitch_mm, speckle_mm, np.array([x, y, z]), growth)
 
     def smooth(self, xy: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Smooth error (3, N) mm at places xy (2, N) mm: cubic B-splines over independent knots, unit variance everywhere."""

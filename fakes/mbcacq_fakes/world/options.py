@@ -76,6 +76,8 @@ class FakeOptions(StrictOptions):
     hand_eye_error: Spread = Spread(mm=1.5, deg=0.4)
     station_error: Spread = Spread(mm=1.5, deg=0.4)
     noise_mm: Vector = (0.005, 0.005, 0.009)
+    noise_far_mm: Vector | None = None
+    noise_factor_at_60_deg: float = Field(default=1.0, ge=1)
     speckle_mm: float = Field(default=0.012, ge=0)
     pitch_mm: float = Field(default=0.25, gt=0.03)
     furniture: bool = True
@@ -87,6 +89,28 @@ class FakeOptions(StrictOptions):
     scanner: dict[str, Any] = {}
     seed: int | None = None
     noise_seed: int | None = None  # of what differs between two runs of one cell; by default the seed of the cell
+
+
+SPECKLE_SHARE = 4 / 3  # of a centre's noise along z: the point noise of the scanner that the defaults describe
+MOST_PIXELS = 1.5e6  # of a frame, where the plan states no resolution
+
+
+def of_scanner(scanner: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """``given``, a plan's ``fake:`` section, with what its scanner states of itself where the section is silent.
+
+    scanner: the plan's (read by name): noise_mm, noise_far_mm, noise_factor_at_60_deg, resolution_mm, field_of_view.
+    """
+    stated: dict[str, Any] = {"noise_factor_at_60_deg": scanner.noise_factor_at_60_deg}
+    if scanner.noise_mm is not None:
+        stated |= {"noise_mm": scanner.noise_mm, "speckle_mm": SPECKLE_SHARE * float(scanner.noise_mm[2])}
+    if scanner.noise_far_mm is not None:
+        stated["noise_far_mm"] = scanner.noise_far_mm
+    view = scanner.field_of_view
+    area = float(np.prod(np.add(view.near_half_mm, view.far_half_mm)))  # mm^2, in the middle
+    stated["pitch_mm"] = scanner.resolution_mm or max(0.25, float(np.sqrt(area / MOST_PIXELS)))
+    if "noise_mm" in given:
+        stated = {name: value for name, value in stated.items() if name == "pitch_mm"}
+    return {**stated, **given}
 
 
 def parse(options: Mapping[str, Any]) -> FakeOptions:

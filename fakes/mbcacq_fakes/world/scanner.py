@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_fakes.world.noise import ScannerNoise
 from mbcacq_fakes.world.rays import Grid
@@ -27,6 +28,14 @@ class Optics:
     plate: float = 0.10
     edge: float = 0.2
     backdrop: float = 0.03
+
+    @classmethod
+    def above(cls, view: ScannerView) -> Optics:
+        """With the projector where the view's edges meet, a third of the way to it aside."""
+        slope = (view.near_half - view.far_half) / (view.near_z - view.far_z)
+        apex = np.divide(view.near_half, -slope, out=np.full(2, np.inf), where=slope < 0)  # mm above the near end
+        height = float(np.clip(apex.mean(), view.near_z - view.far_z, 20 * (view.near_z - view.far_z)))
+        return cls(lamp=np.array([0.0, height / 3, view.near_z + height]))
 
 
 @dataclass(frozen=True)
@@ -69,12 +78,16 @@ class FringeScanner:
         signal = signal[keep]
         contrast = slant[keep] * np.clip(signal / (optics.ball * 0.5), 0.1, 1)
         grain = self.noise.speckle_mm * np.sqrt(np.minimum(1 / np.maximum(contrast, 0.1), 6)) * rng.standard_normal(len(keep))
+        growth = self._growth(hits.xyz[2, keep], hits.facing[keep])
+        grain *= growth[2]
         intensity = np.clip(255 * signal * (1 + 0.03 * rng.standard_normal(len(keep))), 1, 255)
         xyz = hits.xyz[:, keep] + grain * hits.along[:, keep]
         pixel, ball = hits.pixel[keep], hits.ball[keep]
         rim, place = self._mixed_at_rims(surfaces, pixel, rng)
         xyz = np.concatenate([xyz, place], axis=1)
-        xyz += self.noise.smooth(xyz[:2], rng)
+        field = self.noise.smooth(xyz[:2], rng)
+        field[:, : len(pixel)] *= growth
+        xyz += field
         return Points(
             np.concatenate([pixel, rim]),
             np.ascontiguousarray(xyz.T),
@@ -92,6 +105,10 @@ class FringeScanner:
         intensity[points.pixel[inside]] = points.intensity[inside]
         shape = (self.grid.rows, self.grid.columns)
         return ScannerFrame(xyz.reshape(*shape, 3), intensity.reshape(shape), time_s)
+
+    def _growth(self, z: np.ndarray, facing: np.ndarray) -> np.ndarray:
+        """(3, N) how much larger the noise is here than in the middle of the field of view, along x, y, z."""
+        return np.ones((3, len(z))) if self.noise.growth is None else self.noise.growth.factors(z, facing)
 
     def _mixed_at_rims(self, surfaces: Surfaces, taken: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Mixed pixels: at a ball's silhouette some that were not ``taken`` report a depth between the ball and what lies behind.

@@ -12,7 +12,7 @@ from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, fit
 
 _DEF = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\(([^)]*)\)$", re.I)
 _DECLARE = re.compile(
-    r"(?:DECL\s+)?(?:GLOBAL\s+)?(INT|REAL|BOOL|CHAR|AXIS|FRAME|EKI_STATUS)\s+(\w+)\s*(?:\[\s*(\d*)\s*\])?"
+    r"(?:DECL\s+)?(?:GLOBAL\s+)?(INT|REAL|BOOL|CHAR|AXIS|E6AXIS|FRAME|EKI_STATUS)\s+(\w+)\s*(?:\[\s*(\d*)\s*\])?"
     r"\s*(?:=\s*(.+))?$",
     re.I,
 )

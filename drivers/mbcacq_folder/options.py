@@ -1,0 +1,67 @@
+"""Options of the folder driver, so that a typing error in a plan is one clear sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import Field as Option
+
+from mbcacq.devices import ConfigError
+
+
+class FolderModel(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TriggerOptions(FolderModel):
+    """How the scanner's program is asked for a cloud; one of these.
+
+    person: somebody takes it. command: a program and its arguments, run without a shell. tcp: HOST:PORT to send to. serial: a port,
+    also socket://HOST:PORT. send: the text for tcp and serial. reply: a pattern of the line that acknowledges it, or None for none.
+    """
+
+    person: Literal[True] | None = None
+    command: tuple[str, ...] | None = Option(default=None, min_length=1)
+    tcp: str | None = Option(default=None, pattern=r"^[^\s:]+:\d{1,5}$")
+    serial: str | None = None
+    baudrate: int = Option(default=9600, gt=0)
+    send: str = "trigger\n"
+    reply: str | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> TriggerOptions:
+        given = [name for name in ("person", "command", "tcp", "serial") if getattr(self, name)]
+        if len(given) != 1:
+            raise ValueError(f"give one of person, command, tcp and serial, not {' and '.join(given) or 'none'}")
+        return self
+
+
+class FolderOptions(FolderModel):
+    """folder: where the clouds are saved, relative to where the run is started. pattern: of their names. timeout_s: how long a cloud may
+    take from its trigger on. quiet_s: how long a file must not grow any more to count as written. unit, axes, range_map: how the clouds are
+    written. read_cloud: set by the run; reads a file."""
+
+    folder: Path
+    pattern: str = "*"
+    trigger: TriggerOptions = TriggerOptions(person=True)
+    timeout_s: float = Option(default=120.0, gt=0)
+    quiet_s: float = Option(default=0.5, ge=0)
+    connect_timeout_s: float = Option(default=5.0, gt=0)
+    unit: str = "mm"
+    axes: str = "x y z"
+    range_map: tuple[float, float, float, float] | None = None
+    read_cloud: Any = None
+
+
+def parse(name: str, options: Mapping[str, Any]) -> FolderOptions:
+    """Raises ConfigError naming the option and what is wrong with it."""
+    try:
+        return FolderOptions.model_validate(dict(options))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "options"
+        known = ", ".join(field for field in FolderOptions.model_fields if field != "read_cloud")
+        raise ConfigError(f"options of scanner '{name}': {where}: {first['msg']} (it knows: {known}); correct the plan") from error

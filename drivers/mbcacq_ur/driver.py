@@ -1,0 +1,243 @@
+"""``driver: ur_rtde``: Universal Robots arms. The program ``mbcacq_ur.script`` (``mbcacq controller-files``) must run on the controller."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from mbcacq.devices import (
+    ConfigError,
+    ConnectError,
+    Cycles,
+    Description,
+    DeviceFault,
+    Field,
+    MbcacqError,
+    MotionLimits,
+    ProtocolError,
+    RobotState,
+    SafetyStop,
+)
+from mbcacq_ur.link import RtdeLink, Values
+from mbcacq_ur.options import AXES, parse
+from mbcacq_ur.safety import PLAYING, not_ready, safety_stop
+
+PROGRAM = 20261  # which mbcacq_ur.script this driver works with
+MOVE, STOP = 1, 2
+LAST_NUMBER = 2**30  # of commands, then they begin again
+IDLE_S = 0.5  # on the controller's clock: idle for longer, and not at the target, the move was ended by something else
+COLUMNS = {"q": "actual_q", "q_set": "target_q", "current_A": "actual_current", "joint_temperature_C": "joint_temperatures"}
+
+
+class UrRtdeRobot:
+    """Implements mbcacq.devices.Robot. Options: see UrOptions. Losing the connection stops the arm: its program has a watchdog."""
+
+    verified_on_hardware = False
+
+    def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
+        self._name, self._model, self._options = f"robot '{name}'", model, parse(name, options)
+        self._limits = np.radians(self._options.limits_deg)
+        self._changed = threading.Condition()
+        self._link: RtdeLink | None = None
+        self._forget()
+
+    @staticmethod
+    def controller_files(name: str, model: str, options: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, str]:
+        """mbcacq_ur.script with the plan's payload, and what to do with it."""
+        script = (Path(__file__).parent / "controller" / "mbcacq_ur.script").read_text(encoding="ascii")
+        mass, centre = float(facts["load_kg"]), [v / 1000 for v in facts["load_centre_mm"]]
+        payload = (
+            f"set_payload({mass:.3f}, [{centre[0]:.4f}, {centre[1]:.4f}, {centre[2]:.4f}])" if mass > 0 else "# no payload in the plan"
+        )
+        script = script.replace("@PROGRAM@", str(PROGRAM)).replace("@PAYLOAD@", payload)
+        readme = (
+            f"Files for {model or 'a UR arm'} and the plan '{facts['plan']}'. Nobody has tried them on hardware.\n\n"
+            "1. Enable RTDE (Settings, Security, Services). Remote control is not needed.\n"
+            "2. Copy mbcacq_ur.script to a USB stick; in a new program take a Script node, type File, and load it.\n"
+            "3. Speed slider to 100 %: the plan's speeds are what is driven. Reduced mode for a first run.\n"
+            "4. Press play, then on this computer: mbcacq run PLAN --arm --step\n"
+        )
+        return {"mbcacq_ur.script": script, "README.txt": "".join(c if c.isascii() else "?" for c in readme)}
+
+    def describe(self) -> Description:
+        rate, axes = self._options.frequency_hz, (AXES,)
+        latest, settings = self._latest, {}
+        if latest is not None:
+            settings = {"speed slider": f"{100 * latest['target_speed_fraction']:.0f} %", "payload": f"{latest['payload']:.3g} kg"}
+            settings["safety"] = "reduced" if latest["safety_status_bits"] >> 1 & 1 else "normal"
+        return Description(
+            "robot",
+            self._model,
+            (
+                Field("time_s", "s", (), rate, "controller's clock (timestamp)"),
+                Field("host_time_s", "s", (), rate, "monotonic clock of this computer on arrival"),
+                Field("q", "rad", axes, rate, "measured joint angles (actual_q)"),
+                Field("q_set", "rad", axes, rate, "set point (target_q)"),
+                Field("q_command", "rad", axes, rate, "target of the motion under way"),
+                Field("current_A", "A", axes, rate, "joint currents (actual_current)"),
+                Field("joint_temperature_C", "deg C", axes, rate, "of the joints (joint_temperatures)"),
+            ),
+            firmware=self._link.version if self._link is not None else "",
+            settings=settings,
+        )
+
+    def connect(self) -> None:
+        """Connect, agree on what is exchanged, and wait until the controller is ready and runs our program.
+
+        Raises ConnectError (also for a controller that stays stopped), ProtocolError, ConfigError for another payload than the plan's.
+        """
+        self.close()
+        self._forget()
+        self._link = RtdeLink(self._name, self._options, self._take, self._fail)
+        self._link.connect()
+        with self._changed:
+            self._changed.wait_for(lambda: self._error is not None or self._why() == "", self._options.connect_timeout_s)
+            error, why, latest = self._error, self._why(), self._latest
+            if latest is not None:
+                self._number = int(latest["output_int_register_0"])
+        if error is None and why == "":
+            try:
+                self._check_payload()
+            except ConfigError:
+                self.close()
+                raise
+            return
+        self.close()
+        place = f"{self._options.address}:{self._options.port}"
+        raise ConnectError(f"{self._name} at {place}: {error}" if error is not None else f"{self._name} at {place} {why}") from error
+
+    def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
+        """Start a movej to q (6,) rad, at the speed and acceleration of the slowest axis allowed. Raises SafetyStop outside the limits."""
+        target = np.asarray(q, dtype=float)
+        if target.shape != (AXES,):
+            raise ConfigError(f"{self._name}: a target has {AXES} axes, not {np.shape(q)}")
+        outside = ~np.isfinite(target) | (target < self._limits[:, 0] - 1e-9) | (target > self._limits[:, 1] + 1e-9)
+        if outside.any():
+            axis = int(np.argmax(outside))
+            low, high = np.degrees(self._limits[axis])
+            angle = np.degrees(target[axis])
+            raise SafetyStop(f"{self._name}: A{axis + 1} would go to {angle:.3f} deg, beyond its limits {low:g}..{high:g} deg; it stays")
+        speed, acceleration = float(np.min(limits.speed)), float(np.min(limits.acceleration))
+        if not (np.isfinite([speed, acceleration]).all() and min(speed, acceleration) > 0):
+            raise ConfigError(f"{self._name}: speed and acceleration limits must be positive")
+        with self._changed:
+            self._check()
+            self._command((*target.tolist(), speed, acceleration), MOVE)
+            self._target, self._wanted, self._near_since, self._idle_since = target, limits, None, None
+
+    def state(self) -> RobotState:
+        """The latest state. Raises what stopped the arm."""
+        with self._changed:
+            self._check()
+            latest, wanted = self._latest, self._wanted
+            assert latest is not None, "a connected robot has a state"
+            taken = latest["output_int_register_0"] == self._number
+            moving = bool(latest["output_int_register_1"]) or (self._target is not None and not taken)
+            rested = self._near_since is not None and wanted is not None and latest["timestamp"] - self._near_since >= wanted.settle_s
+            arrived = self._target is not None and taken and not moving and rested
+            return RobotState(float(latest["timestamp"]), np.array(latest["actual_q"]), moving, arrived)
+
+    def cycles(self) -> Cycles:
+        with self._changed:
+            rows, self._rows = self._rows, []
+        return Cycles({name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {})
+
+    def stop(self) -> None:
+        """Commands a stop, and waits for a moment until the controller took it up."""
+        with self._changed:
+            if self._link is None or not self._link.open or self._error is not None:
+                return
+            self._target = None
+            self._command(self._registers[:8], STOP)
+            self._changed.wait_for(lambda: self._error is not None or self._at_rest(), self._options.silence_s)
+
+    def close(self) -> None:
+        self.stop()
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _forget(self) -> None:
+        self._latest: Values | None = None
+        self._error: MbcacqError | None = None
+        self._target: np.ndarray | None = None
+        self._wanted: MotionLimits | None = None
+        self._near_since: float | None = None
+        self._idle_since: float | None = None
+        self._rows: list[dict[str, Any]] = []
+        self._ready, self._number, self._life = False, 0, 0
+        self._registers: tuple[float, ...] = (*(0.0,) * 8, 0, STOP)
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise self._error
+        if self._link is None or self._latest is None:
+            raise ConnectError(f"{self._name} is not connected; connect it first")
+
+    def _why(self) -> str:
+        """Why it is not ready, '' if it is."""
+        return "sends no data; restart the controller" if self._latest is None else not_ready(self._latest, PROGRAM)
+
+    def _check_payload(self) -> None:
+        wanted = self._options.payload_kg
+        assert self._latest is not None
+        has = float(self._latest["payload"])
+        if wanted is not None and abs(has - wanted) > self._options.payload_tolerance_kg:
+            raise ConfigError(f"{self._name}: its payload is set to {has:.2f} kg, the plan says {wanted:.2f} kg; set it on the pendant")
+
+    def _command(self, values: tuple[float, ...], kind: int) -> None:
+        self._number = (self._number + 1) % LAST_NUMBER
+        self._registers = (*values, self._number, kind)
+
+    def _at_rest(self) -> bool:
+        latest = self._latest
+        return latest is not None and latest["output_int_register_0"] == self._number and not latest["output_int_register_1"]
+
+    def _take(self, values: Values) -> Values:
+        """A package of the controller (in the link's thread): the answer to it. Raises what ends the exchange."""
+        if not np.isfinite([values["timestamp"], *values["actual_q"]]).all():
+            raise ProtocolError(f"{self._name}: joint angles that are no numbers; the connection was given up")
+        with self._changed:
+            self._judge(values)
+            command = values["target_q"] if self._target is None else tuple(self._target.tolist())
+            row = {name: values[key] for name, key in COLUMNS.items()}
+            self._rows.append({"time_s": values["timestamp"], "host_time_s": time.monotonic(), **row, "q_command": command})
+            self._latest = values
+            self._life = (self._life + 1) % 2**31
+            self._changed.notify_all()
+            doubles = {f"input_double_register_{k}": float(v) for k, v in enumerate(self._registers[:8])}
+            number, kind = self._registers[8:]
+            return {**doubles, "input_int_register_0": number, "input_int_register_1": kind, "input_int_register_2": self._life}
+
+    def _judge(self, values: Values) -> None:
+        """Raises SafetyStop or DeviceFault once it was ready and something stopped it."""
+        if self._ready and (stop := safety_stop(values)):
+            raise SafetyStop(f"{self._name} {stop}; then resume the run")
+        if self._ready and values["runtime_state"] != PLAYING:
+            raise DeviceFault(f"{self._name}: its program was stopped; see the pendant, start it again, then resume the run")
+        self._ready = self._ready or not not_ready(values, PROGRAM)
+        now, target, wanted = float(values["timestamp"]), self._target, self._wanted
+        near = target is not None and wanted is not None and np.abs(np.array(values["actual_q"]) - target).max() <= wanted.tolerance
+        self._near_since = (now if self._near_since is None else self._near_since) if near else None
+        idle = target is not None and values["output_int_register_0"] == self._number and not values["output_int_register_1"]
+        self._idle_since = (now if self._idle_since is None else self._idle_since) if idle and not near else None
+        if self._idle_since is not None and now - self._idle_since > IDLE_S:
+            raise DeviceFault(f"{self._name}: the move ended away from its target; see the pendant, then resume the run")
+
+    def _fail(self, error: MbcacqError) -> None:
+        with self._changed:
+            self._error = error
+            self._changed.notify_all()

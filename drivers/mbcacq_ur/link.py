@@ -1,0 +1,123 @@
+"""The connection to a controller: what is exchanged is agreed upon, then every package is answered by the latest command."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from mbcacq.devices import ConnectError, DeviceTimeout, MbcacqError, ProtocolError
+from mbcacq_ur import wire
+from mbcacq_ur.options import UrOptions
+from mbcacq_ur.wire import BadPackage, DataLayout
+
+SENT = (
+    *("timestamp", "actual_q", "target_q", "actual_current", "joint_temperatures", "robot_mode", "safety_status_bits", "runtime_state"),
+    *("target_speed_fraction", "payload", "output_int_register_0", "output_int_register_1", "output_int_register_2"),
+)
+TAKEN = (*(f"input_double_register_{k}" for k in range(8)), *(f"input_int_register_{k}" for k in range(3)))
+Values = Mapping[str, Any]
+
+
+class RtdeLink:
+    """``on_values`` is called with every package and gives the registers of the answer; ``on_error`` with what ended the exchange."""
+
+    def __init__(
+        self, name: str, options: UrOptions, on_values: Callable[[Values], Values], on_error: Callable[[MbcacqError], None]
+    ) -> None:
+        self._name, self._options = name, options
+        self._on_values, self._on_error = on_values, on_error
+        self._buffer, self._quit = bytearray(), threading.Event()
+        self._socket: socket.socket | None = None
+        self._thread: threading.Thread | None = None
+        self.version = ""
+
+    @property
+    def open(self) -> bool:
+        return self._socket is not None
+
+    def connect(self) -> None:
+        """Raises ConnectError, ProtocolError."""
+        o, place = self._options, f"{self._options.address}:{self._options.port}"
+        try:
+            self._socket = socket.create_connection((o.address, o.port), o.connect_timeout_s)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.settimeout(o.silence_s)
+            self._agree()
+        except TimeoutError as error:
+            self.close()
+            raise ConnectError(f"{self._name} at {place} does not answer; is RTDE enabled (Settings, Security, Services)?") from error
+        except (BadPackage, struct.error, UnicodeDecodeError) as error:
+            self.close()
+            raise ProtocolError(f"{self._name} at {place} does not speak RTDE version 2 as expected: {error}") from error
+        except OSError as error:
+            self.close()
+            raise ConnectError(f"{self._name}: no connection to {place} ({error.strerror or error}); check address and cable") from error
+        self._thread = threading.Thread(target=self._exchange, args=(self._socket,), name="ur-rtde", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Idempotent, from any thread."""
+        self._quit.set()
+        connection, self._socket = self._socket, None
+        if connection is not None:
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+            connection.close()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(5.0)
+
+    def _agree(self) -> None:
+        if self._ask(wire.VERSION, struct.pack(">H", 2)) != b"\x01":
+            raise BadPackage("version 2 is refused")
+        if len(version := self._ask(wire.CONTROLLER)) == 16:
+            self.version = ".".join(map(str, struct.unpack(">4I", version)))
+        wanted = struct.pack(">d", self._options.frequency_hz) + ",".join(SENT).encode()
+        self._sent = DataLayout(SENT, self._ask(wire.OUTPUTS, wanted))
+        self._taken = DataLayout(TAKEN, self._ask(wire.INPUTS, ",".join(TAKEN).encode()))
+        if self._ask(wire.START) != b"\x01":
+            raise BadPackage("the exchange is refused")
+
+    def _ask(self, kind: int, payload: bytes = b"") -> bytes:
+        """The answer of the same type; texts and early data in between are passed over."""
+        assert self._socket is not None
+        self._socket.sendall(wire.packed(kind, payload))
+        deadline = time.monotonic() + self._options.silence_s
+        while time.monotonic() < deadline:
+            for found, content in wire.split(self._buffer):
+                if found == kind:
+                    return content
+                if found not in (wire.TEXT, wire.DATA):
+                    raise BadPackage(f"an answer of type {found} instead of {kind}")
+            data = self._socket.recv(4096)
+            if not data:
+                raise ConnectionResetError("the controller ended the connection")
+            self._buffer += data
+        raise TimeoutError
+
+    def _exchange(self, connection: socket.socket) -> None:
+        """Thread: every package, until the connection ends or something is wrong."""
+        try:
+            while not self._quit.is_set():
+                for kind, payload in wire.split(self._buffer):
+                    if kind == wire.DATA:
+                        connection.sendall(self._taken.write(self._on_values(self._sent.read(payload))))
+                data = connection.recv(65536)
+                if not data:
+                    raise ConnectionResetError("the controller ended it")
+                self._buffer += data
+        except MbcacqError as error:
+            self._on_error(error)
+        except TimeoutError:
+            silent = f"{self._name}: silent for {self._options.silence_s:g} s; the arm stops by its watchdog, check controller and cable"
+            self._on_error(DeviceTimeout(silent))
+        except (BadPackage, struct.error) as error:
+            self._on_error(ProtocolError(f"{self._name}: {error}; the connection was given up, the arm stops by its watchdog"))
+        except OSError as error:
+            if not self._quit.is_set():
+                broken = f"{self._name}: the connection broke ({error.strerror or error}); the arm stops by its watchdog, check the cable"
+                self._on_error(ConnectError(broken))

@@ -1,0 +1,47 @@
+"""Options of the UR driver, so that a typing error in a plan is one clear sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from mbcacq.devices import ConfigError
+
+AXES = 6
+
+
+class UrOptions(BaseModel):
+    """address, port: of the controller. frequency_hz: of its packages. silence_s: without a package for so long it counts as lost.
+    payload_kg: what the controller must have set; None: whatever it has. limits_deg, speed_deg_s: from the plan's robot file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    address: str = Field(min_length=1)
+    port: int = Field(default=30004, ge=1, le=65535)
+    frequency_hz: float = Field(default=125.0, ge=1, le=500)
+    connect_timeout_s: float = Field(default=5.0, gt=0)
+    silence_s: float = Field(default=1.0, gt=0)
+    payload_kg: float | None = Field(default=None, ge=0)
+    payload_tolerance_kg: float = Field(default=0.1, gt=0)
+    limits_deg: tuple[tuple[float, float], ...] = Field(min_length=AXES, max_length=AXES)
+    speed_deg_s: tuple[float, ...] | None = None
+
+    @model_validator(mode="after")
+    def _limits(self) -> UrOptions:
+        if any(low >= high for low, high in self.limits_deg):
+            raise ValueError("the lower limit of an axis must come first")
+        return self
+
+
+def parse(name: str, options: Mapping[str, Any]) -> UrOptions:
+    """Raises ConfigError naming the option and what is wrong with it."""
+    try:
+        return UrOptions.model_validate(dict(options))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "options"
+        raise ConfigError(
+            f"options of robot '{name}': {where}: {first['msg']} (it knows: {', '.join(UrOptions.model_fields)}); correct the plan"
+        ) from error

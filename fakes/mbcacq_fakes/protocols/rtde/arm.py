@@ -1,0 +1,78 @@
+"""The arm behind the controller, driven as the program ``mbcacq_ur.script`` drives it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import ruckig
+
+JERK = 500.0  # rad/s^3
+BRAKE = 8.0  # rad/s^2
+
+
+class ProgrammedArm:
+    """q, qd: (6,) rad, rad/s. taken: number of the command that was taken up. state: gets what the arm does, or None."""
+
+    def __init__(self, start_deg: Sequence[float], state: Any, clock_s: float) -> None:
+        self.q, self.qd, self.time_s = np.radians(np.array(start_deg, dtype=float)), np.zeros(6), clock_s
+        self.taken, self._arrivals, self._direction = 0, 0, np.zeros(6)
+        self._state, self._motion, self._since = state, None, 0.0
+        self.publish()
+
+    @property
+    def moving(self) -> bool:
+        return self._motion is not None
+
+    def obey(self, registers: Mapping[str, Any], speed_fraction: float) -> None:
+        """The input registers as they are now."""
+        if registers["input_int_register_0"] == self.taken:
+            return
+        self.taken = registers["input_int_register_0"]
+        self.halt()
+        if registers["input_int_register_1"] == 1:
+            wanted = self._wanted()
+            wanted.target_position = [registers[f"input_double_register_{k}"] for k in range(6)]
+            wanted.max_velocity = [registers["input_double_register_6"] * speed_fraction] * 6
+            wanted.max_acceleration, wanted.max_jerk = [registers["input_double_register_7"]] * 6, [JERK] * 6
+            self._begin(wanted)
+
+    def halt(self) -> None:
+        """All axes to rest."""
+        if self._motion is None:
+            return
+        wanted = self._wanted()
+        wanted.control_interface = ruckig.ControlInterface.Velocity
+        wanted.target_velocity, wanted.max_acceleration, wanted.max_jerk = [0.0] * 6, [BRAKE] * 6, [JERK] * 6
+        self._begin(wanted)
+        while self._motion is not None:
+            self.advance(0.002)
+
+    def advance(self, seconds: float) -> None:
+        self.time_s += seconds
+        if self._motion is not None:
+            self._since = min(self._since + seconds, self._motion.duration)
+            position, speed, _ = self._motion.at_time(self._since)
+            turned = np.array(position) - self.q
+            self._direction = np.where(np.abs(turned) > 1e-9, np.sign(turned), self._direction)
+            self.q, self.qd = np.array(position), np.array(speed)
+            if self._since >= self._motion.duration:
+                self._motion, self.qd = None, np.zeros(6)
+                self._arrivals += 1
+        self.publish()
+
+    def publish(self) -> None:
+        if self._state is not None:
+            about = (tuple(v.tolist()) for v in (self.q, self.qd, self._direction))
+            self._state.write(self.time_s, *about, self._motion is None, self._arrivals)
+
+    def _wanted(self) -> ruckig.InputParameter:
+        wanted = ruckig.InputParameter(6)
+        wanted.current_position, wanted.current_velocity = self.q.tolist(), self.qd.tolist()
+        return wanted
+
+    def _begin(self, wanted: ruckig.InputParameter) -> None:
+        motion = ruckig.Trajectory(6)
+        ruckig.Ruckig(6).calculate(wanted, motion)
+        self._motion, self._since = motion, 0.0

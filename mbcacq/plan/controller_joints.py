@@ -1,0 +1,62 @@
+"""Joint angles as the arm's own controller counts them, and as the robot file does."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.plan.planned import LoadedPlan
+from mbcacq.plan.schema import ControllerJoints
+
+
+def to_controller(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
+    """Joint angles (..., n) deg as the controller counts them, of q (..., n) rad. Raises ConfigError, see ``matrix``."""
+    A, offset = matrix(loaded)
+    return np.degrees(q) @ A.T + offset
+
+
+def from_controller(loaded: LoadedPlan, angles_deg: np.ndarray) -> np.ndarray:
+    """The inverse: (..., n) rad. Raises ConfigError, see ``matrix``."""
+    A, offset = matrix(loaded)
+    return np.radians(np.linalg.solve(A, (np.asarray(angles_deg, dtype=float) - offset)[..., None])[..., 0])
+
+
+def matrix(loaded: LoadedPlan) -> tuple[np.ndarray, np.ndarray]:
+    """A (n, n) and offset (n,) deg, with angles = A q + offset. Raises ConfigError where the plan's ``controller_joints`` do not fit the
+    arm."""
+    n, spec = loaded.cell.robot.n, loaded.plan.robot.controller_joints or ControllerJoints()
+    sign = _of_every_axis(loaded, "sign", spec.sign, 1.0)
+    offset = _of_every_axis(loaded, "offset_deg", spec.offset_deg, 0.0)
+    couple = np.eye(n)
+    for coupling in spec.couplings:
+        if max(coupling.axis, coupling.of) > n or coupling.axis == coupling.of:
+            raise _error(loaded, f"couplings name axis {coupling.axis} and {coupling.of} of an arm with {n}; name two of its axes")
+        couple[coupling.axis - 1, coupling.of - 1] += coupling.factor
+    if abs(np.linalg.det(couple)) < 1e-6:
+        raise _error(loaded, "the couplings make one angle of two, which cannot be undone; correct them")
+    return couple * sign, couple @ offset
+
+
+def pulses(loaded: LoadedPlan, angles_deg: np.ndarray) -> np.ndarray:
+    """Encoder pulses (..., n), rounded, of angles as the controller counts them. Raises ConfigError where the plan states none."""
+    spec = loaded.plan.robot.controller_joints
+    if spec is None or spec.pulses_per_deg is None:
+        raise _error(loaded, "pulses_per_deg are missing, which such a job needs; take them from the controller's parameters")
+    per_deg = _of_every_axis(loaded, "pulses_per_deg", spec.pulses_per_deg, 0.0)
+    if not np.all(np.isfinite(per_deg) & (per_deg != 0)):
+        raise _error(loaded, "pulses_per_deg hold a zero or no number; take them from the controller's parameters")
+    return np.rint(angles_deg * per_deg).astype(np.int64)
+
+
+def _of_every_axis(loaded: LoadedPlan, name: str, values: tuple[float, ...] | None, default: float) -> np.ndarray:
+    n = loaded.cell.robot.n
+    if values is None:
+        return np.full(n, default)
+    if len(values) != n:
+        raise _error(loaded, f"{name} has {len(values)} values for an arm of {n} axes; give one an axis")
+    return np.array(values, dtype=float)
+
+
+def _error(loaded: LoadedPlan, sentence: str) -> ConfigError:
+    line = loaded.lines.get(("robot", "controller_joints"), loaded.lines.get(("robot",), 1))
+    return ConfigError(f"{loaded.path}:{line}: robot.controller_joints: {sentence}")

@@ -1,0 +1,162 @@
+"""What a robot program does, before it is written in any controller's language: moves by the checked routes, and waits for exposures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mbcacq.plan.controller_joints import to_controller
+from mbcacq.plan.motion_limits import axis_limits, motion_limits
+from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
+from mbcacq.plan.timing import motion_time
+
+
+@dataclass(frozen=True)
+class Trigger:
+    """How an exposure is asked for at a pose that is reached. kind: 'output' sets a digital output for ``pulse_s``, then waits
+    ``exposure_s``; 'pause' only waits; 'key' waits until a person lets the program go on."""
+
+    kind: Literal["output", "pause", "key"] = "output"
+    output: int = 1
+    pulse_s: float = 0.2
+    exposure_s: float = 3.0
+
+
+@dataclass(frozen=True)
+class MoveTo:
+    """A joint motion, exact at its end. angles: (n,) deg as the controller counts them; duration_s: at the plan's speed, None where nobody
+    knows from where it begins; note: for people."""
+
+    angles: tuple[float, ...]
+    duration_s: float | None
+    note: str
+
+
+@dataclass(frozen=True)
+class ExposeAt:
+    """The arm stands at a pose. clouds: running numbers, from 1, of the clouds that are taken here."""
+
+    pose: int
+    station: str
+    clouds: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class PlaceArtefact:
+    """The arm stands at home; a person puts the artefact to a station and lets the program go on."""
+
+    station: str
+    artefact: str
+
+
+@dataclass(frozen=True)
+class MotionProgram:
+    """One session. speed, acceleration: shares of what the axes can do, as in a run. speed_rad_s, acceleration_rad_s2: of the slowest
+    axis. digest: of the plan, so that clouds of another one can be told apart."""
+
+    name: str
+    plan: str
+    digest: str
+    robot: str
+    n: int
+    steps: tuple[MoveTo | ExposeAt | PlaceArtefact, ...]
+    trigger: Trigger
+    settle_s: float
+    speed: float
+    acceleration: float
+    speed_rad_s: float
+    acceleration_rad_s2: float
+
+    @property
+    def moves(self) -> list[MoveTo]:
+        return [step for step in self.steps if isinstance(step, MoveTo)]
+
+    @property
+    def exposures(self) -> list[ExposeAt]:
+        return [step for step in self.steps if isinstance(step, ExposeAt)]
+
+    @property
+    def speed_percent(self) -> int:
+        """Rounded down, and never 0."""
+        return max(1, int(100 * self.speed + 1e-9))
+
+    @property
+    def acceleration_percent(self) -> int:
+        return max(1, min(100, int(100 * self.acceleration + 1e-9)))
+
+
+def motion_program(
+    loaded: LoadedPlan,
+    poses: Sequence[PlannedPose],
+    paths: Sequence[Transit],
+    path_home: Sequence[np.ndarray],
+    digest: str,
+    *,
+    name: str = "mbcacq_poses",
+    trigger: Trigger | None = None,
+    done: frozenset[int] = frozenset(),
+) -> MotionProgram:
+    """The program of the poses that are not ``done``. paths, path_home: as checked (``mbcacq.plan.routing``); its moves are theirs, in
+    their order. Raises ConfigError where the arm has no speeds, or ``controller_joints`` do not fit it."""
+    limits, allowed = motion_limits(loaded), axis_limits(loaded)
+    steps: list[MoveTo | ExposeAt | PlaceArtefact] = []
+    last = home = np.radians(loaded.plan.robot.home_deg)
+    station, cloud = None, 0
+
+    def go(q: np.ndarray, note: str) -> None:
+        nonlocal last
+        angles = tuple(float(a) for a in to_controller(loaded, q))
+        steps.append(MoveTo(angles, motion_time(last, q, limits) if steps else None, note))
+        last = q
+
+    go(home, "home")
+    for pose, path in zip(poses, paths, strict=True):
+        if pose.number in done:
+            continue
+        for waypoint in path.retract:
+            go(waypoint, "way")
+        if pose.station != station:
+            station = pose.station
+            steps.append(PlaceArtefact(station, loaded.cell.artefact(pose.artefact).name or pose.artefact))
+        for waypoint in path.approach:
+            go(waypoint, "way")
+        go(pose.q, f"pose {pose.number}")
+        steps.append(ExposeAt(pose.number, pose.station, tuple(range(cloud + 1, cloud + pose.exposures + 1))))
+        cloud += pose.exposures
+    for waypoint in path_home:
+        go(waypoint, "home" if waypoint is path_home[-1] else "way")
+    acceleration = float(np.min(limits.acceleration / allowed.acceleration))
+    return MotionProgram(
+        name=name,
+        plan=loaded.plan.name,
+        digest=digest,
+        robot=loaded.cell.robot.name,
+        n=loaded.cell.robot.n,
+        steps=tuple(steps),
+        trigger=trigger or Trigger(),
+        settle_s=loaded.plan.robot.settle_s,
+        speed=loaded.plan.robot.speed,
+        acceleration=acceleration,
+        speed_rad_s=float(np.min(limits.speed)),
+        acceleration_rad_s2=float(np.min(limits.acceleration)),
+    )
+
+
+def plain(text: str) -> str:
+    """ASCII without quotes or line ends, for comments and texts of any controller."""
+    kept = "".join(c if c.isascii() and c.isprintable() and c not in "\"'`;!" else "?" for c in text)
+    return " ".join(kept.split())[:60]
+
+
+def title(program: MotionProgram) -> list[str]:
+    """What stands at the head of every program."""
+    clouds = program.exposures[-1].clouds[-1] if program.exposures else 0
+    return [
+        f"Plan {plain(program.plan)} ({program.digest}) for {plain(program.robot)}, written by mbcacq.",
+        f"{len(program.exposures)} poses, {clouds} clouds; {program.speed_percent} % of the axes' speeds.",
+        "Nobody has run this program. First in T1 or at reduced speed, step by step,",
+        "a hand on the enabling switch. The load data of the scanner must be set.",
+    ]

@@ -1,0 +1,192 @@
+"""Clouds as scanners' own programs save them: PLY, PCD, STL, text (XYZ, ASC, TXT, CSV) and range maps (TIFF), read as points in mm."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.spheres.ply import read_cloud
+
+SUFFIXES = (".ply", ".pcd", ".stl", ".xyz", ".asc", ".txt", ".csv", ".pts", ".tif", ".tiff")
+TEXTS = (".xyz", ".asc", ".txt", ".csv", ".pts")
+MAX_BYTES = 2 << 30
+MOST_POINTS = 200_000_000
+UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "um": 1e-3, "inch": 25.4}
+_AXIS = re.compile(r"([+-]?)([xyz])")
+_STL_HEAD, _STL_FACET = 84, 50
+
+
+@dataclass(frozen=True)
+class CloudFormat:
+    """How a scanner's program writes its clouds. unit: of UNITS. axes: which of the file's axes are x, y, z of the plan's scanner frame,
+    such as 'x -y -z'. range_map: of TIFF files, mm from column to column, mm from row to row, mm per count, mm at count 0; 0 counts and no
+    number are no point."""
+
+    unit: str = "mm"
+    axes: str = "x y z"
+    range_map: tuple[float, float, float, float] | None = None
+
+    def matrix(self) -> np.ndarray:
+        """(3, 3): coordinates of the file to mm in the scanner frame. Raises ConfigError for a unit or axes that there are none of."""
+        if self.unit not in UNITS:
+            raise ConfigError(f"there is no unit '{self.unit}' of clouds; give one of {', '.join(UNITS)}")
+        words = self.axes.lower().replace(",", " ").split()
+        found = [_AXIS.fullmatch(word) for word in words]
+        if len(words) != 3 or not all(found) or sorted(word[-1] for word in words) != ["x", "y", "z"]:
+            raise ConfigError(f"'{self.axes}' names no three axes; write each once, such as 'x -y -z'")
+        out = np.zeros((3, 3))
+        for row, match in enumerate(found):
+            assert match is not None
+            out[row, "xyz".index(match[2])] = -1.0 if match[1] == "-" else 1.0
+        return UNITS[self.unit] * out
+
+
+def read_points(path: str | Path, form: CloudFormat | None = None) -> np.ndarray:
+    """Points (N, 3) mm, float32 or float64, in the plan's scanner frame. Raises ConfigError naming the file: absent, half written, not
+    what its name says, or without points."""
+    path, form = Path(path), form or CloudFormat()
+    to_mm = form.matrix()
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ConfigError(f"{path}: is no cloud that can be read ({', '.join(SUFFIXES)}); save it in one of these formats")
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the file of a cloud") from error
+    if not 0 < size <= MAX_BYTES:
+        raise ConfigError(f"{path}: {'is empty' if size == 0 else f'{size / 2**30:.1f} GiB are too much for one cloud'}; save it anew")
+    points = _read(path, suffix, form)
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        raise ConfigError(f"{path}: holds no points; save the cloud anew")
+    return points if np.array_equal(to_mm, np.eye(3)) else points @ to_mm.T.astype(points.dtype)
+
+
+def says_simulated(path: Path) -> bool:
+    """Whether a cloud that this program wrote says that no real scanner made it."""
+    try:
+        with path.open("rb") as file:
+            return b"comment simulated: true" in file.read(2048)
+    except OSError:
+        return False
+
+
+def _read(path: Path, suffix: str, form: CloudFormat) -> np.ndarray:
+    try:
+        if suffix in TEXTS:
+            return _text(path)
+        if suffix == ".stl":
+            return _stl(path)
+        if suffix in (".tif", ".tiff"):
+            return _range_map(path, form)
+        if suffix == ".pcd":
+            _check_pcd(path)
+        return read_cloud(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}; save the cloud anew") from error
+
+
+def _text(path: Path) -> np.ndarray:
+    """The first three columns of numbers; a header, comments and a line with the number of points are passed over."""
+    raw = path.read_bytes()
+    text = raw.decode("utf-16") if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else raw.decode("latin-1")
+    lines = text.splitlines()
+    start = next((k for k, line in enumerate(lines[:100]) if _numbers(line) is not None), None)
+    if start is None:
+        raise ConfigError(f"{path}: none of its first lines has three numbers; save the cloud as x, y, z a line")
+    if ";" in lines[start] or re.search(r"\d,\d+\s+[-+\d]", lines[start]):
+        decimal_comma = bool(re.search(r"\d,\d", lines[start]))
+    else:
+        decimal_comma = False
+    body = "\n".join(line for line in lines[start:] if line.strip() and line.lstrip()[0] not in "#/;")
+    body = body.replace(",", ".") if decimal_comma else body.replace(",", " ")
+    body = body.replace(";", " ").replace("\t", " ")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return np.loadtxt(io.StringIO(body), usecols=(0, 1, 2), ndmin=2)
+    except (ValueError, IndexError):
+        raise _bad_line(path, lines, start) from None
+
+
+def _bad_line(path: Path, lines: list[str], start: int) -> ConfigError:
+    for number, line in enumerate(lines[start:], start + 1):
+        if line.strip() and line.lstrip()[0] not in "#/;" and _numbers(line) is None:
+            last = number == len(lines)
+            what = "the file is cut off in its last line; save the cloud anew" if last else f"'{line.strip()[:40]}' is no x, y, z"
+            return ConfigError(f"{path}:{number}: {what}")
+    return ConfigError(f"{path}: its lines have no three numbers each; save the cloud as x, y, z a line")
+
+
+def _numbers(line: str) -> tuple[float, ...] | None:
+    """The first three numbers of a line, or None."""
+    point = line.replace(";", " ").replace("\t", " ")
+    for text in (point.replace(",", " "), point.replace(",", ".")):
+        words = text.split()[:3]
+        try:
+            values = tuple(float(word) for word in words)
+        except ValueError:
+            continue
+        if len(values) == 3:
+            return values
+    return None
+
+
+def _stl(path: Path) -> np.ndarray:
+    """Corners of the triangles of a mesh, each once."""
+    data = path.read_bytes()
+    count = int.from_bytes(data[80:84], "little") if len(data) >= _STL_HEAD else 0
+    if data[:5].lower() == b"solid" and len(data) != _STL_HEAD + _STL_FACET * count:
+        if b"endsolid" not in data[-200:].lower():
+            raise ConfigError(f"{path}: is cut off (no 'endsolid' at its end); save the mesh anew")
+        found = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
+        try:
+            corners = np.array(found, dtype=float).reshape(-1, 3)
+        except ValueError:
+            raise ConfigError(f"{path}: a corner of its triangles has no three numbers; save the mesh anew") from None
+    elif len(data) < _STL_HEAD + _STL_FACET * count or not count:
+        raise ConfigError(f"{path}: is cut off: its head announces {count} triangles; save the mesh anew")
+    else:
+        facets = np.frombuffer(data, dtype=np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")]), count=count, offset=_STL_HEAD)
+        corners = facets["v"].reshape(-1, 3)
+    return np.unique(corners, axis=0)
+
+
+def _check_pcd(path: Path) -> None:
+    """Raises ConfigError for a file that is shorter than its head announces: the library reads what is there without a word."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    points = re.search(rb"(?m)^POINTS (\d{1,12})\r?$", head)
+    data = re.search(rb"(?m)^DATA (ascii|binary|binary_compressed)\r?\n", head)
+    if points is None or data is None:
+        raise ConfigError(f"{path}: is no PCD file (POINTS and DATA are missing in its head); save the cloud anew")
+    sizes = re.search(rb"(?m)^SIZE ([\d ]+)\r?$", head)
+    each = 2 if data[1] == b"ascii" else sum(map(int, sizes[1].split())) if sizes and data[1] == b"binary" else 0
+    if path.stat().st_size < data.end() + each * int(points[1]):
+        raise ConfigError(f"{path}: is cut off: its head announces {int(points[1])} points; save the cloud anew")
+
+
+def _range_map(path: Path, form: CloudFormat) -> np.ndarray:
+    try:
+        import tifffile
+    except ImportError as error:
+        raise ConfigError(f"{path}: range maps need tifffile; install it with: pip install 'mbcacq[tiff]'") from error
+    if form.range_map is None:
+        raise ConfigError(f"{path}: a range map says no millimetres; give its scale (mm a column, mm a row, mm a count, mm at count 0)")
+    try:
+        counts = np.squeeze(tifffile.imread(path))
+    except Exception as error:  # the library raises what it meets in a broken file
+        raise ConfigError(f"{path}: is no whole TIFF file ({type(error).__name__}); save the range map anew") from error
+    if counts.ndim != 2 or counts.size > MOST_POINTS:
+        raise ConfigError(f"{path}: has the shape {counts.shape}, and a range map has rows and columns; save one channel")
+    dx, dy, dz, z0 = form.range_map
+    rows, columns = np.nonzero(np.isfinite(counts) & (counts != 0))
+    middle = (np.array(counts.shape) - 1) / 2
+    z = z0 + dz * counts[rows, columns].astype(float)
+    return np.stack([dx * (columns - middle[1]), dy * (rows - middle[0]), z], axis=1)

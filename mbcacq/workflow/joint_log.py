@@ -1,0 +1,127 @@
+"""Joint angles as a controller logged them at the poses of a plan: a CSV table, or the data list of a KRL program."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan.controller_joints import from_controller
+from mbcacq.recording.datasets.csvfile import CsvTable, read_table
+
+NEAR = float(np.radians(3.0))  # of a planned pose: a program goes there exactly
+NAMES = ("q{}_deg", "A{}", "J{}", "a{}", "j{}", "q{}", "joint{}", "Joint{}", "joint_{}")
+_AT = re.compile(r"mb_at\[(\d+)\]\s*=\s*\{([^{}]*)\}", re.IGNORECASE)
+_TEXT_MESSAGE = re.compile(r"mbcacq joints\s*\[([^\]]*)\]")
+
+
+@dataclass(frozen=True)
+class JointLog:
+    """q: number of a pose -> (n,) rad as logged. notes: a sentence for each row that is not used, or says something odd."""
+
+    q: dict[int, np.ndarray]
+    notes: list[str] = field(default_factory=list)
+
+
+def read_joint_log(path: Path, loaded: LoadedPlan, poses: list[PlannedPose]) -> JointLog:
+    """The log of the poses that a program went through, ``poses`` being in its order.
+
+    Raises ConfigError naming file and line; also where it is in radians, or of another plan.
+    """
+    if path.suffix.lower() == ".dat":
+        rows, number = _krl(path, loaded.cell.robot.n)
+    elif path.suffix.lower() in (".log", ".txt") and _TEXT_MESSAGE.search(_text(path)):
+        rows, number = _messages(path, loaded.cell.robot.n)
+    else:
+        rows, number = _table(path, loaded.cell.robot.n)
+    q = from_controller(loaded, rows)
+    _refuse_radians(path, loaded, q, rows, poses)
+    return _paired(path, q, number, poses)
+
+
+def _table(path: Path, n: int) -> tuple[np.ndarray, list[int] | None]:
+    table: CsvTable = read_table(path)
+    for pattern in NAMES:
+        columns = [pattern.format(k) for k in range(1, n + 1)]
+        if table.has(columns):
+            rows = table.group(columns)
+            return rows, [int(v) for v in table.integer("pose")] if "pose" in table.columns else None
+    radians = [f"q{k}_rad" for k in range(1, n + 1)]
+    if table.has(radians):
+        return np.degrees(table.group(radians)), [int(v) for v in table.integer("pose")] if "pose" in table.columns else None
+    raise ConfigError(f"{path}:1: has no columns q1_deg..q{n}_deg (or A1..A{n}, J1..J{n}, q1_rad..q{n}_rad); name the columns so")
+
+
+def _krl(path: Path, n: int) -> tuple[np.ndarray, None]:
+    rows: list[list[float]] = []
+    for match in _AT.finditer(_text(path)):
+        values = [re.search(rf"\bA{k}\s+([-+\d.eE]+)", match[2], re.IGNORECASE) for k in range(1, n + 1)]
+        if not all(values):
+            raise ConfigError(f"{path}: mb_at[{match[1]}] has not the angles of {n} axes; copy the file from the controller anew")
+        rows.append([float(v[1]) for v in values if v is not None])
+    if not rows:
+        raise ConfigError(f"{path}: holds no angles mb_at[..]; give the data list of the program, copied back from the controller")
+    return np.array(rows), None
+
+
+def _messages(path: Path, n: int) -> tuple[np.ndarray, None]:
+    rows = [[float(v) for v in match[1].split(",")] for match in _TEXT_MESSAGE.finditer(_text(path))]
+    if any(len(row) != n for row in rows):
+        raise ConfigError(f"{path}: a message 'mbcacq joints' has not {n} angles; save the log anew")
+    return np.degrees(np.array(rows)), None
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_bytes()[: 64 << 20].decode("latin-1")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the log of the joint angles") from error
+
+
+def _away(q: np.ndarray, poses: list[PlannedPose]) -> np.ndarray:
+    """(R, P) rad: largest difference of a joint between each row and each pose."""
+    planned = np.array([pose.q for pose in poses])
+    return np.max(np.abs(q[:, None] - planned[None]), axis=2)
+
+
+def _refuse_radians(path: Path, loaded: LoadedPlan, q: np.ndarray, rows: np.ndarray, poses: list[PlannedPose]) -> None:
+    in_radians = from_controller(loaded, np.degrees(rows))
+    if np.median(_away(q, poses).min(axis=1)) > NEAR and np.median(_away(in_radians, poses).min(axis=1)) < NEAR:
+        raise ConfigError(f"{path}: its angles are in rad, not in deg; name the columns q1_rad.. or convert them")
+
+
+def _paired(path: Path, q: np.ndarray, number: list[int] | None, poses: list[PlannedPose]) -> JointLog:
+    away, notes, found = _away(q, poses), list[str](), dict[int, np.ndarray]()
+    reached = np.any(q != 0, axis=1) & (away.min(axis=1) < NEAR)
+    if np.sum(reached) < 0.5 * np.sum(np.any(q != 0, axis=1)):
+        raise ConfigError(
+            f"{path}: {int(np.sum(~reached))} of {len(q)} rows are at no pose of this plan; is it the log of another plan, or does the "
+            "controller count its joints otherwise (robot: controller_joints)?"
+        )
+    index = {pose.number: k for k, pose in enumerate(poses)}
+    position = 0
+    for row in range(len(q)):
+        if not np.any(q[row]):
+            continue  # the data list of a program that was stopped half-way
+        if number is not None:
+            k = index.get(number[row])
+            if k is None:
+                notes.append(f"{path.name}: row {row + 1} is of pose {number[row]}, which the plan does not have here; left out")
+                continue
+        else:
+            near = np.flatnonzero(away[row] < NEAR)
+            if not len(near):
+                notes.append(f"{path.name}: row {row + 1} is at no pose of the plan; left out")
+                continue
+            later = near[near >= position]
+            k = int((later if len(later) else near)[0])
+            position = k + 1
+        if away[row, k] > NEAR:
+            degrees = np.degrees(away[row, k])
+            notes.append(f"{path.name}: at pose {poses[k].number} the arm stood {degrees:.2f} deg from where the plan has it")
+        found[poses[k].number] = q[row]
+    return JointLog(found, notes)

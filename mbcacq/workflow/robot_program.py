@@ -1,0 +1,62 @@
+"""A robot program of a plan's poses, for an arm that is not driven from here."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.plan import LoadedPlan, expand, refuse_errors
+from mbcacq.plan.programs import Trigger, motion_program, written
+from mbcacq.workflow.acquire import plan_acquisition
+from mbcacq.workflow.load import as_plan
+
+LONGEST_NAME = 12  # of a KAREL program, the shortest limit of all
+DIGITS = 12
+
+
+def plan_digest(loaded: LoadedPlan) -> str:
+    """Short name of what a plan and the files that it names say, comments included."""
+    whole = hashlib.sha256(loaded.text.encode())
+    for name, text in sorted(loaded.files.items()):
+        whole.update(name.encode() + b"\0" + text.encode())
+    return whole.hexdigest()[:DIGITS]
+
+
+def robot_program(
+    plan: LoadedPlan | Path | str,
+    dialect: str,
+    *,
+    name: str = "mbcacq_poses",
+    trigger: Trigger | None = None,
+    done: frozenset[int] = frozenset(),
+) -> dict[str, str]:
+    """The files of a program in the language of a controller (``mbcacq.plan.programs.DIALECTS``): name -> text.
+
+    It goes through the poses that are not ``done`` by the routes that a run would take, each checked as before a run, and waits at each
+    for its exposures. Raises ConfigError and SafetyStop as ``run`` does.
+    """
+    if not (name.isascii() and name.isidentifier() and len(name) <= LONGEST_NAME):
+        raise ConfigError(f"'{name}' is no name of a robot program; give up to {LONGEST_NAME} letters, digits and underscores")
+    loaded = as_plan(plan)
+    poses = expand(loaded)
+    refuse_errors(loaded, poses)
+    if done and all(pose.number in done for pose in poses):
+        raise ConfigError(f"all {len(poses)} poses are measured already; there is nothing left for a program to do")
+    checked = plan_acquisition(loaded, poses, done, 0, "")
+    program = motion_program(loaded, poses, checked.paths, checked.path_home, plan_digest(loaded), name=name, trigger=trigger, done=done)
+    return written(loaded, program, dialect)
+
+
+def write_files(files: dict[str, str], out: Path, replace: bool) -> list[Path]:
+    """Write them into a folder. Raises ConfigError where one exists already (and not ``replace``), RecordingError."""
+    targets = {out / name: text for name, text in files.items()}
+    if not replace and (there := [path for path in targets if path.exists()]):
+        raise ConfigError(f"{there[0]} exists already; give another --out, or --replace")
+    for path, text in targets.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(text.encode("ascii", "replace"))
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be written: {error.strerror}; give another --out") from error
+    return list(targets)

@@ -1,0 +1,126 @@
+"""``driver: folder``: an old or half-written cloud is never taken, and what does not come is named."""
+
+import os
+import sys
+
+import numpy as np
+import pytest
+from mbcacq_fakes.protocols.folder import FakeScannerProgram
+from mbcacq_fakes.world.frame import ScannerFrame
+from mbcacq_folder.driver import FolderScanner
+
+from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, ProtocolError
+from mbcacq.recording.datasets.scan_folder import write_ply
+from mbcacq.spheres.cloud_files import read_points
+
+POINTS = np.arange(30, dtype=np.float32).reshape(2, 5, 3)
+
+
+@pytest.fixture
+def program(tmp_path):
+    number = iter(range(100))
+    with FakeScannerProgram(lambda exposure_us: ScannerFrame(POINTS + np.float32(100 * next(number))), tmp_path) as program:
+        yield program
+
+
+def scanner(tmp_path, program=None, **more):
+    trigger = {"tcp": f"127.0.0.1:{program.port}", "reply": "OK"} if program else {"person": True}
+    given = {"folder": tmp_path, "pattern": "*.ply", "trigger": trigger, "quiet_s": 0.05, "timeout_s": 5.0, "read_cloud": read_points}
+    return FolderScanner("s", "", {**given, **more})
+
+
+def test_each_trigger_gives_its_own_cloud(tmp_path, program):
+    write_ply(tmp_path / "zz-old.ply", np.full((4, 3), 7, np.float32))
+    with scanner(tmp_path, program) as device:
+        first, second = device.capture(), device.capture()
+    assert first.points == pytest.approx(POINTS.reshape(-1, 3))
+    assert second.points == pytest.approx(POINTS.reshape(-1, 3) + 100)
+    assert (first.frame, second.frame, first.warnings) == (1, 2, ())
+
+
+def test_a_cloud_is_taken_once_it_is_written_whole(tmp_path, program):
+    program.set("slowly", 0.4)
+    with scanner(tmp_path, program, quiet_s=0.0) as device:
+        assert len(device.capture().points) == 10
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "sentence"),
+    [
+        ("silent", DeviceTimeout, "did not acknowledge the trigger in time"),
+        ("refused", ProtocolError, "answered 'BUSY' to the trigger"),
+        ("no_cloud", DeviceTimeout, r"no new cloud \(\*.ply\) in .* 0.5 s after the trigger"),
+        ("another_name", DeviceTimeout, "so named"),
+        ("half", DeviceFault, "cloud_0001.ply: is (cut off|no PLY file)"),
+        ("empty", DeviceTimeout, "cloud_0001.ply is still being written"),
+    ],
+)
+def test_what_does_not_come_is_named(tmp_path, program, fault, error, sentence):
+    write_ply(tmp_path / "old.ply", np.ones((4, 3), np.float32))
+    program.set(fault)
+    with scanner(tmp_path, program, timeout_s=0.5) as device, pytest.raises(error, match=sentence):
+        device.capture()
+
+
+def test_two_clouds_for_one_trigger_are_said(tmp_path, program):
+    program.set("twice")
+    with scanner(tmp_path, program, quiet_s=0.3) as device:
+        found = device.capture()
+    assert "2 new clouds stand in the folder after one trigger (cloud_0002.ply); cloud_0001.ply was taken" in found.warnings[0]
+
+
+def test_a_cloud_written_over_the_old_one_is_new(tmp_path):
+    """Some programs always save under the same name."""
+    path = tmp_path / "scan.ply"
+    write_ply(path, np.ones((4, 3), np.float32))
+    os.utime(path, (1.0, 1.0))
+    code = f"import shutil; shutil.copy({str(tmp_path / 'next.bin')!r}, {str(path)!r})"
+    write_ply(tmp_path / "next.bin", np.full((4, 3), 2, np.float32))
+    with scanner(tmp_path, trigger={"command": [sys.executable, "-c", code]}) as device:
+        assert device.capture().points == pytest.approx(np.full((4, 3), 2))
+
+
+def test_a_command_that_fails_says_what_it_said(tmp_path):
+    code = "import sys; sys.exit('the projector is off')"
+    with scanner(tmp_path, trigger={"command": [sys.executable, "-c", code]}) as device:
+        with pytest.raises(DeviceFault, match=r"ended with 1 \(the projector is off\)"):
+            device.capture()
+    with scanner(tmp_path, trigger={"command": ["/no/such/program"]}) as device, pytest.raises(ConnectError, match="cannot be started"):
+        device.capture()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"trigger": {}}, "give one of person, command, tcp and serial, not none"),
+        ({"trigger": {"tcp": "a:1", "person": True}}, "not person and tcp"),
+        ({"trigger": {"tcp": "nowhere"}}, "trigger.tcp"),
+        ({"trigger": {"tcp": "a:1", "reply": "("}}, "trigger.reply is no pattern"),
+        ({"timeout_s": 0}, "timeout_s"),
+    ],
+)
+def test_options_that_cannot_be_are_named(tmp_path, options, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        scanner(tmp_path, **options)
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ConnectError, match="there is no folder"):
+        scanner(tmp_path / "clouds").connect()
+
+
+def test_a_dry_run_takes_its_clouds_from_files(tmp_path):
+    import yaml
+
+    import mbcacq
+    from mbcacq.model import shipped
+
+    folder = shipped.folder()
+    plan = yaml.safe_load((folder / "folder.yaml").read_text(encoding="utf-8"))
+    plan["robot"]["model"] = str(folder / plan["robot"]["model"])
+    plan["artefacts"] = [str(folder / name) for name in plan["artefacts"]]
+    plan["steps"] = plan["steps"][-1:]
+    path = tmp_path / "plan.yaml"
+    path.write_text(yaml.safe_dump(plan))
+    done = mbcacq.run(path, dry_run=True, out=tmp_path / "run")
+    assert mbcacq.load_observations(done.folder).n_poses == 4

@@ -1,0 +1,173 @@
+"""UR arms over RTDE: literal bytes of the guide, what stops an arm is named, and a client by others accepts the fake controller."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import yaml
+from mbcacq_fakes.protocols.rtde import FakeUrController
+from mbcacq_ur import wire
+from mbcacq_ur.driver import UrRtdeRobot
+
+from mbcacq.devices import ConfigError, ConnectError, DeviceFault, MotionLimits, ProtocolError, SafetyStop
+from mbcacq.model import shipped
+
+HOME_DEG = np.array([0.0, -90, 90, -90, -90, 0])
+LIMITS = MotionLimits(*(np.radians(np.full(6, v)) for v in (60.0, 200.0, 2000.0)), settle_s=0.05)
+
+
+@pytest.fixture
+def controller():
+    with FakeUrController(start_deg=HOME_DEG) as fake:
+        yield fake
+
+
+def arm(controller, **more):
+    given = {"address": "127.0.0.1", "port": controller.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 3.0, "connect_timeout_s": 0.4}
+    return UrRtdeRobot("arm", "UR10e", {**given, **more})
+
+
+def watch(robot):
+    """Ask for its state until that raises."""
+    while True:
+        robot.state()
+        time.sleep(0.002)
+
+
+def test_packages_are_the_guide_s_bytes():
+    assert wire.packed(wire.VERSION, b"\x00\x02") == bytes.fromhex("00 05 56 00 02")
+    assert wire.packed(wire.START) == bytes.fromhex("00 03 53")
+    layout = wire.DataLayout(("timestamp", "runtime_state"), b"\x01DOUBLE,UINT32")
+    package = bytes.fromhex("00 10 55 01 40 5e dd 2f 1a 9f be 77 00 00 00 02")
+    assert layout.write({"timestamp": 123.456, "runtime_state": 2}) == package
+    assert layout.read(package[3:]) == {"timestamp": 123.456, "runtime_state": 2}
+    buffer = bytearray(bytes.fromhex("00 04 53 01 00 05 56 00"))
+    assert list(wire.split(buffer)) == [(83, b"\x01")]
+    buffer += b"\x02"
+    assert list(wire.split(buffer)) == [(86, b"\x00\x02")]
+    with pytest.raises(wire.BadPackage, match="a package of 1 bytes"):
+        list(wire.split(bytearray(b"\x00\x01\x53")))
+
+
+@pytest.mark.parametrize(
+    ("state", "sentence"),
+    [
+        ({"safety_bits": 1 << 2}, "is protective stopped; look for what it touched"),
+        ({"safety_bits": 1 << 6 | 1 << 7}, "is emergency stopped at the robot"),
+        ({"safety_bits": 1 << 4}, "is safeguard stopped; close the safeguard"),
+        ({"robot_mode": 5}, r"is not running \(idle, brakes closed\)"),
+        ({"robot_mode": 3}, r"is not running \(powered off\)"),
+        ({"runtime_state": 1}, "runs no program; load mbcacq_ur.script"),
+        ({"program": 7}, "runs another program than this driver's"),
+        ({"speed_fraction": 0.0}, "has its speed slider at 0 %"),
+    ],
+)
+def test_a_controller_that_is_not_ready_says_why(controller, state, sentence):
+    controller.inject(**state)
+    with pytest.raises(ConnectError, match=sentence):
+        arm(controller).connect()
+
+
+@pytest.mark.parametrize(
+    ("state", "error", "sentence"),
+    [
+        ({"safety_bits": 1 << 2}, SafetyStop, "is protective stopped"),
+        ({"safety_bits": 1 << 7}, SafetyStop, "is emergency stopped"),
+        ({"runtime_state": 1}, DeviceFault, "its program was stopped"),
+    ],
+)
+def test_what_stops_it_on_the_way_is_named_and_the_arm_stands(controller, state, error, sentence):
+    with arm(controller) as robot:
+        robot.move_to(np.radians(HOME_DEG + 90), LIMITS)
+        while not controller.arm.moving:
+            time.sleep(0.002)
+        controller.inject(**state)
+        with pytest.raises(error, match=sentence):
+            watch(robot)
+        robot.stop()
+    assert not controller.arm.moving
+
+
+def test_speed_slider_payload_and_safety_are_in_its_description(controller):
+    controller.inject(speed_fraction=0.5, safety_bits=3)
+    with arm(controller, payload_kg=2.3) as robot:
+        about = robot.describe()
+    assert about.settings == {"speed slider": "50 %", "payload": "2.3 kg", "safety": "reduced"}
+    assert about.firmware == "5.15.0.0"
+    with pytest.raises(ConfigError, match=r"its payload is set to 2.30 kg, the plan says 4.00 kg"):
+        arm(controller, payload_kg=4.0).connect()
+
+
+def test_a_controller_without_a_variable_names_it(controller):
+    controller.inject(not_found={"payload"})
+    with pytest.raises(ProtocolError, match="payload is NOT_FOUND"):
+        arm(controller).connect()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [({"limits_deg": [[-1, 1]] * 5}, "limits_deg"), ({"limits_deg": [[1, -1]] * 6}, "lower limit"), ({"address": ""}, "address")],
+)
+def test_options_that_cannot_be_are_named(controller, options, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        arm(controller, **options)
+
+
+def test_a_target_beyond_the_limits_moves_nothing(controller):
+    with arm(controller, limits_deg=[[-100, 100]] * 6) as robot:
+        with pytest.raises(SafetyStop, match=r"A2 would go to -101.000 deg, beyond its limits -100..100 deg; it stays"):
+            robot.move_to(np.radians([0, -101, 90, -90, -90, 0]), LIMITS)
+        assert np.degrees(robot.state().q) == pytest.approx(HOME_DEG)
+
+
+CLIENT = """
+import rtde_receive
+client = rtde_receive.RTDEReceiveInterface("127.0.0.77")
+print(*client.getActualQ(), client.getRobotMode(), int(client.isProtectiveStopped()))
+client.disconnect()
+"""
+
+
+@pytest.mark.parametrize(("bits", "stopped"), [(1, 0), (4, 1)])
+def test_a_client_by_others_accepts_the_fake(bits, stopped):
+    """ur_rtde knows one port only, so the fake stands at a loopback address of its own; it waits without letting go of its interpreter."""
+    if sys.platform != "linux":
+        pytest.skip("127.0.0.2 and above are loopback on Linux only")
+    pytest.importorskip("rtde_receive")
+    with FakeUrController(start_deg=HOME_DEG, host="127.0.0.77", port=30004, safety_bits=bits):
+        said = subprocess.run([sys.executable, "-c", CLIENT], capture_output=True, text=True, timeout=60)
+    assert said.returncode == 0, said.stderr
+    *q, mode, protective = map(float, said.stdout.split())
+    assert np.degrees(q) == pytest.approx(HOME_DEG)
+    assert (mode, protective) == (7, stopped)
+
+
+def test_the_controller_s_program_carries_version_and_payload():
+    facts = {"plan": "a plan", "load_kg": 2.3, "load_centre_mm": (0.0, 0.0, 32.0)}
+    files = UrRtdeRobot.controller_files("ur_rtde", "UR10e", {}, facts)
+    script = files["mbcacq_ur.script"]
+    assert "write_output_integer_register(2, 20261)" in script
+    assert "set_payload(2.300, [0.0000, 0.0000, 0.0320])" in script
+    assert "@" not in script
+
+
+def test_a_dry_run_drives_it_over_rtde(tmp_path):
+    import mbcacq
+
+    folder = shipped.folder()
+    plan = yaml.safe_load((folder / "quick.yaml").read_text(encoding="utf-8"))
+    plan["robot"] = {
+        "driver": "ur_rtde",
+        "model": str(folder / "robots" / "ur10.yaml"),
+        "options": {"address": "192.168.0.10", "payload_kg": 1.5},
+    }
+    plan["robot"]["home_deg"] = [0, -90, -90, -90, 90, 0]
+    plan["artefacts"] = [str(folder / a) for a in plan["artefacts"]]
+    plan["stations"][0]["pose_in_base"] = {"translation_mm": [-800, -150, 200]}
+    plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:3]}]
+    path = tmp_path / "plan.yaml"
+    path.write_text(yaml.safe_dump(plan))
+    done = mbcacq.run(path, dry_run=True, out=tmp_path / "run")
+    assert mbcacq.load_observations(done.folder).n_poses == 3
