@@ -109,14 +109,7 @@ def correct(
         there = frames(arm, start)[:, -1, :3, 3]
         before[programmed] = np.linalg.norm(there - goals[:, :3, 3], axis=1)[programmed]
     change = np.where(programmed, np.abs(found.q - start).max(axis=1), np.nan)
-<<<<<<< HEAD
-    write_file(output, written(program, targets, found.q, found.error_mm, found.reached, found.reasons).encode("latin-1"))
-    return Correction(output, targets.names, targets.lines, before, change, found, targets.left_alone)
-=======
-    try:
-        output.write_bytes(points.written(found))
-    except OSError as error:
-        raise RecordingError(f"{output}: cannot be written: {error.strerror}; free space or give another --out") from error
+    write_file(output, points.written(found))
     return Correction(output, points.names, points.lines, before, change, found, points.left_alone, points.notes)
 
 
@@ -158,7 +151,6 @@ def _points(path: Path, n: int) -> _Points:
         return table.written(found.q, found.error_mm, found.reached, found.reasons)
 
     return _Points(table.q, table.goals, tuple(f"line {line}" for line in table.lines), table.lines, (), table.notes, rows)
->>>>>>> files-green
 
 
 def _from_anywhere(arm: CalibratedCell, goals: np.ndarray, bounds: np.ndarray | None) -> JointTargets:

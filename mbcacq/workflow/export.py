@@ -61,20 +61,11 @@ def export_artefact(certificate: Path | str, artefact_id: str, out: Path | str |
 
     output = Path(out) if out is not None else Path(f"{artefact_id}.yaml")
     refuse_existing(output, force, f"{output} exists; give another --output, or --force to replace it")
-<<<<<<< HEAD
-    found = read_certificate(Path(certificate), artefact_id)
-    write_file(output, artefact_yaml(found))
-    return {"file": str(output), "balls": len(found.ball_ids), "uncertainty_mm": found.uncertainty_mm}
-=======
     certified = read_certificate_file(Path(certificate), artefact_id)
     found = certified.artefact
     notes = {"notes": list(certified.notes)} if certified.notes else {}
-    try:
-        output.write_text(artefact_yaml(found), encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{output}: cannot be written: {error.strerror}; give another --output") from error
+    write_file(output, artefact_yaml(found))
     return {"file": str(output), "balls": len(found.ball_ids), "uncertainty_mm": found.uncertainty_mm} | notes
->>>>>>> files-green
 
 
 def _results(source: Source, folder: Path, targets: Targets, force: bool, simulated_anyway: bool) -> Iterator[dict[str, Any]]:
