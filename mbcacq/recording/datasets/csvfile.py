@@ -12,7 +12,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,8 +42,21 @@ class CsvTable:
     def __len__(self) -> int:
         return len(self.line)
 
+    def renamed(self, columns: Mapping[str, str]) -> CsvTable:
+        """The table with columns called by names of this program, given those of the file. Raises ConfigError for one that is not there."""
+        known = {old: new for new, old in columns.items() if old in self.columns}
+        for old, new in known.items():
+            if new in self.columns and new != old and new not in known:
+                raise ConfigError(f"{self.path}:1: there is a column {new} already, and columns: gives {old} that name; remove one")
+        return replace(self, columns={known.get(name, name): cells for name, cells in self.columns.items()})
+
     def has(self, names: Sequence[str]) -> bool:
         return all(name in self.columns for name in names)
+
+    def rows(self, keep: np.ndarray) -> CsvTable:
+        """The rows where ``keep`` (rows,) bool holds."""
+        at = np.flatnonzero(keep).tolist()
+        return CsvTable(self.path, {n: tuple(cells[i] for i in at) for n, cells in self.columns.items()}, [self.line[i] for i in at])
 
     def where(self, row: int, column: str) -> str:
         return f"{self.path}:{self.line[row]}: column {column}"

@@ -13,14 +13,19 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import Cell
+from mbcacq.recording.datasets import covariances
+from mbcacq.recording.datasets.columns import by_flange_poses, target_columns
 from mbcacq.recording.datasets.csvfile import QUATERNION, XYZ, CsvTable
+from mbcacq.recording.datasets.pose_columns import PoseHeadings
 
 
 def wide_centres(table: CsvTable, cell: Cell) -> dict[str, Any] | None:
     """Centre columns of ``Observations`` from the rows of poses.csv, which gets the columns pose and station where it lacks them; None
     where it holds no measured points. Raises ConfigError."""
     several = [ball for ball in cell.ball_ids if table.has(_names(ball))]
-    if not table.has(XYZ) and not several:
+    if not several and by_flange_poses(table, cell) and (target := target_columns(table)) is not None:
+        return _of_target(table, cell, target)
+    if not several and (by_flange_poses(table, cell) or not table.has(XYZ)):
         return None
     _complete(table, cell)
     if several:
@@ -33,6 +38,22 @@ def wide_centres(table: CsvTable, cell: Cell) -> dict[str, Any] | None:
         out["rotation"] = table.rotations()
         extra = {f"centres.{name}": np.array(table.columns[name], dtype=np.str_) for name in QUATERNION}
     return out | {"extra": extra}
+
+
+def _of_target(table: CsvTable, cell: Cell, target: PoseHeadings) -> dict[str, Any]:
+    """A target whose pose, or place, stands beside the pose of the flange; a row that does not show it leaves its cells empty."""
+    _complete(table, cell)
+    seen = np.array([any(table.columns[name][row].strip() for name in target.names) for row in range(len(table))], dtype=bool)
+    part = table.rows(seen)
+    T = target.transforms(part)
+    table.taken |= set(target.names)
+    out: dict[str, Any] = {"pose": np.flatnonzero(seen), "ball": _balls(part, cell), "xyz": T[:, :3, 3]}
+    if target.rotation:
+        out["rotation"] = T[:, :3, :3]
+    if (covariance := covariances.read(part, 6 if target.rotation else 3)) is not None:
+        out["covariance"] = covariance
+    table.taken |= part.taken
+    return out
 
 
 def _names(ball: int) -> tuple[str, str, str]:
@@ -67,11 +88,7 @@ def _several(table: CsvTable, cell: Cell, balls: list[int]) -> dict[str, Any]:
     for number in balls:
         names = _names(number)
         seen = np.array([any(cells[row].strip() for cells in (table.columns[n] for n in names)) for row in range(len(table))])
-        part = CsvTable(
-            table.path,
-            {n: tuple(c for c, s in zip(table.columns[n], seen, strict=True) if s) for n in names},
-            [line for line, s in zip(table.line, seen, strict=True) if s],
-        )
+        part = table.rows(seen)
         table.taken |= set(names)
         pose.append(np.flatnonzero(seen))
         ball.append(np.full(int(seen.sum()), cell.ball_ids.index(number)))
