@@ -195,8 +195,8 @@ def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
         console.print(line)
     if result.get("verification"):
         console.print(tables.verification(result["verification"]))
-        for line in tables.figures(result["verification"]):
-            console.print(line)
+        for line in [*tables.figures(result["verification"]), *tables.judgement(result)]:
+            console.print(line, markup=False)
     if result.get("held_out"):
         console.print(tables.held_out(result["held_out"]))
     for gap in result.get("gaps") or ():

@@ -159,10 +159,14 @@ def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path
 def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:
     """Calibrate with what was found, write the result, and say what came of it."""
     from mbcacq.report.sources.run_folder import WITH_EFFECTS
-    from mbcacq.workflow.calibrate_with_found import calibrate_with_found, limit_of
+    from mbcacq.workflow.calibrate import limit_of
+    from mbcacq.workflow.calibrate_with_found import calibrate_with_found
     from mbcacq.workflow.load import is_run_folder
+    from mbcacq.workflow.report import write_report
 
     run = data[0] if is_run_folder(data[0]) else None
     result = calibrate_with_found(found, options, limit_of(run) if run is not None else None)
     files = result.write((run or Path()) / WITH_EFFECTS)
+    if run is not None:
+        files.append(write_report(run))  # whose first page is about the best model that the run has
     return ["", result.text, *(str(file) for file in files)]

@@ -19,6 +19,22 @@ if TYPE_CHECKING:
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
+# How quantities are written where the terminal has no such character.
+LETTERS = {
+    "µ": "u",
+    "±": "+-",
+    "°": " deg",
+    "·": "*",
+    "×": "x",
+    "–": "-",
+    "χ": "chi",
+    "²": "2",
+    "θ": "theta",
+    "α": "alpha",
+    "β": "beta",
+} | {sign: f"{'^' if sign == '⁻' else ''}{plain}" for sign, plain in zip("⁻⁰¹³⁴⁵⁶⁷⁸⁹", "-013456789", strict=True)}
+
+
 def printable(text: str) -> str:
     """The text with each unsafe character as its escape (``\\x1b``); what is printable already stays as it is."""
     return _UNSAFE.sub(lambda found: ascii(found.group())[1:-1], text)
@@ -49,6 +65,19 @@ def console(**options: Any) -> Console:
 
 
 def _encodable(text: str, stream: IO[str]) -> str:
-    """What the stream's encoding lacks as escapes."""
+    """A minus as the hyphen that other programs read; symbols that the stream's encoding lacks in letters, anything else as escapes."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
-    return text.encode(encoding, "backslashreplace").decode(encoding)
+    text = text.replace("−", "-")
+    try:
+        return text.encode(encoding).decode(encoding)
+    except UnicodeEncodeError:
+        plain = "".join(c if _has(encoding, c) else LETTERS.get(c, c) for c in text)
+        return plain.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def _has(encoding: str, character: str) -> bool:
+    try:
+        character.encode(encoding)
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -40,6 +40,7 @@ def load(path: str | Path, text: str | None = None) -> LoadedPlan:
         stations=tuple(cell.Station(str(s.id), s.artefact, s.pose_in_base.transform(), s.pose_in_base.sigma_mm) for s in plan.stations),
         scanner_name=scanner.model or scanner.driver,
         noise_mm=None if scanner.noise_mm is None else np.array(scanner.noise_mm),
+        room_temperature_C=plan.room_temperature_C,
     )
     named = (plan.robot.model, *plan.artefacts)
     return LoadedPlan(file.path, plan, described, file.text, file.lines, {name: read(file.path.parent / name).text for name in named})

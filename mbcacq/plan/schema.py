@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, Vector
+from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Vector
 
 
 class RobotUse(Strict):
@@ -144,6 +144,7 @@ class Plan(Strict):
     sensors: tuple[SensorUse, ...] = ()
     hand_eye: PoseSpec
     artefacts: tuple[str, ...] = Field(min_length=1)  # artefact YAML files, relative to the plan
+    room_temperature_C: TemperatureRange | None = None  # range that the room keeps: its share of a verified length's uncertainty
     stations: tuple[StationPlace, ...] = Field(min_length=1)
     exposures: int = Field(default=3, ge=1)
     station_tolerance_mm: float = Field(default=30.0, gt=0)  # an artefact seen farther from its planned place ends the run

@@ -12,6 +12,7 @@ from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.errors import CalibrationError
+from mbcacq.quantities import fixed
 from mbcacq.workflow.load import load_observations
 
 
@@ -32,11 +33,10 @@ class RunResult:
         return (self.content.get("verification") or {}).get("after", {}).get("max_mm")
 
     def refuse_beyond_limit(self) -> None:
-        """Raises CalibrationError where the largest sphere spacing error is above the plan's limit."""
-        worst = self.worst_mm
-        if self.limit_mm is not None and worst is not None and worst > self.limit_mm:
+        """Raises CalibrationError where a sphere spacing error is beyond the plan's limit by more than the uncertainty of judging it."""
+        if (self.content.get("verification") or {}).get("verdict") == "fail":
             raise CalibrationError(
-                f"the largest sphere spacing error is {worst:.3f} mm, above the plan's limit of {self.limit_mm:g} mm; "
+                f"the largest sphere spacing error is {fixed(self.worst_mm)} mm, beyond the plan's limit of {self.limit_mm:g} mm; "
                 f"see {self.content['files']['report']}"
             )
 

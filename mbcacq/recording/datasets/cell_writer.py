@@ -26,6 +26,8 @@ def cell_to_yaml(cell: Cell) -> str:
     if cell.noise_mm is not None:
         scanner["noise_mm"] = _list(cell.noise_mm)
     data["scanner"] = scanner
+    if cell.room_temperature_C is not None:
+        data["room_temperature_C"] = _FlowList(float(T) for T in cell.room_temperature_C)
     return _dump(data)
 
 
