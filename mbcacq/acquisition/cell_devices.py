@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -13,6 +13,7 @@ import numpy as np
 from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, create, load_driver
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.motion_limits import axis_limits
+from mbcacq.plan.schema import DeviceUse, ScannerUse
 
 Overrides = Mapping[str, Mapping[str, Any]]
 
@@ -74,21 +75,33 @@ class CellDevices:
 def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> CellDevices:
     """Construct the drivers a plan names; nothing is opened. ``overrides`` (by 'robot', 'scanner', 'positioner') win over the plan's
     options, and those under 'drivers' (by the same roles) over its drivers."""
+    made = {role: make() for role, make in device_makers(loaded, overrides).items()}
+    sensors = tuple(device for role, device in made.items() if role.startswith("sensor "))
+    refuse_equal_names(sensors)
+    return CellDevices(made["robot"], made["scanner"], made["positioner"], sensors)
+
+
+def device_makers(loaded: LoadedPlan, overrides: Overrides | None = None) -> dict[str, Callable[[], Any]]:
+    """By role ('robot', 'scanner', 'positioner', 'sensor 1'..), what constructs the driver: it raises ConfigError where there is no such
+    driver, or where that refuses its options. overrides: as of ``create_devices``."""
     overrides = overrides or {}
     plan, robot = loaded.plan, loaded.cell.robot
     arm_driver = str(overrides.get("drivers", {}).get("robot", plan.robot.driver))
 
-    def device(kind: str, role: str, driver: str, model: str, options: Mapping[str, Any]) -> Any:
-        return create(kind, driver, model, {**options, **overrides.get(role, {})})
+    def device(kind: str, role: str, driver: str, model: str, options: Callable[[], Mapping[str, Any]]) -> Callable[[], Any]:
+        return lambda: create(kind, driver, model, {**options(), **overrides.get(role, {})})
 
-    devices = CellDevices(
-        robot=device("robots", "robot", arm_driver, robot.name, robot_options(loaded, arm_driver)),
-        scanner=device("scanners", "scanner", plan.scanner.driver, plan.scanner.model, plan.scanner.options),
-        positioner=device("positioners", "positioner", plan.positioner.driver, plan.positioner.model, plan.positioner.options),
-        sensors=tuple(device("sensors", f"sensor {i + 1}", s.driver, s.model, s.options) for i, s in enumerate(plan.sensors)),
-    )
-    _refuse_equal_names(devices.sensors)
-    return devices
+    def given(use: DeviceUse | ScannerUse) -> Callable[[], Mapping[str, Any]]:
+        return lambda: use.options
+
+    makers = {
+        "robot": device("robots", "robot", arm_driver, robot.name, lambda: robot_options(loaded, arm_driver)),
+        "scanner": device("scanners", "scanner", plan.scanner.driver, plan.scanner.model, given(plan.scanner)),
+        "positioner": device("positioners", "positioner", plan.positioner.driver, plan.positioner.model, given(plan.positioner)),
+    }
+    for number, sensor in enumerate(plan.sensors, 1):
+        makers[f"sensor {number}"] = device("sensors", f"sensor {number}", sensor.driver, sensor.model, given(sensor))
+    return makers
 
 
 def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, Any]:
@@ -114,7 +127,8 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
     return {**facts, **use.options}
 
 
-def _refuse_equal_names(sensors: Sequence[Sensor]) -> None:
+def refuse_equal_names(sensors: Sequence[Sensor]) -> None:
+    """Raises ConfigError where two sensors deliver a value of one name."""
     owner: dict[str, int] = {}
     for number, sensor in enumerate(sensors, 1):
         for field in sensor.describe().fields:

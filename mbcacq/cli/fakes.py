@@ -18,10 +18,12 @@ from mbcacq.cli.terminal import echo
 @click.option("--seed", default=0, show_default=True, help="Seed of everything the fake world draws.")
 def command(plan: Path, fast: bool, seed: int) -> None:
     """Start the fake cell of PLAN; run the plan from another terminal with `mbcacq run PLAN`. Ctrl-C ends it."""
+    from mbcacq.acquisition.device_check import refuse_impossible_devices
     from mbcacq.devices import load_driver
     from mbcacq.plan import expand, load
 
     loaded = load(plan)
+    refuse_impossible_devices(loaded)
     with StepProgress() as steps:
         steps.begin("looking for postures that reach every pose")
         poses = expand(loaded)

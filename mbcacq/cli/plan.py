@@ -119,6 +119,7 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
 
     Errors end with exit code 2.
     """
+    from mbcacq.acquisition.device_check import device_findings
     from mbcacq.design.plan_findings import identifiability_findings, reach_findings, sentences
     from mbcacq.plan import load
     from mbcacq.plan.expansion import expand_reachable
@@ -135,7 +136,7 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         poses, _ = expand_reachable(loaded)
         steps.begin("looking for free paths between them")
         routes = find_paths(loaded, poses)
-        findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
+        findings, content = [*device_findings(loaded), *check(loaded, poses, routes)], summary(loaded, poses, routes)
         steps.begin("computing what the poses determine")
         more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
         findings += more

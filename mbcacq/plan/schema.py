@@ -8,6 +8,9 @@ from pydantic import Field
 
 from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Vector
 
+MOST_EXPOSURES = 1000  # of one pose: at a second each, a quarter of an hour
+Noise = Annotated[float, Field(ge=0, le=10)]  # mm; what is worse tells no ball of an artefact from the next
+
 
 class RobotUse(Strict):
     """Which arm, how to reach it, and how fast it may move."""
@@ -43,7 +46,7 @@ class ScannerUse(Strict):
     options: dict[str, Any] = {}
     field_of_view: FieldOfView
     exposure_us: float | None = None
-    noise_mm: Vector | None = None  # of one fitted ball centre along x, y, z
+    noise_mm: tuple[Noise, Noise, Noise] | None = None  # of one fitted ball centre along x, y, z
     scan_time_s: float = Field(default=1.0, ge=0)  # of one exposure with its transfer, for the estimate of the duration
     reconnect_s: float = Field(default=90.0, ge=0)  # how long a scanner that went away (a reboot, a cable) is tried again
 
@@ -79,7 +82,7 @@ class View(Strict):
 class Step(Strict):
     name: str
     phase: Literal["translation", "orientation", "position", "length", "verification"]
-    exposures: int | None = Field(default=None, ge=1)
+    exposures: int | None = Field(default=None, ge=1, le=MOST_EXPOSURES)
 
 
 class Translate(Step):
@@ -146,7 +149,7 @@ class Plan(Strict):
     artefacts: tuple[str, ...] = Field(min_length=1)  # artefact YAML files, relative to the plan
     room_temperature_C: TemperatureRange | None = None  # range that the room keeps: its share of a verified length's uncertainty
     stations: tuple[StationPlace, ...] = Field(min_length=1)
-    exposures: int = Field(default=3, ge=1)
+    exposures: int = Field(default=3, ge=1, le=MOST_EXPOSURES)
     station_tolerance_mm: float = Field(default=30.0, gt=0)  # an artefact seen farther from its planned place ends the run
     obstacles: tuple[Obstacle, ...] = ()
     workspace: Workspace | None = None  # nothing of the arm that moves may leave it

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.acquisition.event_bus import Subscriber
 from mbcacq.design.planned_scope import scope_sentence
 from mbcacq.devices.addresses import on_loopback_only
@@ -82,6 +83,8 @@ def run(
     operator = operator or Operator()
     operator.progress("checking that every pose can be reached and seen")
     loaded = as_plan(plan)
+    if not dry_run:
+        refuse_impossible_devices(loaded)
     poses = expand(loaded)
     refuse_errors(loaded, poses)
     operator.progress("")

@@ -12,6 +12,7 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.model import yaml12
 from mbcacq.model.robot_import.source import ArmSource
 
 MAX_BYTES = 1_000_000
@@ -86,7 +87,7 @@ def _rows(path: Path) -> list[dict[str, Any]]:
             rows = [{k: v.replace(",", ".") if isinstance(v, str) else v for k, v in row.items()} for row in rows]
     else:
         try:
-            data = yaml.safe_load(text)
+            data = yaml12.load(text)
         except yaml.YAMLError as error:
             raise ConfigError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
         rows = data.get("rows") if isinstance(data, dict) else data

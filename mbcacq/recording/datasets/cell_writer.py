@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.model.yaml12 import Yaml12Dumper
 from mbcacq.recording.datasets import angles
 
 FORMAT = "mbcacq-observation-set/1"
@@ -119,7 +120,7 @@ class _FlowList(list):
     """A list written on one line."""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(Yaml12Dumper):
     pass
 
 

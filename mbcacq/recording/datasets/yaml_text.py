@@ -11,10 +11,10 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from mbcacq.errors import ConfigError
+from mbcacq.model.yaml12 import Yaml12Loader
 
 MAX_BYTES = 16 << 20
 Spec = TypeVar("Spec", bound=BaseModel)
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 RESEMBLES = 0.8  # similarity of two words from which one is taken for a slip of the other
@@ -33,7 +33,7 @@ def read_yaml_text(path: Path) -> str:
 
 def load_yaml(text: str, name: str) -> tuple[dict[str, Any], yaml.Node]:
     """The mapping in a YAML text, and its node tree for line numbers. Raises ConfigError."""
-    loader = _Loader(text)
+    loader = Yaml12Loader(text)
     try:
         node = loader.get_single_node()
         data = loader.construct_document(node) if node is not None else None

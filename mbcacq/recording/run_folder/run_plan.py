@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.model import yaml12
 from mbcacq.plan.yaml_source import parse
 from mbcacq.recording.datasets.synced_files import write_synced
 from mbcacq.recording.rrd import layout
@@ -133,7 +134,7 @@ def refuse_change(folder: Path, kept: KeptPlan, plan: str, files: Mapping[str, s
 
 def _changes(name: str, before: str, now: str) -> Iterator[str]:
     if before != now:
-        for where, old, new in _differences(yaml.safe_load(before), yaml.safe_load(now), ""):
+        for where, old, new in _differences(yaml12.load(before), yaml.safe_load(now), ""):
             yield f"{name} was changed: {where.lstrip('.')} was {old} and is {new}"
 
 
