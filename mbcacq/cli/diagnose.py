@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq.cli.next_step import say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -130,6 +131,27 @@ def command(
     echo(found.to_json() if as_json else found.text)
     for line in calibrated:
         echo(line, err=as_json)
+    if not as_json:
+        say_next(*next_step(data, found, with_found))
+
+
+def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found: bool) -> tuple[str, str]:
+    """What to do after a diagnosis, and the command for it."""
+    from mbcacq.workflow.load import is_run_folder
+
+    named = " ".join(map(str, data))
+    if with_found:
+        return (
+            "put the result to use",
+            f"mbcacq export {data[0] / 'with-effects' if is_run_folder(data[0]) else 'with-effects'} --results DIR",
+        )
+    if found.model:
+        return "calibrate with what was found", f"mbcacq diagnose {named} --calibrate"
+    if found.poses is not None and is_run_folder(data[0]):
+        return "see it in the report", f"mbcacq report {data[0]}"
+    return "keep it with its pictures", f"mbcacq diagnose {named} --out diagnosis.json" + (
+        " --report diagnosis.html" if found.poses else ""
+    )
 
 
 def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:

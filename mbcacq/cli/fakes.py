@@ -8,12 +8,13 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
 @click.command("fakes")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option("--fast", is_flag=True, help="Lock-step: as fast as the client answers, instead of real time at 4 ms.")
 @click.option("--seed", default=0, show_default=True, help="Seed of everything the fake world draws.")
 def command(plan: Path, fast: bool, seed: int) -> None:

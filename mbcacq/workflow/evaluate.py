@@ -19,13 +19,14 @@ from mbcacq.workflow.load import load_observations
 @dataclass(frozen=True, repr=False)
 class RunResult:
     """What a run gave. content: that of result.json, with 'verification', 'accuracy_map', 'gaps' and 'files' (recording, result, report).
-    limit_mm: the plan's limit of the sphere spacing error, or None."""
+    limit_mm: the plan's limit of the sphere spacing error, or None. next_step: what to do next in words, and the command for it or ''."""
 
     folder: Path
     calibration: Calibration
     verification: Verification
     content: dict[str, Any]
     limit_mm: float | None = None
+    next_step: tuple[str, str] = ("", "")
 
     @property
     def worst_mm(self) -> float | None:
@@ -95,4 +96,5 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     log_result(run, observations, calibration.state, before, judgement)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     content = content | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}
-    return RunResult(run, calibration, verification, content, limit_mm)
+    next_step = ("", "") if page.next is None else (page.next.what, page.next.command)
+    return RunResult(run, calibration, verification, content, limit_mm, next_step)

@@ -98,7 +98,11 @@ def test_the_schema_for_editors_knows_each_drivers_options():
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("noise_mm: [0.005, 0.005, 0.009]", "noise_mm: [1000, 1000, 1000]", "scanner.noise_mm[0]: input should be less than or equal to 10"),
+        (
+            "noise_mm: [0.005, 0.005, 0.009]",
+            "noise_mm: [1000, 1000, 1000]",
+            "scanner.noise_mm[0]: input should be less than or equal to 10",
+        ),
         ("exposures: 3", "exposures: 1000000000000", "exposures: input should be less than or equal to 1000"),
     ],
 )

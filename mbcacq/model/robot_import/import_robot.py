@@ -78,6 +78,9 @@ def import_robot(
 
 def _read(path: Path, base: str | None, flange: str | None, convention: str | None) -> ArmSource:
     kind = path.suffix.lower()
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise ConfigError(f"{path} {what}; give the file that describes the arm")
     if kind in (".csv", ".yaml", ".yml"):
         if convention is None:
             raise ConfigError(f"{path}: which convention do its rows follow? say --convention standard or --convention modified")

@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from mbcacq.errors import ConfigError
+from mbcacq.model.formats import newer_format
 from mbcacq.model.yaml12 import Yaml12Loader
 
 MAX_BYTES = 16 << 20
@@ -79,6 +80,9 @@ def validate(model: type[Spec], data: dict[str, Any], node: yaml.Node, name: str
     Keys that the model does not know are left out, at every level: these are open formats, and other programs add what they need. One
     that resembles a known key which is not there is taken for a slip and refused.
     """
+    known = get_args(model.model_fields["format"].annotation) if "format" in model.model_fields else ()
+    if sentence := newer_format(data.get("format"), known):
+        raise ConfigError(f"{name}:{line_of(node, ('format',))}: it {sentence}")
     for path, key, meant in misspelt(model, data):
         raise ConfigError(f"{name}:{line_of(node, (*path, key))}: the key '{key}' is not known; '{meant}' is meant? correct it")
     try:
