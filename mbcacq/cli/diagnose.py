@@ -139,19 +139,15 @@ def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found:
     """What to do after a diagnosis, and the command for it."""
     from mbcacq.workflow.load import is_run_folder
 
-    named = " ".join(map(str, data))
+    named, run = " ".join(map(str, data)), is_run_folder(data[0])
     if with_found:
-        return (
-            "put the result to use",
-            f"mbcacq export {data[0] / 'with-effects' if is_run_folder(data[0]) else 'with-effects'} --results DIR",
-        )
+        return "put the result to use", f"mbcacq export {data[0] / 'with-effects' if run else 'with-effects'} --results DIR"
     if found.model:
         return "calibrate with what was found", f"mbcacq diagnose {named} --calibrate"
-    if found.poses is not None and is_run_folder(data[0]):
+    if found.poses is not None and run:
         return "see it in the report", f"mbcacq report {data[0]}"
-    return "keep it with its pictures", f"mbcacq diagnose {named} --out diagnosis.json" + (
-        " --report diagnosis.html" if found.poses else ""
-    )
+    page = " --report diagnosis.html" if found.poses else ""
+    return "keep it", f"mbcacq diagnose {named} --out diagnosis.json{page}"
 
 
 def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:

@@ -9,7 +9,7 @@ _after_failure: list[str] = []
 
 def say_next(what: str, command: str = "") -> None:
     """Print the next step. what: in words; command: that does it, or ''."""
-    echo(f"next: {what}" + (f": {command}" if command else ""), err=True)
+    echo(f"next: {what[:1].lower()}{what[1:]}" + (f": {command}" if command else ""), err=True)
 
 
 def on_failure(what: str, command: str) -> None:

@@ -42,7 +42,7 @@ class StepProgress:
 
     def __call__(self, text: str) -> None:
         self.begin(text)
-        if text and (self._terminal or self._worth_a_line()):
+        if text and (self._terminal or self._gets_a_line()):
             self._say(f"{text}{self._left(self._began)} ...")
 
     def begin(self, text: str) -> None:
@@ -83,10 +83,10 @@ class StepProgress:
             return
         if self._terminal:
             self._say(f"{self._text}: {now - self._began:.0f} s so far{self._left(now)}")
-        elif not self._said and self._worth_a_line():
+        elif not self._said and self._gets_a_line():
             self._say(f"{self._text}{self._left(now)} ...")
 
-    def _worth_a_line(self) -> bool:
+    def _gets_a_line(self) -> bool:
         """In a file or a pipe: the first, the last and every tenth part of many."""
         if self._count is None:
             return True

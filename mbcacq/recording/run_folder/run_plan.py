@@ -24,7 +24,8 @@ SHOWN = 60  # characters of a value
 @dataclass(frozen=True)
 class KeptPlan:
     """plan: its YAML; files: name -> text of the files it names; cell: which cell was driven. None for what neither the folder nor its
-    recordings say. path: where the plan was read from, in runs of today. repairs: one sentence for each file that had to be restored or is lost."""
+    recordings say. path: where the plan was read from, in runs of today. repairs: one sentence for each file that had to be restored or is
+    lost."""
 
     plan: str | None
     files: Mapping[str, str] | None

@@ -42,10 +42,15 @@ def files(path: Path | str) -> list[Path]:
 
 
 def refuse_unreadable(path: Path) -> None:
-    """Raises RecordingError for a file that is no recording, or of which nothing can be read; a torn end is no hindrance."""
+    """Raises RecordingError for a file of which nothing can be read; a torn end is no hindrance, and the viewer shows those of others."""
+    from mbcacq.recording.rrd.library_reader import NOT_OURS
     from mbcacq.recording.rrd.reader import Recording
 
-    Recording(path)
+    try:
+        Recording(path)
+    except RecordingError as error:
+        if NOT_OURS not in str(error):
+            raise
 
 
 def view(sources: Sequence[Path | str], opening: Callable[[], None] = lambda: None) -> None:
