@@ -12,10 +12,12 @@ from html import escape
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BeforeValidator, PlainValidator, TypeAdapter
+from pydantic import BeforeValidator, Field, PlainValidator, TypeAdapter, WithJsonSchema
+from pydantic.json_schema import SkipJsonSchema
 
 from mbcacq.calibration.calibration_fit import CalibrationFit, Parameter
 from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.effect_file import EffectModelContent, EffectTermContent
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.errors import ConfigError
@@ -36,9 +38,18 @@ def with_nan(value: Any) -> Any:
     return np.nan if value is None else value
 
 
-Number = Annotated[float, BeforeValidator(with_nan)]
-Estimate = Annotated[ParameterEstimate, BeforeValidator(with_nan)]
-Model = Annotated[EffectModel | None, PlainValidator(lambda content: EffectModel.from_dict(content) if content else None)]
+NUMBER_OR_NULL = {"type": ["number", "null"]}  # null stands for a number that is not finite
+ONE_OR_SEVERAL = {"anyOf": [NUMBER_OR_NULL, {"type": "array", "items": NUMBER_OR_NULL}]}
+OF_ESTIMATE = {"type": "object", "properties": {"value": ONE_OR_SEVERAL, "std": ONE_OR_SEVERAL}, "required": ["std", "value"]}
+
+Number = Annotated[float, BeforeValidator(with_nan), WithJsonSchema(NUMBER_OR_NULL)]
+Estimate = Annotated[ParameterEstimate, BeforeValidator(with_nan), WithJsonSchema(OF_ESTIMATE)]
+Model = Annotated[
+    EffectModel | None,
+    PlainValidator(lambda content: EffectModel.from_dict(content) if content else None, json_schema_input_type=EffectModelContent | None),
+]
+Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_explained", "unexplained", "cannot_tell"]})]
+Three = Annotated[tuple[float, ...], Field(min_length=3, max_length=3)]
 
 
 @dataclass(frozen=True)
@@ -46,7 +57,7 @@ class EstimatedNoise:
     """Standard deviations. scanner_mm: (3,) of a centre along the instrument's axes; joint_rad: (n,) repeatability of each axis; turn_rad:
     of a measured orientation about each axis, None where none was measured."""
 
-    scanner_mm: tuple[float, ...]
+    scanner_mm: Three
     joint_rad: tuple[float, ...]
     turn_rad: float | None = None
 
@@ -252,7 +263,7 @@ class Proposal:
     smooth_chi2_dof: Number
     found_in: int
     parts: int
-    term: Annotated[EffectTerm, PlainValidator(EffectTerm.from_dict)]
+    term: Annotated[EffectTerm, PlainValidator(EffectTerm.from_dict, json_schema_input_type=EffectTermContent)]
 
 
 @dataclass(frozen=True)
@@ -268,7 +279,7 @@ class Diagnosis:
     of the JSON object, so None after ``from_json``.
     """
 
-    verdict: str
+    verdict: Verdict
     mismatch: tuple[MismatchEntry, ...]
     effects: tuple[EffectFound, ...]
     fit: FitSummary
@@ -281,7 +292,7 @@ class Diagnosis:
     between_recordings: tuple[BetweenRecordings, ...] = ()
     proposals: tuple[Proposal, ...] = ()
     model: Model = field(default=None, compare=False)
-    plot_data: object | None = field(default=None, compare=False)
+    plot_data: SkipJsonSchema[object | None] = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""

@@ -23,53 +23,53 @@ _OF_FRAME = re.compile(r"^gravity_moment_([0-9]+)_[xyz]$")
 Three = tuple[float, float, float]
 
 
-class _Open(BaseModel):
+class OpenContent(BaseModel):
     """Further keys are allowed; numbers are finite."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
 
-class _Function(_Open):
+class FunctionContent(OpenContent):
     of: str
     kind: str
     numbers: list[float]
 
 
-class _Product(_Open):
+class ProductContent(OpenContent):
     factor: float
-    functions: list[_Function]
+    functions: list[FunctionContent]
 
 
-class _Part(_Open):
+class PartContent(OpenContent):
     place: str
     index: int
     component: int
-    columns: list[list[_Product]]
+    columns: list[list[ProductContent]]
 
 
-class _Range(_Open):
+class RangeContent(OpenContent):
     intervals: list[tuple[float, float]] = Field(min_length=1)
     mean: float
 
 
-class _Term(_Open):
+class EffectTermContent(OpenContent):
     name: str = Field(min_length=1)
     where: list[str]
     depends_on: str
     variant: str
     hyper: dict[str, float]
-    parts: list[_Part] = Field(min_length=1)
+    parts: list[PartContent] = Field(min_length=1)
     names: list[str] = Field(min_length=1)
     units: list[str]
     coefficients: list[float]
     std: list[float | None]
     sigma: list[float | None]
     typical: list[float | None]
-    ranges: dict[str, _Range]
+    ranges: dict[str, RangeContent]
     clamped: list[str]
 
 
-class _Robot(_Open):
+class RobotContent(OpenContent):
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)  # an axis may turn without end
 
     name: str
@@ -83,23 +83,23 @@ class _Robot(_Open):
     gravity: Three
 
 
-class _Anchor(_Open):
+class AnchorContent(OpenContent):
     pose: int
     q: list[float]
 
 
-class _Learnt(_Open):
-    anchors: list[_Anchor]
+class LearntContent(OpenContent):
+    anchors: list[AnchorContent]
     poses: list[int]
     time_origin_s: float
     duration_s: float
 
 
-class _EffectModel(_Open):
+class EffectModelContent(OpenContent):
     measurement: Literal["artefact_in_scanner", "target_in_base"]
-    robot: _Robot
-    learnt: _Learnt
-    terms: list[_Term]
+    robot: RobotContent
+    learnt: LearntContent
+    terms: list[EffectTermContent]
 
 
 def check_effects(content: Mapping[str, Any], source: str, key: str = "") -> None:
@@ -109,7 +109,7 @@ def check_effects(content: Mapping[str, Any], source: str, key: str = "") -> Non
     """
     within = f"{key}." if key else ""
     try:
-        model = _EffectModel.model_validate(dict(content))
+        model = EffectModelContent.model_validate(dict(content))
     except ValidationError as error:
         at, fault = first_fault(error)
         raise _damaged(source, within + at, fault) from None
@@ -122,7 +122,7 @@ def check_effects(content: Mapping[str, Any], source: str, key: str = "") -> Non
         _check_term(term, axes, source, f"{within}terms.{i}")
 
 
-def _check_term(term: _Term, axes: int, source: str, key: str) -> None:
+def _check_term(term: EffectTermContent, axes: int, source: str, key: str) -> None:
     k = len(term.names)
     for name in ("units", "coefficients", "std", "sigma", "typical"):
         if len(getattr(term, name)) != k:
@@ -138,7 +138,7 @@ def _check_term(term: _Term, axes: int, source: str, key: str) -> None:
         _check_part(part, k, axes, source, f"{key}.parts.{j}")
 
 
-def _check_part(part: _Part, k: int, axes: int, source: str, key: str) -> None:
+def _check_part(part: PartContent, k: int, axes: int, source: str, key: str) -> None:
     if part.place not in COMPONENTS:
         raise _damaged(source, f"{key}.place", f"'{part.place}' is none of {', '.join(COMPONENTS)}")
     last = {"joint": axes - 1, "frame": axes}.get(part.place)  # the others have no index
@@ -154,7 +154,7 @@ def _check_part(part: _Part, k: int, axes: int, source: str, key: str) -> None:
                 _check_function(function, axes, source, f"{key}.columns.{c}.{p}.functions.{f}")
 
 
-def _check_function(function: _Function, axes: int, source: str, key: str) -> None:
+def _check_function(function: FunctionContent, axes: int, source: str, key: str) -> None:
     for pattern, first in ((_OF_JOINT, 1), (_OF_FRAME, 0)):
         found = pattern.match(function.of)
         if found and not first <= int(found[1]) <= axes:
