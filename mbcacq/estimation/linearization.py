@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -50,6 +51,12 @@ class Lineariser:
         self.free_balls = int(whole.sum()) if np.array_equal(whole, free.any(axis=1)) else 0
         number = np.where(whole, np.cumsum(whole) - 1, self.free_balls) if self.free_balls else np.zeros(len(free), int)
         self.ball = self._in_slots(number, self.free_balls)
+
+    def with_layout(self, layout: ParameterLayout) -> Lineariser:
+        """The same recording with other priors of the same free parameters."""
+        out = copy(self)
+        out.layout = layout
+        return out
 
     def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
         """Prediction and residual (M, R) at an estimate."""
