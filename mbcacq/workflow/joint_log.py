@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.table import read_table
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.controller_joints import from_controller
-from mbcacq.recording.datasets.csvfile import CsvTable, read_table
 
 NEAR = float(np.radians(3.0))  # of a planned pose: a program goes there exactly
 NAMES = ("q{}_deg", "A{}", "J{}", "a{}", "j{}", "q{}", "joint{}", "Joint{}", "joint_{}")
@@ -44,15 +44,12 @@ def read_joint_log(path: Path, loaded: LoadedPlan, poses: list[PlannedPose]) -> 
 
 
 def _table(path: Path, n: int) -> tuple[np.ndarray, list[int] | None]:
-    table: CsvTable = read_table(path)
-    for pattern in NAMES:
+    table = read_table(path)
+    number = [int(v) for v in table.integer("pose")] if table.has("pose") else None
+    for pattern, factor in (*((name, 1.0) for name in NAMES), ("q{}_rad", 180 / np.pi)):
         columns = [pattern.format(k) for k in range(1, n + 1)]
-        if table.has(columns):
-            rows = table.group(columns)
-            return rows, [int(v) for v in table.integer("pose")] if "pose" in table.columns else None
-    radians = [f"q{k}_rad" for k in range(1, n + 1)]
-    if table.has(radians):
-        return np.degrees(table.group(radians)), [int(v) for v in table.integer("pose")] if "pose" in table.columns else None
+        if all(table.has(name) for name in columns):
+            return factor * np.stack([table.number(name) for name in columns], axis=1), number
     raise ConfigError(f"{path}:1: has no columns q1_deg..q{n}_deg (or A1..A{n}, J1..J{n}, q1_rad..q{n}_rad); name the columns so")
 
 
