@@ -44,6 +44,8 @@ class SerialOptions(BusOptions):
 class SerialSensor:
     """Keeps the latest line in a thread, so that a reading is never older than ``timeout_s`` and never waits without need."""
 
+    options_model = SerialOptions
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(SerialOptions, DEVICE, options)
         self._pattern = compiled(self._options.line, DEVICE, "line")

@@ -21,6 +21,7 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
+from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact
 from mbcacq.model.heading_units import UnknownUnitError, converted, split_heading
 from mbcacq.plan.plausibility import SMALLEST_BALL_MM
@@ -151,7 +152,7 @@ def artefact_yaml(artefact: Artefact) -> str:
         {"id": int(b), "centre_mm": [float(v) for v in c], "diameter_mm": float(d)}
         for b, c, d in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
     ]
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=140)
+    return yaml12.dump(data, default_flow_style=None, width=140)
 
 
 def certificate_csv(artefact: Artefact) -> str:
@@ -285,7 +286,7 @@ def _from_yaml(text: str, path: Path, columns: list[CertifiedColumn]) -> tuple[l
 def _mapping(text: str, path: Path) -> dict[Any, Any]:
     """The mapping in a YAML text, an empty one where the text is something else."""
     try:
-        data = yaml.safe_load(text)
+        data = yaml12.load(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark else 1

@@ -81,6 +81,7 @@ class Cell:
     measurement: ARTEFACT_IN_SCANNER (a scanner on the flange) or TARGET_IN_BASE (an external instrument sees a target on
     the flange; then the one station is the instrument and T_flange_scanner holds the target's place).
     simulated: what was recorded in it comes from a fake cell or a model, not from a real arm.
+    room_temperature_C: range that the room keeps, lowest and highest, or None where nobody stated it.
     """
 
     robot: RobotModel
@@ -91,6 +92,7 @@ class Cell:
     noise_mm: np.ndarray | None = None
     measurement: str = ARTEFACT_IN_SCANNER
     simulated: bool = False
+    room_temperature_C: tuple[float, float] | None = None
 
     def artefact(self, artefact_id: str) -> Artefact:
         return next(a for a in self.artefacts if a.id == artefact_id)
