@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
 from mbcacq.model import shipped
 from mbcacq.plan import load
 
@@ -38,9 +39,5 @@ def copy_plan(name: str, folder: Path | str = ".", *, force: bool = False) -> li
         if not force and path.exists() and (not path.is_file() or path.read_bytes() != data):
             raise ConfigError(f"{path} exists and differs from the tool's; give another folder, or --force to replace it")
     for path, data in content.items():
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be written: {error.strerror}; give another folder") from error
+        write_file(path, data)
     return list(content)

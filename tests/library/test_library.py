@@ -186,7 +186,9 @@ def test_a_real_arm_is_not_moved_without_an_operator(tmp_path):
 
     shutil.copytree(ROOT / "plans", tmp_path / "plans")
     path = tmp_path / "plans" / "quick.yaml"
-    path.write_text(path.read_text(encoding="utf-8").replace("bind: 127.0.0.1", "bind: 192.0.2.1"), encoding="utf-8")
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("bind: 127.0.0.1", "bind: 192.0.2.1, controller_ip: 192.0.2.2"), encoding="utf-8"
+    )
     with pytest.raises(ConfigError, match="this would move"):
         mbcacq.run(path, out=tmp_path / "run")
     assert not (tmp_path / "run").exists()

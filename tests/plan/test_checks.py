@@ -63,11 +63,14 @@ def test_out_of_reach(folder):
     assert all("step 'views'" in f.sentence for f in found)
 
 
+ADDRESS = ("  driver: gocator\n", "  driver: gocator\n  options: {address: 192.168.1.10}\n")  # a line more
+
+
 def test_check_of_a_plan_without_a_reachable_pose(folder):
-    far = folder.plan(("[600, 0, 150]", "[2600, 0, 150]"), ("[600, 0, 100]", "[2600, 0, 100]"))
+    far = folder.plan(ADDRESS, ("[600, 0, 150]", "[2600, 0, 150]"), ("[600, 0, 100]", "[2600, 0, 100]"))
     done = CliRunner().invoke(command, ["check", str(far)])
     assert done.exit_code == 2, done.exception
-    assert "plan.yaml:24: step 'views'" in done.output
+    assert "plan.yaml:25: step 'views'" in done.output
     assert "0 poses" in done.output
     found = json.loads(CliRunner().invoke(command, ["check", str(far), "--json"]).output)
     assert {f["code"] for f in found["findings"]} == {"reach", "move-station"}
@@ -294,16 +297,16 @@ def test_a_drawn_plan_holds_the_arm_at_its_poses(folder):
 
 
 def test_command_line(folder):
-    good = folder.plan()
+    good = folder.plan(ADDRESS)
     shown = CliRunner().invoke(command, ["show", str(good), "--json"])
     content = json.loads(shown.output)
     assert [p["balls"] for p in content["poses"]][2:] == [[9], [10]]
     assert content["duration"]["station_changes"] == 1
     assert CliRunner().invoke(command, ["check", str(good)]).exit_code == 0
-    bad = folder.plan(("[600, 0, 150]", "[1600, 0, 150]"))
+    bad = folder.plan(ADDRESS, ("[600, 0, 150]", "[1600, 0, 150]"))
     failed = CliRunner().invoke(command, ["check", str(bad)])
     assert failed.exit_code == 2
-    assert "plan.yaml:24: step 'views'" in failed.output
+    assert "plan.yaml:25: step 'views'" in failed.output
     failed = json.loads(CliRunner().invoke(command, ["check", str(bad), "--json"]).output)
     assert failed["errors"] == 2
     assert failed["findings"][0]["code"] == "reach"
