@@ -75,22 +75,40 @@ def _cell(parameter: dict[str, Any] | None) -> str:
     return f"{scale * parameter['error']:+.{digits}f}{std}"
 
 
-def hand_eye(result: dict[str, Any]) -> Table:
+def fixed_scanners(result: dict[str, Any]) -> list[Table]:
+    """Where an instrument that does not move stands in the base: what a hand-eye calibration of a fixed scanner is for."""
+    if result.get("measurement") != "target_in_base":
+        return []
+    out = []
+    for station in result["stations"]:
+        table = Table(title=f"instrument '{station['id']}' in the base, X Y Z mm, A B C deg", title_justify="left")
+        std = station["std"]
+        _frame_rows(table, station["T_base_station"], [f"+-{s:.4f}" for s in std[:3]] + [f"+-{TO_DEG * s:.4f}" for s in std[:2:-1]])
+        out.append(table)
+    return out
+
+
+def _frame_rows(table: Table, T: list[list[float]], std: list[str]) -> None:
+    """The frame, and the standard deviations below it. Those of the rotation are about the frame's z, y, x axes, near enough to A, B, C
+    for reading."""
     from mbcacq.geometry import se3
 
-    xyz, abc = se3.to_abc(np.array(result["T_flange_scanner"]))
-    std = {p["name"]: p["std"] for p in result["parameters"] if p["name"].startswith("hand_eye.")}
-    what = "target on the flange" if result.get("measurement") == "target_in_base" else "scanner on the flange (hand-eye)"
-    table = Table(title=f"{what}, X Y Z mm, A B C deg", title_justify="left")
+    xyz, abc = se3.to_abc(np.array(T))
     for name in "XYZABC":
         table.add_column(name, justify="right")
     table.add_row(*(f"{v:.4f}" for v in xyz), *(f"{TO_DEG * v:.4f}" for v in abc))
+    table.add_row(*std)
+
+
+def hand_eye(result: dict[str, Any]) -> Table:
+    std = {p["name"]: p["std"] for p in result["parameters"] if p["name"].startswith("hand_eye.")}
+    what = "target on the flange" if result.get("measurement") == "target_in_base" else "scanner on the flange (hand-eye)"
+    table = Table(title=f"{what}, X Y Z mm, A B C deg", title_justify="left")
 
     def text(name: str, scale: float) -> str:
         return "held" if std.get(f"hand_eye.{name}") is None else f"+-{scale * std[f'hand_eye.{name}']:.4f}"
 
-    # The standard deviations of the rotation are about the scanner's z, y, x axes, close enough to A, B, C only for reading.
-    table.add_row(*(text(c, 1.0) for c in "xyz"), *(text(c, TO_DEG) for c in ("rz", "ry", "rx")))
+    _frame_rows(table, result["T_flange_scanner"], [*(text(c, 1.0) for c in "xyz"), *(text(c, TO_DEG) for c in ("rz", "ry", "rx"))])
     return table
 
 
@@ -105,12 +123,21 @@ def fit(result: dict[str, Any]) -> list[str]:
         out.append(f"Expected accuracy of a point in the workspace: {expected:.4f} mm (1 sigma, {aside})")
     if noise:
         sigmas = " ".join(f"{1e3 * s:.1f}" for s in noise["scanner_mm"])
-        joints = " ".join(f"{1e6 * s:.1f}" for s in noise["joint_rad"])
-        repeat = f"; joints repeat within {joints} urad" if any(noise["joint_rad"]) else ""
-        out.append(f"Noise: scanner {sigmas} um along x y z{repeat}")
+        turn = f", its orientation {1e6 * noise['turn_rad']:.1f} urad" if noise.get("turn_rad") else ""
+        out.append(f"Noise: scanner {sigmas} um along x y z{turn}{_repeatability(result)}")
         if result["method"] == "paper":
             out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
     return out
+
+
+def _repeatability(result: dict[str, Any]) -> str:
+    found = result["noise"]["joint_rad"]
+    if not any(found):
+        return ""
+    if result["robot"].get("flange_poses"):  # displacements in mm, then rotations in rad
+        places, turns = (" ".join(f"{s * scale:.1f}" for s in part) for part, scale in ((found[:3], 1e3), (found[3:], 1e6)))
+        return f"; poses of the flange are off by {places} um and {turns} urad, one sigma along and about x y z of the base"
+    return f"; joints repeat within {' '.join(f'{1e6 * s:.1f}' for s in found)} urad"
 
 
 def remarks(result: dict[str, Any]) -> list[str]:
@@ -121,7 +148,8 @@ def remarks(result: dict[str, Any]) -> list[str]:
     held = result.get("held") or {}
     if not identifies_arm(result):
         arm = arm_parameters(result)
-        out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values")
+        if not result["robot"].get("flange_poses"):
+            out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values")
         held = {name: why for name, why in held.items() if name not in arm}
     reasons: dict[str, list[str]] = {}
     for name, why in held.items():
@@ -148,7 +176,7 @@ def scan_scale(result: dict[str, Any]) -> list[str]:
     """The scanner's own scale, and a warning where it differs from the certificate's: no calibration of the arm can observe that."""
     s = result.get("scan_scale")
     if not s:
-        return []
+        return [f"Scale: {result['scale']}"] if result.get("scale") else []
     out = [f"Scale within the scans against the certificate: {s['ppm']:+.0f} +- {s['sigma_ppm']:.0f} ppm ({s['scans']} scans)"]
     if s["significant"]:
         how, sigmas = "longer" if s["ppm"] > 0 else "shorter", abs(s["ppm"]) / s["sigma_ppm"]
