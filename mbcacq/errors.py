@@ -36,7 +36,7 @@ EXIT_CODE_MEANING = {
     ExitCode.NOT_ACCEPTABLE: "the calibration is not acceptable",
     ExitCode.SAFETY_STOP: "the robot was stopped for safety, or a motion was refused",
     ExitCode.LOST: "a device was lost or fell silent during the run",
-    ExitCode.SYSTEM_REFUSED: "the computer refused memory, a file or a right",
+    ExitCode.SYSTEM_REFUSED: "the computer refused memory, a file or a right, or has no screen",
     ExitCode.INTERRUPTED: "interrupted (Ctrl-C)",
 }
 
@@ -100,7 +100,7 @@ class RecordingError(MbcacqError, OSError):
 
 
 class SystemRefused(MbcacqError):
-    """The computer refuses what the program needs: memory, open files, rights."""
+    """The computer refuses what the program needs: memory, open files, rights, a screen."""
 
     exit_code = ExitCode.SYSTEM_REFUSED
 

@@ -22,6 +22,8 @@ class ManualOptions(BusOptions):
 class ManualPositioner:
     """Prints the prompt on stderr and waits for Enter; 'q' ends the run. ``assume_yes``: believe that all is in place."""
 
+    options_model = ManualOptions
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._options = name, parse(ManualOptions, "the manual positioner", options)
         self._stopped = threading.Event()

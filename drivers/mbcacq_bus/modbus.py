@@ -91,6 +91,8 @@ class _ModbusDevice:
 class ModbusPositioner(_ModbusDevice):
     """Moves the artefact by writing a position and waiting for the controller's flag."""
 
+    options_model = PositionerOptions
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(PositionerOptions, "the Modbus positioner", options)
         super().__init__(f"positioner {model}".strip(), self._options, self._options.in_position)
@@ -165,6 +167,8 @@ class ModbusPositioner(_ModbusDevice):
 
 class ModbusSensor(_ModbusDevice):
     """Reads named values, e.g. temperatures, from registers."""
+
+    options_model = SensorOptions
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(SensorOptions, "the Modbus sensor", options)

@@ -44,6 +44,8 @@ class SerialOptions(BusOptions):
 class SerialSensor:
     """Keeps the latest line in a thread, so that a reading is never older than ``timeout_s`` and never waits without need."""
 
+    options_model = SerialOptions
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(SerialOptions, DEVICE, options)
         self._pattern = compiled(self._options.line, DEVICE, "line")
@@ -61,7 +63,7 @@ class SerialSensor:
         self._thread: threading.Thread | None = None
         self._news = threading.Condition()
         self._values: dict[str, float] = {}
-        self._stamp, self._failure, self._quit, self._late = -math.inf, "", threading.Event(), False
+        self._stamp, self._failure, self._quit, self._late, self._lost = -math.inf, "", threading.Event(), False, False
 
     def connect(self) -> None:
         """Raises ConnectError, IdentityError."""
@@ -73,7 +75,7 @@ class SerialSensor:
             self.close()
             raise
         self._quit.clear()
-        self._failure, self._stamp = "", -math.inf
+        self._failure, self._lost, self._stamp = "", False, -math.inf
         self._thread = threading.Thread(target=self._listen, name="serial-sensor", daemon=True)
         self._thread.start()
 
@@ -84,25 +86,43 @@ class SerialSensor:
         """The newest complete line's values. Raises DeviceTimeout, ProtocolError."""
         if self._port is None:
             raise ConnectError(f"{self._device} is not connected")
-        self._restore()
-        o, now = self._options, time.monotonic()
-        oldest = now - o.timeout_s
-        if o.ask is not None:
-            self._await_silence()
-            oldest = time.monotonic()
-            self._send(o.ask)
-        with self._news:
-            self._news.wait_for(lambda: self._stamp >= oldest or bool(self._failure), timeout=o.timeout_s)
-            if self._stamp >= oldest:
+        o = self._options
+        for _ in range(2):  # a far end that closed the line unnoticed shows it only when it is asked; a question moves nothing
+            self._restore()
+            oldest = time.monotonic() - o.timeout_s
+            if o.ask is not None:
+                self._await_silence()
+                oldest = time.monotonic()
+                if not self._sent(o.ask):
+                    continue
+            if self._came_since(oldest):
                 return self._believed(dict(self._values))
-            if self._failure:
-                raise ProtocolError(f"{self._device}: {self._failure}")
-            self._late = o.ask is not None
+            if not self._lost:
+                break
+        if self._failure:
+            raise ProtocolError(f"{self._device}: {self._failure}")
+        self._late = o.ask is not None
         raise DeviceTimeout(f"{self._device} sent nothing that matches '{o.line}' for {o.timeout_s:g} s; is it on, is the baud rate right?")
+
+    def _came_since(self, oldest: float) -> bool:
+        """Wait for values that are no older than a time (time.monotonic); False after the time-out or a failure."""
+        with self._news:
+            self._news.wait_for(lambda: self._stamp >= oldest or bool(self._failure), timeout=self._options.timeout_s)
+            return self._stamp >= oldest
+
+    def _sent(self, text: str) -> bool:
+        """Whether a question left; where the line is lost, the reason is kept as the failure."""
+        try:
+            self._port.write(text.encode())
+        except OSError as error:
+            with self._news:
+                self._failure, self._lost = f"the connection was lost ({error})", True
+            return False
+        return True
 
     def _restore(self) -> None:
         """Open the port again where its far end has closed it since the last reading, e.g. a serial server an idle connection."""
-        if self._thread is None or self._thread.is_alive():
+        if self._thread is None or not self._lost:
             return
         lost = self._failure
         self.close()
@@ -188,7 +208,7 @@ class SerialSensor:
                 pending += port.read_until(b"\n", MAX_LINE)
             except Exception as error:
                 with self._news:
-                    self._failure = f"the connection was lost ({error})"
+                    self._failure, self._lost = f"the connection was lost ({error})", True
                     self._news.notify_all()
                 return
             if not pending.endswith(b"\n"):

@@ -82,6 +82,8 @@ class SerialPositioner:
 
     asks = False
 
+    options_model = SerialPositionerOptions
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         o = self._options = parse(SerialPositionerOptions, DEVICE, options)
         self._model, self._stopped = model, threading.Event()

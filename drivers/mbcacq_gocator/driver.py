@@ -54,6 +54,8 @@ class Gocator:
     Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``.
     """
 
+    options_model = GocatorOptions
+
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.name, self.model = name, model
         self.options = GocatorOptions.read(name, options or {})

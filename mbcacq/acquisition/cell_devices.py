@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ import numpy as np
 from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, create, load_driver
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.motion_limits import axis_limits
+from mbcacq.plan.schema import DeviceUse
 from mbcacq.spheres.cloud_files import CloudFormat, read_points
 
 Overrides = Mapping[str, Mapping[str, Any]]
@@ -76,24 +77,37 @@ class CellDevices:
 def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> CellDevices:
     """Construct the drivers a plan names; nothing is opened. ``overrides`` (by 'robot', 'scanner', 'positioner') win over the plan's
     options, and those under 'drivers' (by the same roles) over its drivers, whose options are then those of ``overrides`` alone."""
+    made = {role: make() for role, make in device_makers(loaded, overrides).items()}
+    sensors = tuple(device for role, device in made.items() if role.startswith("sensor "))
+    refuse_equal_names(sensors)
+    return CellDevices(made["robot"], made["scanner"], made["positioner"], sensors)
+
+
+def device_makers(loaded: LoadedPlan, overrides: Overrides | None = None) -> dict[str, Callable[[], Any]]:
+    """By role ('robot', 'scanner', 'positioner', 'sensor 1'..), what constructs the driver: it raises ConfigError where there is no such
+    driver, or where that refuses its options. overrides: as of ``create_devices``."""
     overrides = overrides or {}
     plan, robot = loaded.plan, loaded.cell.robot
     replaced = overrides.get("drivers", {})
     arm_driver = str(replaced.get("robot", plan.robot.driver))
 
-    def device(kind: str, role: str, driver: str, model: str, options: Mapping[str, Any]) -> Any:
+    def device(kind: str, role: str, driver: str, model: str, options: Callable[[], Mapping[str, Any]]) -> Callable[[], Any]:
         if role != "robot" and role in replaced:
-            driver, options = str(replaced[role]), {}
-        return create(kind, driver, model, {**options, **overrides.get(role, {})})
+            return lambda: create(kind, str(replaced[role]), model, dict(overrides.get(role, {})))
+        return lambda: create(kind, driver, model, {**options(), **overrides.get(role, {})})
 
-    devices = CellDevices(
-        robot=device("robots", "robot", arm_driver, robot.name, robot_options(loaded, arm_driver)),
-        scanner=device("scanners", "scanner", plan.scanner.driver, plan.scanner.model, scanner_options(loaded, replaced)),
-        positioner=device("positioners", "positioner", plan.positioner.driver, plan.positioner.model, plan.positioner.options),
-        sensors=tuple(device("sensors", f"sensor {i + 1}", s.driver, s.model, s.options) for i, s in enumerate(plan.sensors)),
-    )
-    _refuse_equal_names(devices.sensors)
-    return devices
+    def given(use: DeviceUse) -> Callable[[], Mapping[str, Any]]:
+        return lambda: use.options
+
+    seen = partial(scanner_options, loaded, replaced)
+    makers = {
+        "robot": device("robots", "robot", arm_driver, robot.name, lambda: robot_options(loaded, arm_driver)),
+        "scanner": device("scanners", "scanner", plan.scanner.driver, plan.scanner.model, seen),
+        "positioner": device("positioners", "positioner", plan.positioner.driver, plan.positioner.model, given(plan.positioner)),
+    }
+    for number, sensor in enumerate(plan.sensors, 1):
+        makers[f"sensor {number}"] = device("sensors", f"sensor {number}", sensor.driver, sensor.model, given(sensor))
+    return makers
 
 
 def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, Any]:
@@ -131,7 +145,8 @@ def scanner_options(loaded: LoadedPlan, replaced: Mapping[str, Any] | None = Non
     return {**given, "read_cloud": partial(read_points, form=form)}
 
 
-def _refuse_equal_names(sensors: Sequence[Sensor]) -> None:
+def refuse_equal_names(sensors: Sequence[Sensor]) -> None:
+    """Raises ConfigError where two sensors deliver a value of one name."""
     owner: dict[str, int] = {}
     for number, sensor in enumerate(sensors, 1):
         for field in sensor.describe().fields:

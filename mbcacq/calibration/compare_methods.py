@@ -18,6 +18,7 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import select_phases
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import fixed
 
 FORMAT = "mbcacq-comparison/1"
 FOLDS = 5
@@ -78,7 +79,7 @@ class Comparison(Sequence[ComparisonRow]):
 
     def _repr_html_(self) -> str:
         rows = [
-            (r.method, *(notebook.number(v) for v in (r.fit_mm, r.bar_mean_mm, r.bar_max_mm, r.held_out_mm)), notebook.number(r.time_s, 2))
+            (r.method, *(fixed(v, 4) for v in (r.fit_mm, r.bar_mean_mm, r.bar_max_mm, r.held_out_mm)), fixed(r.time_s, 2))
             for r in self.rows
         ]
         header = ("method", "fit rms mm", "bar mean mm", "bar max mm", "held-out rms mm", "time s")

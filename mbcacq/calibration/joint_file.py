@@ -11,9 +11,11 @@ from typing import Any
 
 from mbcacq.calibration.sealed_json import unsealed
 from mbcacq.errors import ConfigError
+from mbcacq.model.formats import newer_format
 from mbcacq.model.json_text import damage
 
 FORMAT = "mbcacq-joint-result/1"
+ONE_FORMAT = "mbcacq-result/1"  # of one recording
 
 
 def split_number(path: Path) -> tuple[Path, int | None]:
@@ -26,6 +28,8 @@ def result_of_one(content: Any, number: int | None, file: Path, *, any_of_them: 
     """The result of one recording in a joint result; any other content as it is. any_of_them: without a number the first will do, where
     only what they share is asked for. Raises ConfigError where it is not said which, and where the content's checksum does not hold.
     """
+    if isinstance(content, dict) and (sentence := newer_format(content.get("format"), (FORMAT, ONE_FORMAT))):
+        raise ConfigError(f"{file} {sentence}")
     content = unsealed(content, file)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         if number is not None:

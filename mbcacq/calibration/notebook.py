@@ -18,11 +18,6 @@ def paragraph(text: str) -> str:
     return f"<p>{escape(text)}</p>"
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """A figure with so many decimals, or a dash where there is none."""
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
 def _cell(column: int, value: object) -> str:
     side = "left" if column == 0 else "right"
     return f'<td style="text-align:{side}">{escape(str(value))}</td>'

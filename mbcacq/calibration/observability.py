@@ -15,11 +15,11 @@ from mbcacq.calibration.calibration_fit import CalibrationFit
 def indices(information: np.ndarray, scale: np.ndarray, count: int) -> dict[str, float]:
     """O1..O5 of a reduced information matrix (g, g) whose parameters have the plausible sizes ``scale`` (g,), from ``count`` poses.
 
-    The larger, the better, for each. A singular matrix has O1 to O5 of zero.
+    The larger, the better, for each. A singular matrix, and one without parameters, has O1 to O5 of zero.
     """
     value = np.linalg.eigvalsh(scale[:, None] * information * scale)
     singular = np.sqrt(np.maximum(value, 0.0))
-    if singular[0] <= 1e-9 * singular[-1]:
+    if not len(singular) or singular[0] <= 1e-9 * singular[-1]:
         return {f"O{i}": 0.0 for i in range(1, 6)}
     return {
         "O1": float(np.exp(np.mean(np.log(singular))) / np.sqrt(count)),

@@ -31,6 +31,7 @@ from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import damage, read_json
+from mbcacq.quantities import K, pair, symbol, uncertainty
 
 FORMAT = "mbcacq-result/1"
 
@@ -191,9 +192,10 @@ def html(result: Mapping[str, Any]) -> str:
     rows = []
     for p in result["parameters"]:
         if p["std"] is not None and not p["name"].startswith("ball_"):
-            scale, unit, digits = (180 / np.pi, "deg", 5) if p["unit"] == "rad" else (1.0, p["unit"], 4)
-            rows.append((p["name"], unit, *(notebook.number(scale * p[key], digits) for key in ("value", "error", "std"))))
-    return notebook.table(f"{result['robot']['name']}, calibrated", ("parameter", "unit", "value", "error", "+-"), rows)
+            scale, unit = (180 / np.pi, "°") if p["unit"] == "rad" else (1.0, symbol(p["unit"]))
+            U = K * scale * p["std"]
+            rows.append((p["name"], unit, *(pair(scale * p[key], U)[0] for key in ("value", "error")), uncertainty(U)))
+    return notebook.table(f"{result['robot']['name']}, calibrated", ("parameter", "unit", "value", "error", "U (k = 2)"), rows)
 
 
 def transform(rows: Any) -> np.ndarray:

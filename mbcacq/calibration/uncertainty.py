@@ -73,6 +73,12 @@ def _fill_effects(calibration: Calibrated, effects: EffectModel, q: np.ndarray, 
 
 def measuring_covariance(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """(P, 3, 3) mm^2 in the base: scanner noise and joint repeatability of one measurement."""
+    seen, moved = measuring_terms(calibration, q, xyz)
+    return seen + moved
+
+
+def measuring_terms(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scanner noise, and joint repeatability, of one measurement: (P, 3, 3) mm^2 each, in the base."""
     state, noise = calibration.state, calibration.noise
     frames = state.chain.frames(q)
     T = frames[:, -1] @ state.T_flange_scanner
@@ -80,7 +86,7 @@ def measuring_covariance(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray
     twists = state.chain.joint_twists(frames)
     joint = (twists[..., :3] + np.cross(twists[..., 3:], point[:, None])) * noise.joint[:, None]
     turned = T[:, :3, :3] * noise.point
-    return turned @ np.swapaxes(turned, 1, 2) + np.swapaxes(joint, 1, 2) @ joint
+    return turned @ np.swapaxes(turned, 1, 2), np.swapaxes(joint, 1, 2) @ joint
 
 
 def point_covariance(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray, *, measuring: bool = False) -> np.ndarray:

@@ -4,7 +4,8 @@ Verification after the manner of VDI/VDE 2634 Part 3: probing error (form and si
 
 "After the manner of", because that guideline speaks of optical measuring systems by themselves and excludes sensors that are
 positioned by axes; the quantities are formed as it forms them, on places and balls of the verification poses. A limit is held against
-each figure with the uncertainty of measuring it in mind: pass only where it keeps clear of it, fail only where it clearly exceeds it.
+each figure with the uncertainty of measuring it in mind (``length_budget``): pass only where it keeps clear of it, fail only where it
+clearly exceeds it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.length_budget import budget_content, length_budget
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.uncertainty import common_distance_uncertainty, distance_uncertainty
 from mbcacq.effects.effect_model import EffectModel
@@ -24,15 +26,16 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import K, fixed, measured, signed, uncertainty
 
-CLEAR = 2.0  # coverage factor of the guard band, the same as of every expanded uncertainty that is reported
 # (station, ball id) -> q (1, n), xyz (1, 3) and number of poses
 Ends = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray, int]]
 
 
 @dataclass(frozen=True)
 class VerifiedPair:
-    """One pair of balls at one station. errors in mm, measured minus certified; expected_mm: standard uncertainty of ``after_mm``."""
+    """One pair of balls at one station. errors in mm, measured minus certified; expected_mm: standard uncertainty of ``after_mm`` that the
+    calibration leaves, noise included; judging_mm: standard uncertainty of measuring the error, by which it is held against a limit."""
 
     station: str
     balls: tuple[int, int]
@@ -40,19 +43,27 @@ class VerifiedPair:
     before_mm: float
     after_mm: float
     expected_mm: float | None = None
+    judging_mm: float | None = None
+
+    @property
+    def beyond_expected(self) -> bool:
+        """Whether the error is larger than its expanded expected uncertainty: the model lacks something there."""
+        return beyond_expected(self.after_mm, self.expected_mm)
 
 
 @dataclass(frozen=True, repr=False)
 class Verification:
     """Sphere spacing errors at every station, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
     independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``, as dicts. common_mm:
-    standard uncertainty of the mean signed error after, as far as it comes from the calibration and is common to all places."""
+    standard uncertainty of the mean signed error after, as far as it comes from the calibration and is common to all places. budget: the
+    terms of the uncertainty of judging, of the place where it is largest (``length_budget.budget_content``)."""
 
     places: tuple[VerifiedPair, ...]
     limit_mm: float | None = None
     independent: bool | None = True
     figures: tuple[dict, ...] = ()
     common_mm: float | None = None
+    budget: dict[str, Any] | None = None
 
     def errors(self, which: str) -> np.ndarray:
         """(places,) signed errors in mm, 'before' or 'after'."""
@@ -69,10 +80,18 @@ class Verification:
             out["expected_mean_mm"] = float(np.sqrt(2 / np.pi) * np.mean(expected))
         out["common_mm"] = self.common_mm
         out["limit_mm"] = self.limit_mm
+        out["verdict"] = self.verdict
+        if self.budget is not None:
+            out["budget"] = self.budget
         out["independent"] = self.independent
         out["figures"] = list(self.figures)
         out["places"] = [asdict(p) | {"balls": list(p.balls)} for p in self.places]
         return out
+
+    @property
+    def verdict(self) -> str:
+        """'pass', 'fail', 'undecided' or 'none': the places held against the limit, each with its own uncertainty."""
+        return verdict_of_places(self.errors("after"), [p.judging_mm for p in self.places], self.limit_mm)
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any] | None) -> Verification:
@@ -80,15 +99,18 @@ class Verification:
         if content is None:
             return cls(())
         pairs = tuple(VerifiedPair(**{**p, "balls": tuple(p["balls"])}) for p in content["places"])
-        return cls(pairs, content["limit_mm"], content["independent"], tuple(content["figures"]), content.get("common_mm"))
+        figures, common, budget = tuple(content["figures"]), content.get("common_mm"), content.get("budget")
+        return cls(pairs, content["limit_mm"], content["independent"], figures, common, budget)
 
     def __repr__(self) -> str:
         if not self.places:
             return "Verification(no verification poses)"
         before, after = (np.abs(self.errors(which)) for which in ("before", "after"))
+        worst = int(after.argmax())
+        largest = measured(after[worst], K * (self.places[worst].judging_mm or 0.0), "mm")
         return (
-            f"Verification({len(self.places)} sphere spacings, mean {before.mean():.4f} -> {after.mean():.4f} mm, "
-            f"largest {before.max():.4f} -> {after.max():.4f} mm)"
+            f"Verification({len(self.places)} sphere spacings, mean {fixed(before.mean())} -> {fixed(after.mean())} mm, "
+            f"largest {fixed(before.max())} mm -> {largest})"
         )
 
     def _repr_html_(self) -> str:
@@ -96,12 +118,16 @@ class Verification:
             (
                 p.station,
                 f"{p.balls[0]}-{p.balls[1]}",
-                *(notebook.number(v) for v in (p.certified_mm, p.before_mm, p.after_mm, p.expected_mm)),
+                fixed(p.certified_mm, 4),
+                signed(p.before_mm),
+                signed(p.after_mm) + (" (beyond expected)" if p.beyond_expected else ""),
+                uncertainty(K * (p.judging_mm or 0.0)),
+                uncertainty(K * (p.expected_mm or 0.0)),
             )
             for p in self.places
         ]
-        header = ("station", "balls", "certified mm", "before mm", "after mm", "expected +- mm")
-        return notebook.table("Sphere spacing error", header, rows) + notebook.paragraph(repr(self))
+        header = ("station", "balls", "certified mm", "before mm", "after mm", "U of judging mm", "U expected mm")
+        return notebook.table("Sphere spacing error, U with k = 2", header, rows) + notebook.paragraph(repr(self))
 
 
 def verify(
@@ -118,7 +144,7 @@ def verify(
         refuse_other_arm("the result is of", fitted.robot, fitted.preliminary.chain, obs.cell.robot, "the recording")
     state = calibration if isinstance(calibration, CellState) else calibration.state
     first = (before or state) if fitted is None else fitted.preliminary
-    places = []
+    places, budgets, at = [], [], []
     after, ends = ball_positions(obs, state, None if fitted is None else fitted.effects)
     start, _ = ball_positions(obs, first)
     certified = dict(zip(obs.cell.ball_ids, obs.cell.ball_centres, strict=True))
@@ -129,12 +155,16 @@ def verify(
         if fitted is not None:
             (qa, xa, na), (qb, xb, nb) = ends[station, a], ends[station, b]
             expected = float(distance_uncertainty(fitted, qa, xa, qb, xb, repeats=(np.array([na]), np.array([nb])))[0])
-        places.append(VerifiedPair(obs.cell.stations[station].id, (a, b), length, initial - length, measured - length, expected))
+        budgets.append(length_budget(obs, station, (a, b), (ends[station, a], ends[station, b]), fitted))
+        at.append(station)
+        name, judging = obs.cell.stations[station].id, budgets[-1].combined_mm
+        places.append(VerifiedPair(name, (a, b), length, initial - length, measured - length, expected, judging))
+    budget = budget_content(obs, at, budgets) if places else None
     if fitted is None:
-        return Verification(tuple(places), limit_mm)
+        return Verification(tuple(places), limit_mm, budget=budget)
     took_part = fitted.took_part(obs)
-    found = Verification(tuple(places), limit_mm, None if took_part is None else not took_part)
-    figures = judge(observations, fitted, Limits(sphere_spacing_error_mm=limit_mm), found.errors("after"))
+    found = Verification(tuple(places), limit_mm, None if took_part is None else not took_part, budget=budget)
+    figures = judge(observations, fitted, Limits(sphere_spacing_error_mm=limit_mm), found)
     return replace(found, figures=tuple(f.to_dict() for f in figures), common_mm=common_uncertainty(fitted, found.places, ends, obs))
 
 
@@ -209,7 +239,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Figure:
-    """value_mm: largest of ``count`` values; uncertainty_mm: standard uncertainty of measuring it (the certificate's), None if unknown;
+    """value_mm: largest of ``count`` values; uncertainty_mm: standard uncertainty of measuring it, None if unknown;
     verdict: 'pass', 'fail', 'undecided' (within the uncertainty of the limit) or 'none' (no limit or no data)."""
 
     name: str
@@ -224,24 +254,29 @@ class Figure:
 
 
 def judge(
-    observations: Observations, calibration: Calibrated, limits: Limits | None = None, spacing: np.ndarray | None = None
+    observations: Observations, calibration: Calibrated, limits: Limits | None = None, verification: Verification | None = None
 ) -> list[Figure]:
     """The four figures, from the verification poses (where there are none, only what can be said is said).
 
     Form: the range of distances from the fitted sphere cannot be had from centres; four times the rms of the fits (95 % of a normal
     distribution) stands for it. Size: needs measured diameters, which an observation set does not hold. Length: largest error
-    between two balls of one station, over every pair of single scans, so that repeats do not average.
+    between two balls of one station, over every pair of single scans, so that repeats do not average. Lengths are judged with the
+    uncertainty of ``length_budget``.
     """
     limits = limits or Limits()
     obs = verification_poses(observations)
-    spacing = verify(observations, calibration).errors("after") if spacing is None else spacing
-    sigma = certificate_sigma(obs)
+    verification = verify(observations, calibration) if verification is None else verification
+    spacing, judging = verification.errors("after"), [p.judging_mm for p in verification.places]
+    sigma = None if verification.budget is None else float(verification.budget["combined_mm"])
     form = 4 * float(np.nanmax(obs.rms_mm)) if obs.rms_mm is not None and obs.n_centres and np.any(np.isfinite(obs.rms_mm)) else None
     points = 0.0 if obs.n_points is None or not obs.n_centres else float(np.min(obs.n_points))
     form_sigma = form / np.sqrt(2 * points) if form is not None and points > 1 else None
     lengths = single_lengths(obs, calibration)
     return [
-        _figure("sphere spacing error", spacing, sigma, limits.sphere_spacing_error_mm),
+        replace(
+            _figure("sphere spacing error", spacing, sigma, limits.sphere_spacing_error_mm),
+            verdict=verdict_of_places(spacing, judging, limits.sphere_spacing_error_mm),
+        ),
         _figure(
             "probing error, form (4 sigma of the sphere fits)",
             np.array([]) if form is None else np.array([form]),
@@ -251,12 +286,6 @@ def judge(
         _figure("probing error, size", np.array([]), None, limits.probing_error_size_mm),
         _figure("length measuring error (every pair of scans)", lengths, sigma, limits.length_measuring_error_mm),
     ]
-
-
-def certificate_sigma(obs: Observations) -> float | None:
-    """Standard uncertainty (mm) of a certified distance of the artefacts verified on."""
-    used = {obs.cell.stations[s].artefact for s in np.unique(obs.station)}
-    return max((np.sqrt(2) * obs.cell.artefact(a).uncertainty_mm for a in used), default=None)
 
 
 def single_lengths(obs: Observations, calibration: Calibrated) -> np.ndarray:
@@ -278,10 +307,23 @@ def verdict(value: float | None, sigma: float | None, limit: float | None) -> st
     """'pass', 'fail', 'undecided' or 'none': the expanded uncertainty (k = 2) on either side of the limit decides (ISO 14253-1)."""
     if value is None or limit is None:
         return "none"
-    margin = CLEAR * (sigma or 0.0)
+    margin = K * (sigma or 0.0)
     if value <= limit - margin:
         return "pass"
     return "fail" if value > limit + margin else "undecided"
+
+
+def verdict_of_places(errors: np.ndarray, sigma: Sequence[float | None], limit: float | None) -> str:
+    """The decision over all places: 'pass' where each passes, 'fail' where one fails, else 'undecided'; 'none' without limit or places."""
+    each = [verdict(abs(float(e)), s, limit) for e, s in zip(errors, sigma, strict=True)]
+    if not each or limit is None:
+        return "none"
+    return "fail" if "fail" in each else "undecided" if "undecided" in each else "pass"
+
+
+def beyond_expected(error_mm: float, expected_mm: float | None) -> bool:
+    """Whether an error is larger than the expanded uncertainty that is expected of it; False where none is known."""
+    return expected_mm is not None and abs(error_mm) > K * expected_mm
 
 
 def _figure(name: str, values: np.ndarray, sigma: float | None, limit: float | None) -> Figure:

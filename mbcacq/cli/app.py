@@ -12,6 +12,7 @@ from typing import NoReturn
 
 import click
 
+from mbcacq.cli.next_step import say_after_failure
 from mbcacq.cli.signals import ended_by_signal
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import EXIT_CODE_MEANING, ExitCode, MbcacqError
@@ -60,6 +61,7 @@ def refused_by_the_system(error: Exception) -> str:
 def end_interrupted(how: BaseException | None = None) -> NoReturn:
     """End with the sentence and the code of what a signal raised."""
     echo(f"mbcacq: {how}" if isinstance(how, MbcacqError) else "mbcacq: interrupted", err=True)
+    say_after_failure()
     sys.exit(how.exit_code if isinstance(how, MbcacqError) else ExitCode.INTERRUPTED)
 
 
@@ -104,6 +106,7 @@ class LazyGroup(click.Group):
             end_interrupted()
         except MbcacqError as error:
             echo(f"mbcacq: {error}", err=True)
+            say_after_failure()
             sys.exit(error.exit_code)
         except Exception as error:
             if os.environ.get("MBCACQ_DEBUG"):
@@ -125,10 +128,28 @@ class LazyGroup(click.Group):
 EPILOG = "Exit codes: " + ", ".join(f"{code.value} {EXIT_CODE_MEANING[code]}" for code in ExitCode) + "."
 
 
-@click.group(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+FIRST = """mbcacq calibrates and diagnoses a robot arm that carries a 3D scanner. What people do first:
+
+  mbcacq run kuka --dry-run     a whole run against a fake cell on this computer, half a minute: runs/latest/report.html
+  mbcacq plan copy kuka         a plan with its files here, to be changed for your own cell
+  mbcacq report DATA            calibrate and judge data that you have: a recording, a folder of CSV, a ROS bag
+
+All commands: mbcacq --help. Each has its own help: mbcacq run --help."""
+
+
+@click.group(
+    cls=LazyGroup,
+    epilog=EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    invoke_without_command=True,
+    no_args_is_help=False,
+)
 @click.version_option(__version__, prog_name="mbcacq")
-def app() -> None:
+@click.pass_context
+def app(context: click.Context) -> None:
     """Acquire with a robot-mounted 3D scanner, calibrate the cell, diagnose what the model lacks.
 
-    Try it without hardware: mbcacq run plans/kuka.yaml --dry-run
+    Try it without hardware: mbcacq run kuka --dry-run
     """
+    if context.invoked_subcommand is None:
+        echo(FIRST)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mbcacq.cli.next_step import say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
@@ -147,6 +148,18 @@ def command(
         print_joint_result(result)
     else:
         print_result(result)
+    if not as_json:
+        say_next(*next_step(data, result, bool(effects), out))
+
+
+def next_step(data: tuple[Path, ...], result: dict[str, Any], with_effects: bool, out: Path | None) -> tuple[str, str]:
+    """What to do after a calibration, and the command for it: ask for what the model lacks, unless that was done."""
+    named = " ".join(map(str, data))
+    if not with_effects:
+        return "ask whether the model lacks an effect", f"mbcacq diagnose {named}"
+    if out is None:
+        return "keep the result", f"mbcacq calibrate {named} --effects DIAGNOSIS.json --out result.json"
+    return "put the result to use", f"mbcacq export {out} --results DIR"
 
 
 def learnt_priors(fleet: Path | None) -> tuple[ArmPrior, ...]:
@@ -194,8 +207,8 @@ def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
         console.print(line)
     if result.get("verification"):
         console.print(tables.verification(result["verification"]))
-        for line in tables.figures(result["verification"]):
-            console.print(line)
+        for line in [*tables.figures(result["verification"]), *tables.judgement(result)]:
+            console.print(line, markup=False)
     if result.get("held_out"):
         console.print(tables.held_out(result["held_out"]))
     for gap in result.get("gaps") or ():

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
 
 
 @click.command("controller-files")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder to write to.")
 @click.option("--replace", is_flag=True, help="Write over files that are there already.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq.cli.next_step import say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -129,6 +130,23 @@ def command(
     echo(found.to_json() if as_json else found.text)
     for line in calibrated:
         echo(line, err=as_json)
+    if not as_json:
+        say_next(*next_step(data, found, with_found))
+
+
+def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found: bool) -> tuple[str, str]:
+    """What to do after a diagnosis, and the command for it."""
+    from mbcacq.workflow.load import is_run_folder
+
+    named, run = " ".join(map(str, data)), is_run_folder(data[0])
+    if with_found:
+        return "put the result to use", f"mbcacq export {data[0] / 'with-effects' if run else 'with-effects'} --results DIR"
+    if found.model:
+        return "calibrate with what was found", f"mbcacq diagnose {named} --calibrate"
+    if found.poses is not None and run:
+        return "see it in the report", f"mbcacq report {data[0]}"
+    page = " --report diagnosis.html" if found.poses else ""
+    return "keep it", f"mbcacq diagnose {named} --out diagnosis.json{page}"
 
 
 def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:
@@ -158,10 +176,14 @@ def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path
 def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:
     """Calibrate with what was found, write the result, and say what came of it."""
     from mbcacq.report.sources.run_folder import WITH_EFFECTS
-    from mbcacq.workflow.calibrate_with_found import calibrate_with_found, limit_of
+    from mbcacq.workflow.calibrate import limit_of
+    from mbcacq.workflow.calibrate_with_found import calibrate_with_found
     from mbcacq.workflow.load import is_run_folder
+    from mbcacq.workflow.report import write_report
 
     run = data[0] if is_run_folder(data[0]) else None
     result = calibrate_with_found(found, options, limit_of(run) if run is not None else None)
     files = result.write((run or Path()) / WITH_EFFECTS)
+    if run is not None:
+        files.append(write_report(run))  # whose first page is about the best model that the run has
     return ["", result.text, *(str(file) for file in files)]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ExitCode
@@ -22,7 +23,7 @@ DEVICES = ("robot", "scanner", "positioner", "sensor", "devices")
 
 
 @click.command("doctor")
-@click.argument("plan", required=False, type=click.Path(path_type=Path))
+@click.argument("plan", required=False, type=PlanPath())
 @click.option("--arm", is_flag=True, help="Connect a real robot too, which can switch its drives on; it is not moved.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def command(plan: Path | None, arm: bool, as_json: bool) -> None:

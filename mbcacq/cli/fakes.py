@@ -8,12 +8,13 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
 @click.command("fakes")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option("--fast", is_flag=True, help="Lock-step: as fast as the client answers, instead of real time at 4 ms.")
 @click.option("--program", type=click.Path(path_type=Path), help="Folder of a robot program: play it, and save its clouds (--clouds).")
 @click.option("--clouds", type=click.Path(path_type=Path), help="Folder for the clouds of --program, and joints.csv.")
@@ -23,11 +24,13 @@ def command(plan: Path, fast: bool, program: Path | None, clouds: Path | None, s
 
     With --program, a program of `mbcacq plan program` is played in the fake cell instead, as a rehearsal of `mbcacq collect`.
     """
+    from mbcacq.acquisition.device_check import refuse_impossible_devices
     from mbcacq.devices import load_driver
     from mbcacq.errors import ConfigError
     from mbcacq.plan import expand, load
 
     loaded = load(plan)
+    refuse_impossible_devices(loaded)
     with StepProgress() as steps:
         steps.begin("looking for postures that reach every pose")
         poses = expand(loaded)

@@ -9,7 +9,10 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.next_step import say_next
+from mbcacq.cli.plan_copy import copy
 from mbcacq.cli.plan_design import design
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.plan_program import program
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
@@ -19,11 +22,12 @@ from mbcacq.errors import ExitCode
 
 @click.group("plan")
 def command() -> None:
-    """Make, show, check or design a plan, write it as a robot program; without opening a socket."""
+    """Make, copy, show, check or design a plan, write it as a robot program; without opening a socket."""
 
 
 command.add_command(design)
 command.add_command(program)
+command.add_command(copy)
 
 
 @command.command("new")
@@ -78,10 +82,12 @@ def new(
     if as_json:
         places = [str(s.id) for s in made.plan.stations]
         echo(json.dumps({"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}))
+    else:
+        say_next("see what it can and cannot determine", f"mbcacq plan check {out}")
 
 
 @command.command("show")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option("--rrd", type=click.Path(path_type=Path), help="Also draw it: the arm on its way, as a recording for rerun.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
@@ -108,10 +114,11 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
     _print_steps(content)
     _print_poses(content)
     echo(_time_sentence(content))
+    say_next("find what is wrong with it", f"mbcacq plan check {plan}")
 
 
 @command.command("check")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option("--quick", is_flag=True, help="Only what would stop a run; not what the plan can see.")
 @click.option("--fix", is_flag=True, help="Write the plan with stations moved into reach, and views left out that no place helps.")
 @click.option("--all", "every", is_flag=True, help="One line a finding, instead of one a kind and step.")
@@ -121,6 +128,7 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
 
     Errors end with exit code 2.
     """
+    from mbcacq.acquisition.device_check import device_findings
     from mbcacq.design.plan_findings import identifiability_findings, reach_findings, sentences
     from mbcacq.plan import load
     from mbcacq.plan.expansion import expand_reachable
@@ -137,7 +145,7 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         poses, _ = expand_reachable(loaded)
         steps.begin("looking for free paths between them")
         routes = find_paths(loaded, poses)
-        findings, content = check(loaded, poses, routes), summary(loaded, poses, routes)
+        findings, content = [*device_findings(loaded), *check(loaded, poses, routes)], summary(loaded, poses, routes)
         steps.begin("computing what the poses determine")
         more, accuracy, effects = ([], None, None) if quick else identifiability_findings(loaded, poses, content, routes)
         findings += more
@@ -158,6 +166,10 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
             echo(_axis_sentence(axis))
         warnings = sum(f.level == "warning" for f in findings)
         echo(f"{errors} error{'s' * (errors != 1)}, {warnings} warning{'s' * (warnings != 1)}")
+        if not errors:
+            say_next("try it without hardware", f"mbcacq run {plan} --dry-run")
+        elif any(f.code == "move-station" for f in findings):
+            say_next("let the stations be moved into reach", f"mbcacq plan check {plan} --fix")
     if errors:
         sys.exit(ExitCode.USAGE)
 

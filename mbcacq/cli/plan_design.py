@@ -8,13 +8,14 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
 
 
 @click.command("design")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option("--poses", "count", type=click.IntRange(6, 400), help="Number of calibration poses to choose (needed without --motion).")
 @click.option(
     "--motion",

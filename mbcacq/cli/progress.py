@@ -20,7 +20,7 @@ class RunProgress:
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
-            TextColumn("pose {task.completed:.0f} of {task.total:.0f}"),
+            TextColumn("{task.completed:.0f} of {task.total:.0f} poses"),
             TextColumn("station {task.fields[station]}  balls {task.fields[balls]}", markup=False),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
@@ -28,7 +28,9 @@ class RunProgress:
             disable=not self._console.is_terminal,
         )
         self._task: TaskID | None = None
-        self._step, self._station, self._balls, self._done, self._total, self._stepped = "", "-", 0, 0, 0, False
+        self._step, self._station, self._balls, self._stepped = "", "-", 0, False
+        self._before = self._done = self._total = 0  # poses measured before this call, in it, and planned
+        self._since: float | None = None  # when the first pose of this call was done
 
     def __call__(self, event: events.Event) -> None:
         if isinstance(event, events.RunStarted | events.RunStopped | events.StateChanged):
@@ -44,10 +46,10 @@ class RunProgress:
         self._begin("connecting to the devices" if waiting else "")
         match event:
             case events.RunStarted():
-                self._total = event.n_poses
+                self._total, self._before = event.n_poses, event.n_poses - len(event.route) if event.route else 0
                 if event.simulated:
                     self._console.print(f"*** {SIMULATED} ***", markup=False, soft_wrap=True)
-                self._task = self._bar.add_task("connecting", total=event.n_poses, station="-", balls="-")
+                self._task = self._bar.add_task("connecting", total=event.n_poses, completed=self._before, station="-", balls="-")
                 self._bar.start()
             case events.StateChanged(state="waiting" | "paused"):
                 self._bar.stop()  # it would write over the question
@@ -56,7 +58,11 @@ class RunProgress:
                     self._bar.start()
             case events.RunStopped():
                 self._bar.stop()
-                end = event.reason if event.exit_status == "success" else f"run ended after {self._done} of {self._total} poses"
+                end = (
+                    event.reason
+                    if event.exit_status == "success"
+                    else f"run ended after {self._before + self._done} of {self._total} poses"
+                )
                 self._console.print(end, markup=False, soft_wrap=True)  # why, the command says itself
 
     def _count(self, event: events.Event) -> None:
@@ -74,18 +80,25 @@ class RunProgress:
                 self._done += 1
                 self._line(event.time_s)
         if self._task is not None and isinstance(event, events.PoseDone | events.StepStarted | events.StationReached | events.CentresFound):
-            self._bar.update(
-                self._task, completed=self._done, description=self._step or "connecting", station=self._station, balls=str(self._balls)
-            )
+            done, step = self._before + self._done, self._step or "connecting"
+            self._bar.update(self._task, completed=done, description=step, station=self._station, balls=str(self._balls))
 
     def _line(self, elapsed: float) -> None:
         if self._console.is_terminal:
             return
-        remaining = elapsed / self._done * (self._total - self._done)
-        if self._stepped or self._done % 10 == 0 or self._done == self._total:
+        done = self._before + self._done
+        left = self._left(elapsed, self._total - done)
+        if self._stepped or done % 10 == 0 or done == self._total:
             self._stepped = False
+            balls = f"{self._balls} ball{'s' * (self._balls != 1)}"
             self._console.print(
-                f"{self._step}: pose {self._done} of {self._total}, station {self._station}, {self._balls} balls, {remaining:.0f} s left",
-                markup=False,
-                soft_wrap=True,
+                f"{self._step}: {done} of {self._total} poses, station {self._station}, {balls}{left}", markup=False, soft_wrap=True
             )
+
+    def _left(self, now: float, poses: int) -> str:
+        """The time left, from the poses between the first one of this call and now; nothing is known of it before the second."""
+        if self._since is None:
+            self._since = now
+        if self._done < 2 or not poses:
+            return ""
+        return f", about {(now - self._since) / (self._done - 1) * poses:.0f} s left"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -36,3 +37,5 @@ def command(run: Path, out: Path | None, with_diagnosis: bool, as_json: bool) ->
         echo(json.dumps({"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}))
     else:
         echo(str(path))
+        if run.is_dir() and not (run / "diagnosis.json").exists():
+            say_next("ask which effects the model lacks", f"mbcacq diagnose {run}")

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import forget_failure, on_failure, say_next
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo, printable
 
 
 @click.command("run")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", required=False, type=PlanPath())
 @click.option("--dry-run", is_flag=True, help="Against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run folder: poses already measured are skipped.")
@@ -24,7 +26,7 @@ from mbcacq.cli.terminal import echo, printable
 @click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 def command(
-    plan: Path,
+    plan: Path | None,
     dry_run: bool,
     out: Path | None,
     resume: Path | None,
@@ -38,11 +40,13 @@ def command(
 ) -> None:
     """Execute PLAN, record it, calibrate the cell and show how good it became.
 
+    PLAN is a file, or the name of one that came with mbcacq; with --resume the plan of the run folder, if none is given.
+
     \b
     Examples:
       mbcacq run plans/kuka.yaml --dry-run
       mbcacq run my-cell.yaml --arm --step
-      mbcacq run my-cell.yaml --arm --resume runs/2026-11-21T10-00-00_my-cell
+      mbcacq run --arm --resume runs/2026-11-21T10-00-00_my-cell
     """
     import mbcacq
     from mbcacq.cli.arming import ask_before_motion
@@ -52,6 +56,9 @@ def command(
     from mbcacq.cli.stepping import KeyPause
 
     end_in_order_on_signals()
+    if plan is None:
+        plan = plan_of(resume)
+    same = "".join([" --dry-run" * dry_run, f" --seed {seed}" * bool(seed), " --arm" * arm, " --step" * step, " --yes" * yes])
     steps = StepProgress()
     operator = mbcacq.Operator(
         allow_motion=lambda loaded, poses, sweep: ask_before_motion(loaded, poses, sweep, arm),
@@ -61,16 +68,28 @@ def command(
         progress=steps.begin,
         subscribers=(RunProgress(steps.begin),),
         assume_yes=yes,
+        began=lambda folder: on_failure("go on where it ended", f"mbcacq run{same} --resume {folder}"),
     )
     with steps:
         done = mbcacq.run(plan, dry_run=dry_run, out=out, resume=resume, measure_again=again, live=live, seed=seed, operator=operator)
+    forget_failure()
     if as_json:
         echo(json.dumps(done.to_dict()))
     else:
         from mbcacq.cli.calibrate import print_result
 
         print_result(done.to_dict())
+        say_next(*done.next_step)
     done.refuse_beyond_limit()
+
+
+def plan_of(resume: Path | None) -> Path:
+    """The plan of the run to go on with. Raises UsageError where neither is given."""
+    from mbcacq.recording.run_folder.run_plan import plan_of_run
+
+    if resume is None:
+        raise click.UsageError("Missing argument 'PLAN': a plan file, or one of those that came with mbcacq, such as kuka.")
+    return plan_of_run(resume)
 
 
 def ask_whether_moved(station: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import os
 import signal
 import sys
 import threading
@@ -38,9 +39,12 @@ class FirstSignal:
         raise self._error()
 
     def handle(self, numbers: Iterable[int]) -> None:
-        """Take the place of the handlers of these signals, but for those that ignore them: nohup stays nohup."""
+        """Take the place of the handlers of these signals, but for those that ignore them: nohup stays nohup. Ctrl-C counts in any case
+        where the keyboard is ours."""
         for number in numbers:
             before = signal.getsignal(number)
+            if before is signal.SIG_IGN and number == signal.SIGINT and at_the_keyboard():
+                before = signal.SIG_DFL  # inherited from a shell; who sits there must be able to stop an arm
             if before in (signal.SIG_DFL, signal.default_int_handler) or isinstance(before, FirstSignal):
                 signal.signal(number, self)
         if not isinstance(sys.unraisablehook, _Unraisable):
@@ -63,6 +67,14 @@ class FirstSignal:
         if self._number == signal.SIGINT:
             return KeyboardInterrupt()
         return Aborted(f"{self._what} was ended by {signal.Signals(self._number).name}")
+
+
+def at_the_keyboard() -> bool:
+    """Whether standard input is a terminal of which this process is in the foreground."""
+    try:
+        return sys.stdin.isatty() and (not hasattr(os, "tcgetpgrp") or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp())
+    except (AttributeError, OSError, ValueError):
+        return False
 
 
 class _Unraisable:

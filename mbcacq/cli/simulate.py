@@ -7,13 +7,14 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import ConfigError
 
 
 @click.command("simulate")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option(
     "--cell", "result", type=click.Path(path_type=Path), help="Calibrated cell: a result.json, or a run folder with one [default: nominal]."
 )

@@ -6,6 +6,7 @@ The clock is a timer signal, not a thread: a process that has threads cannot for
 from __future__ import annotations
 
 import re
+import shutil
 import signal
 import sys
 import threading
@@ -15,24 +16,33 @@ from types import TracebackType
 from mbcacq.cli.terminal import echo
 
 EVERY_S = 1.5  # nothing is silent for more than two seconds
+MOST_LINES = 10  # of counted parts, in a file or a pipe
 COUNTED = re.compile(r"(\d+) of (\d+)$")
+
+
+def shortened(text: str, columns: int) -> str:
+    """The text, or its first words with an ellipsis where it is longer than so many columns."""
+    if len(text) <= columns:
+        return text
+    cut = text[: columns - 1]
+    return f"{cut.rpartition(' ')[0] or cut}…"
 
 
 class StepProgress:
     """Call it with a sentence at the begin of each step; use it as a context. A sentence that ends with 'k of n' is counted: the time
-    left is then estimated from the counts before it. On a terminal one line is written over; elsewhere each message is a line. An empty
-    sentence ends the steps: the terminal belongs to somebody else, and no signal comes."""
+    left is then estimated from the counts before it. On a terminal one line is written over; elsewhere each step is a line, of many counted
+    ones every tenth. An empty sentence ends the steps: the terminal belongs to somebody else, and no signal comes."""
 
     def __init__(self, quiet: bool = False) -> None:
         self._quiet, self._terminal = quiet, sys.stderr.isatty()
         self._text, self._began, self._counting_since = "", 0.0, 0.0
         self._count: tuple[int, int] | None = None
         self._written = 0
-        self._timed = False
+        self._timed, self._said = False, False
 
     def __call__(self, text: str) -> None:
         self.begin(text)
-        if text:
+        if text and (self._terminal or self._gets_a_line()):
             self._say(f"{text}{self._left(self._began)} ...")
 
     def begin(self, text: str) -> None:
@@ -44,7 +54,7 @@ class StepProgress:
             self._counting_since = now
         if bool(text) != bool(self._text) and self._timed:
             self._tick_every(EVERY_S if text else 0.0)
-        self._text, self._began, self._count = text, now, count
+        self._text, self._began, self._count, self._said = text, now, count, False
         if not text:
             self.clear()
 
@@ -69,8 +79,19 @@ class StepProgress:
 
     def _tick(self) -> None:
         now = time.monotonic()
-        if self._text and now - self._began > 0.5 * EVERY_S:
+        if not self._text or now - self._began <= 0.5 * EVERY_S:
+            return
+        if self._terminal:
             self._say(f"{self._text}: {now - self._began:.0f} s so far{self._left(now)}")
+        elif not self._said and self._gets_a_line():
+            self._say(f"{self._text}{self._left(now)} ...")
+
+    def _gets_a_line(self) -> bool:
+        """In a file or a pipe: the first, the last and every tenth part of many."""
+        if self._count is None:
+            return True
+        number, of = self._count
+        return number == 1 or number == of or number % max(of // MOST_LINES, 1) == 0
 
     def _left(self, now: float) -> str:
         if self._count is None or self._count[0] < 2:
@@ -80,13 +101,14 @@ class StepProgress:
         return f", about {max(each * (of - number + 1) - (now - self._began), 1.0):.0f} s left"
 
     def _say(self, text: str) -> None:
+        self._said = True
         if self._quiet:
             return
         if not self._terminal:
             echo(text, err=True)
             return
         self.clear()
-        shown = text[:78]
+        shown = shortened(text, shutil.get_terminal_size().columns - 2)
         echo(shown, err=True, nl=False)
         self._written = len(shown)
 

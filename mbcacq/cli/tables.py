@@ -1,4 +1,4 @@
-"""Tables of calibration results for the terminal: deg and mm, as people read them."""
+"""Tables of calibration results for the terminal: ° and mm, every uncertainty expanded (k = 2), as in the report."""
 
 from __future__ import annotations
 
@@ -7,16 +7,33 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from mbcacq.calibration.verification import beyond_expected
+from mbcacq.quantities import (
+    K,
+    decimal_places,
+    fixed,
+    in_words,
+    listed,
+    measured,
+    micrometres,
+    p_value,
+    pair,
+    signed,
+    significant,
+    symbol,
+    uncertainty,
+)
+
 TO_DEG = 180 / np.pi
 
 
 def parameters(result: dict[str, Any]) -> Table:
-    """Identified MD-H errors with standard deviations, one row a link, as the paper's Table 1."""
+    """Identified MD-H errors with expanded uncertainties, one row a link, as the paper's Table 1."""
     rows = {p["name"]: p for p in result["parameters"]}
-    table = Table(title=f"{result['robot']['name']}: MD-H errors (deg, mm), +- standard deviation", title_justify="left")
+    table = Table(title=f"{result['robot']['name']}: MD-H errors, ± U (k = 2)", title_justify="left")
     table.add_column("link")
-    for name in ("theta", "d", "a", "alpha", "beta"):
-        table.add_column(f"{name} {'mm' if name in 'da' else 'deg'}", justify="right")
+    for name in ("θ / °", "d / mm", "a / mm", "α / °", "β / °"):
+        table.add_column(name, justify="right")
     for i in range(len(result["robot"]["sign"])):
         table.add_row(str(i + 1), *(_cell(rows.get(f"{p}_{i + 1}")) for p in ("theta", "d", "a", "alpha", "beta")))
     return table
@@ -29,12 +46,12 @@ def effects(result: dict[str, Any]) -> list[str]:
         return []
     from mbcacq.workflow.effects import remarks_on_names
 
-    out = ["Effects, with the cell (coefficient +- standard deviation; orders, moments and time constants held):"]
+    out = ["Effects, with the cell (coefficient ± U, k = 2; orders, moments and time constants held):"]
     for t in terms:
         if t["name"] != "unknown":
-            hyper = "".join(f", {k} {v:.6g}" for k, v in t["hyper"].items())
-            values = ", ".join(f"{c:.4g} +- {s:.2g}" for c, s in zip(t["coefficients"], t["std"], strict=True))
-            out.append(f"  {t['name']} at {', '.join(t['where'])}{hyper}: {values} {t['units'][0]}")
+            hyper = "".join(f", {k} {significant(v, 4)}" for k, v in t["hyper"].items())
+            values = ", ".join(measured(c, K * s) for c, s in zip(t["coefficients"], t["std"], strict=True))
+            out.append(f"  {t['name']} at {', '.join(t['where'])}{hyper}: {values} {symbol(t['units'][0])}")
     unknown = [t for t in terms if t["name"] == "unknown"]
     if unknown:
         count = sum(len(t["names"]) for t in unknown)
@@ -45,15 +62,13 @@ def effects(result: dict[str, Any]) -> list[str]:
 
 def day_to_day(joint: dict[str, Any]) -> list[str]:
     """Each coefficient of the effects in several recordings: what it has in common, and what differs from day to day."""
-    out = ["From day to day (common value; standard deviation between recordings; value in each):"] if joint.get("day_to_day") else []
+    out = ["From day to day (common value; standard deviation between recordings; value in each; ± is U, k = 2):"]
     for d in joint.get("day_to_day") or ():
-        each = ", ".join(f"{v:.4g} +- {s:.2g}" for v, s in zip(d["values"], d["std"], strict=True))
-        differs = f"differs by {d['between_std']:.2g}" if d["between_std"] > 0 else "does not differ"
-        out.append(
-            f"  {d['name']} at {', '.join(d['where'])}: {d['common']:.4g} +- {d['common_std']:.2g} {d['unit']}, {differs} "
-            f"(p = {d['p_value']:.1g}); {each}"
-        )
-    return out
+        each = ", ".join(measured(v, K * s) for v, s in zip(d["values"], d["std"], strict=True))
+        common = measured(d["common"], K * d["common_std"], symbol(d["unit"]))
+        differs = f"differs by {uncertainty(d['between_std'])}" if d["between_std"] > 0 else "does not differ"
+        out.append(f"  {d['name']} at {', '.join(d['where'])}: {common}, {differs} ({p_value(d['p_value'])}); {each}")
+    return out if len(out) > 1 else []
 
 
 def arm_parameters(result: dict[str, Any]) -> set[str]:
@@ -70,9 +85,11 @@ def identifies_arm(result: dict[str, Any]) -> bool:
 def _cell(parameter: dict[str, Any] | None) -> str:
     if parameter is None or parameter["status"] == "held":
         return "-"
-    scale, digits = (TO_DEG, 4) if parameter["unit"] == "rad" else (1.0, 3)
-    std = f"\n+-{scale * parameter['std']:.{digits}f}" if parameter["std"] is not None else ""
-    return f"{scale * parameter['error']:+.{digits}f}{std}"
+    scale = TO_DEG if parameter["unit"] == "rad" else 1.0
+    if parameter["std"] is None:
+        return signed(scale * parameter["error"], 4)
+    error, U = pair(scale * parameter["error"], K * scale * parameter["std"])
+    return f"{'+' if parameter['error'] > 0 else ''}{error}\n± {U}"
 
 
 def fixed_scanners(result: dict[str, Any]) -> list[Table]:
@@ -81,50 +98,52 @@ def fixed_scanners(result: dict[str, Any]) -> list[Table]:
         return []
     out = []
     for station in result["stations"]:
-        table = Table(title=f"instrument '{station['id']}' in the base, X Y Z mm, A B C deg", title_justify="left")
+        table = Table(title=f"instrument '{station['id']}' in the base, ± U (k = 2)", title_justify="left")
         std = station["std"]
-        _frame_rows(table, station["T_base_station"], [f"+-{s:.4f}" for s in std[:3]] + [f"+-{TO_DEG * s:.4f}" for s in std[:2:-1]])
+        _frame_rows(table, station["T_base_station"], [*std[:3], *std[:2:-1]])
         out.append(table)
     return out
 
 
-def _frame_rows(table: Table, T: list[list[float]], std: list[str]) -> None:
-    """The frame, and the standard deviations below it. Those of the rotation are about the frame's z, y, x axes, near enough to A, B, C
-    for reading."""
+def _frame_rows(table: Table, T: list[list[float]], std: list[float | None]) -> None:
+    """The frame, and its expanded uncertainties below it.
+
+    std: (6,) standard deviations in mm and rad, None where held. Those of the rotation are about the frame's z, y, x axes, near enough to
+    A, B, C for reading.
+    """
     from mbcacq.geometry import se3
 
     xyz, abc = se3.to_abc(np.array(T))
-    for name in "XYZABC":
-        table.add_column(name, justify="right")
-    table.add_row(*(f"{v:.4f}" for v in xyz), *(f"{TO_DEG * v:.4f}" for v in abc))
-    table.add_row(*std)
+    for name, unit in zip("XYZABC", ("mm", "mm", "mm", "°", "°", "°"), strict=True):
+        table.add_column(f"{name} / {unit}", justify="right")
+    scaled = [(v, s, 1.0) for v, s in zip(xyz, std[:3], strict=True)]
+    scaled += [(TO_DEG * v, s, TO_DEG) for v, s in zip(abc, std[3:], strict=True)]
+    shown = [(fixed(v, 4), "held") if s is None else pair(v, K * scale * s) for v, s, scale in scaled]
+    table.add_row(*(value for value, _ in shown))
+    table.add_row(*(U if U == "held" else f"± {U}" for _, U in shown))
 
 
 def hand_eye(result: dict[str, Any]) -> Table:
     std = {p["name"]: p["std"] for p in result["parameters"] if p["name"].startswith("hand_eye.")}
     what = "target on the flange" if result.get("measurement") == "target_in_base" else "scanner on the flange (hand-eye)"
-    table = Table(title=f"{what}, X Y Z mm, A B C deg", title_justify="left")
-
-    def text(name: str, scale: float) -> str:
-        return "held" if std.get(f"hand_eye.{name}") is None else f"+-{scale * std[f'hand_eye.{name}']:.4f}"
-
-    _frame_rows(table, result["T_flange_scanner"], [*(text(c, 1.0) for c in "xyz"), *(text(c, TO_DEG) for c in ("rz", "ry", "rx"))])
+    table = Table(title=f"{what}, ± U (k = 2)", title_justify="left")
+    _frame_rows(table, result["T_flange_scanner"], [std.get(f"hand_eye.{c}") for c in ("x", "y", "z", "rz", "ry", "rx")])
     return table
 
 
 def fit(result: dict[str, Any]) -> list[str]:
     """How well the cell fits, how accurate it is expected to be, and the noise that was found."""
     fitted, noise = result["fit"], result["noise"]
-    chi2 = f", chi2/dof {fitted['chi2_dof']:.2f}" if fitted.get("chi2_dof") is not None else ""
+    chi2 = f", χ²/dof {fitted['chi2_dof']:.2f}" if fitted.get("chi2_dof") is not None else ""
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
-    out = [f"Fit: {size}, residual {fitted['rms_mm']:.4f} mm rms{chi2}, rank {fitted['rank']}"]
+    out = [f"Fit: {size}, residual {micrometres(fitted['rms_mm'])} (3D rms){chi2}, rank {fitted['rank']}"]
     if (expected := fitted.get("expected_accuracy_mm")) is not None:
         aside = "noise of measuring aside" if identifies_arm(result) else "noise of measuring and the arm's own errors aside"
-        out.append(f"Expected accuracy of a point in the workspace: {expected:.4f} mm (1 sigma, {aside})")
+        out.append(f"Expected accuracy of a point in the workspace: {uncertainty(1e3 * K * expected)} µm (U, k = 2; {aside})")
     if noise:
-        sigmas = " ".join(f"{1e3 * s:.1f}" for s in noise["scanner_mm"])
-        turn = f", its orientation {1e6 * noise['turn_rad']:.1f} urad" if noise.get("turn_rad") else ""
-        out.append(f"Noise: scanner {sigmas} um along x y z{turn}{_repeatability(result)}")
+        turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
+        axes = listed([1e3 * s for s in noise["scanner_mm"]])
+        out.append(f"Noise (k = 1): scanner {axes} µm along x, y, z{turn}{_repeatability(result)}")
         if result["method"] == "paper":
             out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
     return out
@@ -135,9 +154,9 @@ def _repeatability(result: dict[str, Any]) -> str:
     if not any(found):
         return ""
     if result["robot"].get("flange_poses"):  # displacements in mm, then rotations in rad
-        places, turns = (" ".join(f"{s * scale:.1f}" for s in part) for part, scale in ((found[:3], 1e3), (found[3:], 1e6)))
-        return f"; poses of the flange are off by {places} um and {turns} urad, one sigma along and about x y z of the base"
-    return f"; joints repeat within {' '.join(f'{1e6 * s:.1f}' for s in found)} urad"
+        places, turns = (listed([scale * s for s in part]) for part, scale in ((found[:3], 1e3), (found[3:], 1e6)))
+        return f"; poses of the flange are off by {places} µm and {turns} µrad along and about x, y, z of the base"
+    return f"; joints repeat within {listed([1e6 * s for s in found])} µrad"
 
 
 def remarks(result: dict[str, Any]) -> list[str]:
@@ -156,13 +175,13 @@ def remarks(result: dict[str, Any]) -> list[str]:
         reasons.setdefault(why, []).append(name)
     for why, names in reasons.items():
         out.append(f"Held: {', '.join(names)}: {why}")
-    for pair in (result.get("correlated") or [])[:5]:
-        a, b = pair["parameters"]
-        out.append(f"Hard to separate: {a} and {b} (correlation {pair['correlation']:+.3f})")
+    for alike in (result.get("correlated") or [])[:5]:
+        a, b = alike["parameters"]
+        out.append(f"Hard to separate: {a} and {b} (correlation {signed(alike['correlation'])})")
     rejected = result.get("rejected") or []
     if rejected:
         some = ", ".join(
-            f"pose {r['pose']}{'' if r.get('ball') is None else ' ball ' + str(r['ball'])} ({r['distance_mm']:.3f} mm)"
+            f"pose {r['pose']}{'' if r.get('ball') is None else ' ball ' + str(r['ball'])} ({fixed(r['distance_mm'])} mm)"
             for r in rejected[:5]
         )
         out.append(f"Rejected as outliers: {len(rejected)}: {some}{', ...' if len(rejected) > 5 else ''}")
@@ -177,7 +196,7 @@ def scan_scale(result: dict[str, Any]) -> list[str]:
     s = result.get("scan_scale")
     if not s:
         return [f"Scale: {result['scale']}"] if result.get("scale") else []
-    out = [f"Scale within the scans against the certificate: {s['ppm']:+.0f} +- {s['sigma_ppm']:.0f} ppm ({s['scans']} scans)"]
+    out = [f"Scale within the scans against the certificate: {measured(s['ppm'], K * s['sigma_ppm'], 'ppm')} (k = 2, {s['scans']} scans)"]
     if s["significant"]:
         how, sigmas = "longer" if s["ppm"] > 0 else "shorter", abs(s["ppm"]) / s["sigma_ppm"]
         out.append(
@@ -196,9 +215,9 @@ def stages(result: dict[str, Any]) -> list[str]:
         for key in stage:
             if "_before_" in key:
                 name, unit = key.split("_before_")
-                gains.append(f"{name.replace('_', ' ')} {stage[key]:.4f} -> {stage[f'{name}_after_{unit}']:.4f} {unit}")
+                gains.append(f"{in_words(name)} {significant(stage[key])} -> {significant(stage[f'{name}_after_{unit}'])} {symbol(unit)}")
             elif key.startswith("change_"):
-                gains.append(f"changed by {stage[key]:.3f} {key.removeprefix('change_')}")
+                gains.append(f"changed by {significant(stage[key])} {symbol(key.removeprefix('change_'))}")
         out.append(f"Stage: {stage['stage']}" + (f": {', '.join(gains)}" if gains else ""))
     return out
 
@@ -212,7 +231,8 @@ def figures(v: dict[str, Any]) -> list[str]:
     for f in v.get("figures") or []:
         if f["value_mm"] is not None and f["name"] != "sphere spacing error":
             limit = "" if f["limit_mm"] is None else f", limit {f['limit_mm']:g} mm: {f['verdict']}"
-            out.append(f"{f['name'].capitalize()}: {f['value_mm']:.4f} mm, largest of {f['count']}{limit}")
+            value = measured(f["value_mm"], None if f["uncertainty_mm"] is None else K * f["uncertainty_mm"], "mm")
+            out.append(f"{f['name'].capitalize()}: {value} (k = 2), largest of {f['count']}{limit}")
     return out
 
 
@@ -226,39 +246,57 @@ def common_error(v: dict[str, Any]) -> list[str]:
     if common < MOSTLY_COMMON * np.sqrt(max(whole**2 - common**2, 0.0)):
         return []
     return [
-        f"Of the expected +-{whole:.3f} mm, +-{common:.3f} mm are common to all places: noise of this calibration appears at each of them "
-        "with one sign, as a stretch of the arm would, because the poses hardly see the arm's size. A length longer than the view seen end "
-        "by end (phase length), or the artefact in different corners of the view, determines it."
+        f"Of the expected U = {uncertainty(K * whole)} mm, {uncertainty(K * common)} mm (k = 2) are common to all places: noise of this "
+        "calibration appears at each of them with one sign, as a stretch of the arm would, because the poses hardly see the arm's size. "
+        "A length longer than the view seen end by end (phase length), or the artefact in different corners of the view, determines it."
     ]
 
 
 def verification(v: dict[str, Any]) -> Table:
-    """Sphere spacing errors before and after, as the paper's Table 2."""
-    table = Table(title="Sphere spacing error (mm)", title_justify="left")
-    for name in ("station", "balls", "certified", "before", "after", "expected +-"):
+    """Sphere spacing errors before and after, as the paper's Table 2, with the uncertainty of judging each and the one expected of it.
+
+    An error beyond what the calibration expects of itself is marked.
+    """
+    table = Table(title="Sphere spacing error / mm, U with k = 2", title_justify="left")
+    for name in ("station", "balls", "certified", "before", "after", "U", "U expected"):
         table.add_column(name, justify="right", no_wrap=True)
+    known = [p["judging_mm"] for p in v["places"] if p.get("judging_mm")]
+    digits = max(decimal_places(K * min(known)), 0) if known else 3
     for p in v["places"]:
-        expected = "" if p["expected_mm"] is None else f"{p['expected_mm']:.3f}"
+        mark = " !" if beyond_expected(p["after_mm"], p["expected_mm"]) else ""
         table.add_row(
             str(p["station"]),
             f"{p['balls'][0]}-{p['balls'][1]}",
-            f"{p['certified_mm']:.4f}",
-            f"{round(p['before_mm'], 3) + 0.0:+.3f}",
-            f"{round(p['after_mm'], 3) + 0.0:+.3f}",
-            expected,
+            fixed(p["certified_mm"], 4),
+            signed(p["before_mm"], digits),
+            signed(p["after_mm"], digits),
+            uncertainty(K * (p.get("judging_mm") or 0.0)),
+            "" if p["expected_mm"] is None else uncertainty(K * p["expected_mm"]) + mark,
         )
     table.add_section()
-    table.add_row("max", "", "", f"{v['before']['max_mm']:.3f}", f"{v['after']['max_mm']:.3f}", "")
-    expected = "" if v.get("expected_mean_mm") is None else f"{v['expected_mean_mm']:.3f}"
+    table.add_row("max", "", "", fixed(v["before"]["max_mm"], digits), fixed(v["after"]["max_mm"], digits), "", "")
     if v.get("independent") is False:
         table.caption = "these poses took part in the calibration"
-    table.add_row("mean", "", "", f"{v['before']['mean_mm']:.3f}", f"{v['after']['mean_mm']:.3f}", expected)
+    table.add_row("mean", "", "", fixed(v["before"]["mean_mm"], digits), fixed(v["after"]["mean_mm"], digits), "", "")
     return table
+
+
+def judgement(result: dict[str, Any]) -> list[str]:
+    """The verdict in the words of the report, the budget that it rests on, and the places beyond their expected uncertainty."""
+    from mbcacq.report import judged
+
+    verdict, budget, beyond = judged(result)
+    out = [f"{verdict.headline}. {verdict.reason}"]
+    if budget:
+        out.append("Uncertainty of judging (k = 1): " + "; ".join(f"{source} {value}" for source, value, _ in budget))
+        out.append(f"Temperature of the artefact: {budget[1][2]}")
+    return [*out, *([f"! {beyond}"] if beyond else [])]
 
 
 def held_out(h: dict[str, Any]) -> str:
     what = {"station": "Leaving each station out", "random": "Random poses held out", "block": "Blocks of poses held out"}[h["split"]]
-    spread = f", spread of each ball {h['spread_mm']:.4f} mm" if h.get("spread_mm") is not None else ""
-    gross = f"; {h['gross']} gross, without them {h['rms_without_gross_mm']:.4f} mm" if h["gross"] else ""
-    rms = f"{h['rms_mm']:.4f} mm rms (3D){spread}, median {h['median_mm']:.4f}, max {h['max_mm']:.4f}{gross}"
+    spread = f", spread of each ball {micrometres(h['spread_mm'])}" if h.get("spread_mm") is not None else ""
+    gross = f"; {h['gross']} gross, without them {micrometres(h['rms_without_gross_mm'])}" if h["gross"] else ""
+    largest = f"median {micrometres(h['median_mm'])}, largest {micrometres(h['max_mm'])}"
+    rms = f"{micrometres(h['rms_mm'])} (3D rms){spread}, {largest}{gross}"
     return f"{what} ({h['fits']} fits, {h['poses']} poses): {rms}"

@@ -7,7 +7,9 @@ hide what follows.
 from __future__ import annotations
 
 import re
+import shutil
 import sys
+from collections.abc import Iterable, Iterator
 from typing import IO, TYPE_CHECKING, Any
 
 import click
@@ -17,6 +19,22 @@ if TYPE_CHECKING:
 
 # Control characters but tab and line feed; marks that turn the direction of text; halves of characters, of undecodable file names.
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+# How quantities are written where the terminal has no such character.
+LETTERS = {
+    "µ": "u",
+    "±": "+-",
+    "°": " deg",
+    "·": "*",
+    "×": "x",
+    "–": "-",
+    "χ": "chi",
+    "²": "2",
+    "θ": "theta",
+    "α": "alpha",
+    "β": "beta",
+} | {sign: f"{'^' if sign == '⁻' else ''}{plain}" for sign, plain in zip("⁻⁰¹³⁴⁵⁶⁷⁸⁹", "-013456789", strict=True)}
 
 
 def printable(text: str) -> str:
@@ -29,13 +47,39 @@ def echo(text: str = "", err: bool = False, nl: bool = True, label: tuple[str, s
     colours are shown, by default on a terminal."""
     stream = sys.stderr if err else sys.stdout
     first = "" if label is None else click.style(printable(label[0]), fg=label[1])
-    click.echo(first + _encodable(printable(text), stream), err=err, nl=nl, color=color)
+    shown = _encodable(printable(text), stream)
+    if nl and stream.isatty():
+        shown = wrapped(shown, shutil.get_terminal_size().columns, 0 if label is None else len(label[0]))
+    click.echo(first + shown, err=err, nl=nl, color=color)
+
+
+def wrapped(text: str, columns: int, taken: int = 0) -> str:
+    """Lines of at most so many columns, broken between words; what goes on is indented as far as its line, and two more. taken: columns
+    of the first line that stand already. A path or a word that is longer stays whole."""
+    lines = text.split("\n")
+    out = []
+    for k, line in enumerate(lines):
+        room = columns - (taken if k == 0 else 0)
+        indent = " " * (len(line) - len(line.lstrip()) + 2)
+        fits = len(line) <= room
+        out.append(line if fits else "\n".join(_filled(line, room, columns, indent)))
+    return "\n".join(out)
+
+
+def _filled(line: str, first: int, columns: int, indent: str) -> Iterator[str]:
+    words = re.findall(r"\s*\S+", line)
+    current, room = "", first
+    for word in words:
+        if current.strip() and len(current) + len(word) > room:
+            yield current
+            current, room = indent + word.lstrip(), columns
+        else:
+            current += word
+    yield current
 
 
 def console(**options: Any) -> Console:
     """A rich console for tables and bars, without markup in the texts that it is given."""
-    from collections.abc import Iterable
-
     from rich import console as rich
     from rich.segment import Segment
 
@@ -45,10 +89,26 @@ def console(**options: Any) -> Console:
                 text, style, control = segment
                 yield segment if control else Segment(_encodable(printable(text), self.file), style)
 
-    return SafeConsole(markup=False, emoji=False, **options)
+    shown = SafeConsole(markup=False, emoji=False, **options)
+    if shown.is_terminal:
+        shown.soft_wrap = False  # long lines are broken between words, which a terminal would break anywhere
+    return shown
 
 
 def _encodable(text: str, stream: IO[str]) -> str:
-    """What the stream's encoding lacks as escapes."""
+    """A minus as the hyphen that other programs read; symbols that the stream's encoding lacks in letters, anything else as escapes."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
-    return text.encode(encoding, "backslashreplace").decode(encoding)
+    text = text.replace("−", "-")
+    try:
+        return text.encode(encoding).decode(encoding)
+    except UnicodeEncodeError:
+        plain = "".join(c if _has(encoding, c) else LETTERS.get(c, c) for c in text)
+        return plain.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def _has(encoding: str, character: str) -> bool:
+    try:
+        character.encode(encoding)
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from mbcacq.design.candidate_views import CandidateView, candidates
 from mbcacq.design.optimal_design import design
@@ -20,7 +19,7 @@ from mbcacq.design.station_repair import without_lines
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
 from mbcacq.geometry import se3
-from mbcacq.model import shipped
+from mbcacq.model import shipped, yaml12
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.clearance import clearance_of
@@ -257,12 +256,12 @@ def _steps(first: list[CandidateView], stations: list[str], apart: int) -> list[
 
 def _text(head: dict[str, Any], places: list[dict[str, Any]], artefact: str, steps: list[dict[str, Any]]) -> str:
     def flow(value: Any) -> str:
-        return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000, allow_unicode=True).strip()
+        return yaml12.dump(value, default_flow_style=True, width=1000, allow_unicode=True).strip()
 
     lines = [
         "# Made by `mbcacq plan new`. Lengths mm, angles deg, in the arm's base frame. What differs in your cell is yours to change:",
         "# driver and options of the robot, hand_eye (a drawing is good enough), obstacles, workspace; then `mbcacq plan check`.",
-        yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=120).rstrip(),
+        yaml12.dump(head, allow_unicode=True, width=120).rstrip(),
         "stations:",
         *(f"  - {flow({'id': p['id'], 'artefact': artefact, 'pose_in_base': p['pose_in_base']})}" for p in places),
         "exposures: 3",
@@ -306,7 +305,7 @@ def _without_errors(loaded: LoadedPlan, progress: Callable[[str], None]) -> tupl
 
 def _without_steps(loaded: LoadedPlan, lines: set[int]) -> str:
     """The text without the steps that would lose their last view, and without these lines in the others."""
-    data = yaml.safe_load(loaded.text)
+    data = yaml12.load(loaded.text)
     steps = []
     for index, step in enumerate(data["steps"]):
         views = [v for i, v in enumerate(step["views"]) if loaded.lines[("steps", index, "views", i)] not in lines]

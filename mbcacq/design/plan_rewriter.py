@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import yaml
-
+from mbcacq.model import yaml12
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.schema import View
 
@@ -20,10 +19,10 @@ def with_views(loaded: LoadedPlan, chosen: Chosen) -> str:
     steps = [_step(station, aim, views) for (station, aim), views in chosen.items()]
     text = _spliced(loaded, steps)
     expected = _replaced(loaded, steps)
-    if text is not None and yaml.safe_load(text) == expected:
+    if text is not None and yaml12.load(text) == expected:
         return text
     # Steps not written one below the other: the meaning is kept, the comments are not.
-    return yaml.safe_dump(expected, sort_keys=False, allow_unicode=True, width=140)
+    return yaml12.dump(expected, allow_unicode=True, width=140)
 
 
 def _step(station: str, aim: int | None, views: list[View]) -> dict[str, Any]:
@@ -47,7 +46,7 @@ def view_mapping(view: View) -> dict[str, Any]:
 
 
 def _replaced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> dict[str, Any]:
-    data = yaml.safe_load(loaded.text)
+    data = yaml12.load(loaded.text)
     old = [i for i, s in enumerate(data["steps"]) if s["phase"] == "position"]
     at = old[0] if old else 0
     left = [s for i, s in enumerate(data["steps"]) if i not in old]
@@ -98,5 +97,5 @@ def _lines(step: dict[str, Any]) -> list[str]:
 
 
 def _flow(value: Any) -> str:
-    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000, allow_unicode=True)
+    text = yaml12.dump(value, default_flow_style=True, width=1000, allow_unicode=True)
     return text.strip().removesuffix("...").strip()

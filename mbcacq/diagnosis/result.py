@@ -15,12 +15,13 @@ import numpy as np
 from pydantic import BeforeValidator, PlainValidator, TypeAdapter
 
 from mbcacq.calibration.calibration_fit import CalibrationFit, Parameter
-from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.json_text import damage
+from mbcacq.quantities import micrometres
 
 FORMAT_1 = "mbcacq-diagnosis/1"
 FORMAT = "mbcacq-diagnosis/2"
@@ -219,7 +220,8 @@ class ExclusionLimit:
 
     parameter: its name, with the unit as suffix; value: None where the free geometry absorbs the effect. workspace_mm: largest error that
     it would make in the workspace. length_mm: error of a length between two postures that 95 % of lengths do not exceed. Both are None for
-    what depends on time or on single balls.
+    what depends on time or on single balls. in_usual_sizes: the limit relative to the effect's usual size; None where value is, and in
+    older files.
     """
 
     name: str
@@ -228,6 +230,7 @@ class ExclusionLimit:
     value: float | None
     workspace_mm: float | None
     length_mm: float | None
+    in_usual_sizes: float | None = None
 
 
 @dataclass(frozen=True)
@@ -305,7 +308,8 @@ class Diagnosis:
     def __repr__(self) -> str:
         found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"
         held = self.fit.held_out
-        return f"<Diagnosis {self.verdict}: {found}; held-out rms {held.before_rms_mm:.4f} -> {held.after_rms_mm:.4f} mm>"
+        rms = f"{micrometres(held.before_rms_mm)} -> {micrometres(held.after_rms_mm)}"
+        return f"<Diagnosis {self.verdict}: {found}; held-out rms {rms}>"
 
     def _repr_html_(self) -> str:
         """A table of the effects for a notebook."""
@@ -314,7 +318,7 @@ class Diagnosis:
             (
                 e.name,
                 ", ".join(e.where),
-                "<br>".join(f"{escape(k)} = {escape(str(v))}" for k, v in list(e.parameters.items())[:8]),
+                "<br>".join(escape(parameter_in_words(k, v)) for k, v in list(e.parameters.items())[:8]),
                 f"{e.held_out_gain:.0%}",
             )
             for e in self.effects
@@ -322,8 +326,9 @@ class Diagnosis:
         body = "".join(f"<tr><td>{escape(n)}</td><td>{escape(w)}</td><td>{p}</td><td>{g}</td></tr>" for n, w, p, g in rows)
         table = f"<table><tr><th>effect</th><th>where</th><th>parameters</th><th>removes</th></tr>{body}</table>" if rows else ""
         return (
-            f"<p><b>{escape(self.verdict)}</b>; held out: {held.before_rms_mm:.4f} mm before, {held.after_rms_mm:.4f} mm after; "
-            f"chi2/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after</p>{table}"
+            f"<p><b>{escape(self.verdict)}</b>; held out: "
+            f"{micrometres(held.before_rms_mm)} before, {micrometres(held.after_rms_mm)} after; "
+            f"χ²/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; ± is U (k = 2)</p>{table}"
         )
 
 

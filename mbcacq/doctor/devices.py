@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 def lines(loaded: LoadedPlan, arm: bool) -> Iterator[CheckupLine]:
     from mbcacq.acquisition.cell_devices import create_devices
+    from mbcacq.acquisition.device_check import device_findings
     from mbcacq.devices.addresses import on_loopback_only
 
-    try:
-        devices = create_devices(loaded).all
-    except MbcacqError as error:
-        yield from_error("devices", error)
+    impossible = [from_error("devices", ConfigError(str(found))) for found in device_findings(loaded)]
+    if impossible:
+        yield from impossible
         return
+    devices = create_devices(loaded).all
     if not arm and not on_loopback_only(loaded.plan.robot.options):
         del devices["robot"]
         yield CheckupLine(

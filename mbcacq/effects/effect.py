@@ -14,6 +14,7 @@ import numpy as np
 
 from mbcacq.effects.functions import DescribedPart
 from mbcacq.estimation.terms import Part
+from mbcacq.quantities import K, measured, split_unit
 
 __all__ = [
     "Candidate",
@@ -24,6 +25,7 @@ __all__ = [
     "Parameters",
     "Part",
     "number",
+    "parameter_in_words",
     "scalar_report",
     "vector",
 ]
@@ -56,12 +58,18 @@ class ParameterEstimate:
     std: float | tuple[float, ...]
 
     def __str__(self) -> str:
-        return f"{in_digits(self.value)} +- {in_digits(self.std)}"
+        return self.shown("")
+
+    def shown(self, unit: str, factor: float = 1.0) -> str:
+        """Value and expanded uncertainty (k = 2) in a unit of which ``factor`` make one of the stored; each component by itself."""
+        values, stds = (x if isinstance(x, tuple) else (x,) for x in (self.value, self.std))
+        return ", ".join(measured(factor * v, factor * K * s, unit) for v, s in zip(values, stds, strict=True))
 
 
-def in_digits(value: float | tuple[float, ...]) -> str:
-    """Four significant digits of a number, or of each component in brackets."""
-    return f"[{', '.join(in_digits(v) for v in value)}]" if isinstance(value, tuple) else f"{value:.4g}"
+def parameter_in_words(name: str, estimate: ParameterEstimate) -> str:
+    """'A2 compliance (2.09 ± 0.18) µrad/(N·m)': name, value and expanded uncertainty (k = 2) with the unit that the name ends with."""
+    words, unit, factor = split_unit(name)
+    return f"{words} {estimate.shown(unit, factor)}"
 
 
 Parameters = Mapping[str, ParameterEstimate]

@@ -21,6 +21,7 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
+from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact
 from mbcacq.model.heading_units import UnknownUnitError, converted, split_heading
 from mbcacq.plan.plausibility import SMALLEST_BALL_MM
@@ -63,7 +64,7 @@ _UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*)?([A-Za-zµμ]+)", re.IGNOREC
 
 
 @dataclass(frozen=True)
-class Column:
+class CertifiedColumn:
     """What a heading or key says. key: our name, None where it is not known; unit: '' for ours; k: coverage factor that stands in it."""
 
     heading: str
@@ -95,7 +96,7 @@ def read_certificate_file(path: str | Path, artefact_id: str, name: str = "") ->
     """
     path = Path(path)
     text = _text(path)
-    columns: list[Column] = []
+    columns: list[CertifiedColumn] = []
     suffix = path.suffix.lower()
     if suffix == ".csv":
         rows, about = _from_csv(text, path, columns)
@@ -151,7 +152,7 @@ def artefact_yaml(artefact: Artefact) -> str:
         {"id": int(b), "centre_mm": [float(v) for v in c], "diameter_mm": float(d)}
         for b, c, d in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
     ]
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=140)
+    return yaml12.dump(data, default_flow_style=None, width=140)
 
 
 def certificate_csv(artefact: Artefact) -> str:
@@ -186,7 +187,7 @@ def _text(path: Path) -> str:
         return raw.decode("latin-1")
 
 
-def _from_csv(text: str, path: Path, columns: list[Column]) -> tuple[list[Row], Row]:
+def _from_csv(text: str, path: Path, columns: list[CertifiedColumn]) -> tuple[list[Row], Row]:
     every = [(i, line) for i, line in enumerate(LINE_END.split(text), 1) if line.strip()]
     lines = [(i, line) for i, line in every if not line.lstrip().startswith("#")]
     if not lines:
@@ -206,7 +207,7 @@ def _from_csv(text: str, path: Path, columns: list[Column]) -> tuple[list[Row], 
     return [row for row in rows if row], {}
 
 
-def _csv_row(line: str, separator: str, columns: list[Column], unit: str, where: str) -> Row:
+def _csv_row(line: str, separator: str, columns: list[CertifiedColumn], unit: str, where: str) -> Row:
     """One sphere; nothing of a row of empty cells. Raises ConfigError."""
     cells, row = _cells(line, separator, where), Row()
     while len(cells) > len(columns) and not cells[-1].strip():
@@ -244,15 +245,15 @@ def _unit_in(text: str, where: str) -> str:
     return match[1]
 
 
-def _column(heading: str) -> Column:
+def _column(heading: str) -> CertifiedColumn:
     name, unit, k = split_heading(heading)
     key = ALIASES.get(name)
     if key == "U" and heading.strip().startswith("u") and name == "u" and k is None:
         key = "sigma"  # a small u is a standard uncertainty, a capital one is expanded
-    return Column(heading, key, unit, k)
+    return CertifiedColumn(heading, key, unit, k)
 
 
-def _take(row: Row, column: Column, value: Any, where: str, unit: str = "") -> None:
+def _take(row: Row, column: CertifiedColumn, value: Any, where: str, unit: str = "") -> None:
     """Put one value into a row, in our unit. unit: that of lengths whose heading has none. Raises ConfigError."""
     assert column.key is not None, "only known columns are read"
     if column.key == "label":
@@ -271,7 +272,7 @@ def _take(row: Row, column: Column, value: Any, where: str, unit: str = "") -> N
         row["k"] = column.k
 
 
-def _from_yaml(text: str, path: Path, columns: list[Column]) -> tuple[list[Row], Row]:
+def _from_yaml(text: str, path: Path, columns: list[CertifiedColumn]) -> tuple[list[Row], Row]:
     data = _mapping(text, path)
     balls = data.get("balls", data.get("spheres"))
     if not isinstance(balls, list):
@@ -285,7 +286,7 @@ def _from_yaml(text: str, path: Path, columns: list[Column]) -> tuple[list[Row],
 def _mapping(text: str, path: Path) -> dict[Any, Any]:
     """The mapping in a YAML text, an empty one where the text is something else."""
     try:
-        data = yaml.safe_load(text)
+        data = yaml12.load(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark else 1
@@ -293,21 +294,21 @@ def _mapping(text: str, path: Path) -> dict[Any, Any]:
     return data if isinstance(data, dict) else {}
 
 
-def _yaml_about(data: dict[Any, Any], path: Path, columns: list[Column], unit: str) -> Row:
+def _yaml_about(data: dict[Any, Any], path: Path, columns: list[CertifiedColumn], unit: str) -> Row:
     """What holds for all spheres: U, k, T, alpha. Our own artefact files give the standard uncertainty (k = 1) as uncertainty_mm."""
     about: Row = {}
     for key, value in data.items():
         column = _column(str(key))
         if column.key in ("U", "sigma", "k", "T", "alpha") and value is not None:
             if key == "uncertainty_mm":
-                column = Column(str(key), "sigma", "mm")
+                column = CertifiedColumn(str(key), "sigma", "mm")
             _take(about, column, value, f"{path}: {key}", unit)
         elif key not in OURS:
-            columns.append(Column(str(key), None))
+            columns.append(CertifiedColumn(str(key), None))
     return about
 
 
-def _yaml_row(ball: Any, where: str, columns: list[Column], unit: str) -> Row:
+def _yaml_row(ball: Any, where: str, columns: list[CertifiedColumn], unit: str) -> Row:
     if not isinstance(ball, dict):
         raise ConfigError(f"{where} is not a mapping; give label, x, y, z and diameter")
     row: Row = {}
@@ -318,9 +319,9 @@ def _yaml_row(ball: Any, where: str, columns: list[Column], unit: str) -> Row:
             _take(row, column, value, f"{where}: {key}", unit)
         elif name in ("centre", "center") and isinstance(value, list) and len(value) == 3:
             for axis, v in zip("xyz", value, strict=True):
-                _take(row, Column(str(key), axis, stated), v, f"{where}: {key}", unit)
+                _take(row, CertifiedColumn(str(key), axis, stated), v, f"{where}: {key}", unit)
         else:
-            columns.append(Column(str(key), None))
+            columns.append(CertifiedColumn(str(key), None))
     if missing := [k for k in NEEDED if k not in row]:
         raise ConfigError(f"{where} has no '{missing[0]}'; a certificate needs label, x, y, z and diameter")
     _positive(row, where)

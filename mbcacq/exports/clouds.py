@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.errors import RecordingError
+from mbcacq.files.atomic_write import write_file
 
 NORMALS = ("nx", "ny", "nz")
 PLY_TYPES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
@@ -31,8 +31,5 @@ def write_cloud(path: Path, points: np.ndarray, properties: Mapping[str, np.ndar
         rows[name] = values
     announced = "".join(f"property {PLY_TYPES[values.dtype.str[1:]]} {name}\n" for name, values in columns.items())
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{announced}end_header\n"
-    try:
-        path.write_bytes(header.encode("ascii", "replace") + rows.tobytes())
-    except OSError as error:
-        raise RecordingError(f"{path}: the cloud cannot be written: {error.strerror}; check folder and space") from error
+    write_file(path, header.encode("ascii", "replace") + rows.tobytes())
     return others

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from mbcacq.errors import ConfigError
+from mbcacq.model import yaml12
 from mbcacq.recording.datasets import quaternions
 
 MAX_BYTES = 1 << 20
@@ -50,7 +51,7 @@ def read_hand_eye(path: str | Path) -> np.ndarray:
         text = path.read_bytes()[: MAX_BYTES + 1]
         if len(text) > MAX_BYTES:
             raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; this is no hand-eye calibration")
-        data: Any = yaml.safe_load(text.decode("utf-8"))
+        data: Any = yaml12.load(text.decode("utf-8"))
         if "transform" in data:
             t, r = data["transform"]["translation"], data["transform"]["rotation"]
             value = [t["x"], t["y"], t["z"], r["w"], r["x"], r["y"], r["z"]]

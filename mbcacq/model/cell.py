@@ -108,6 +108,7 @@ class Cell:
     the flange; then the one station is the instrument and T_flange_scanner holds the target's place).
     noise_rad: sigma of a measured orientation about each axis, or None.
     simulated: what was recorded in it comes from a fake cell or a model, not from a real arm.
+    room_temperature_C: range that the room keeps, lowest and highest, or None where nobody stated it.
     """
 
     robot: RobotModel
@@ -119,6 +120,7 @@ class Cell:
     measurement: str = ARTEFACT_IN_SCANNER
     simulated: bool = False
     noise_rad: float | None = None
+    room_temperature_C: tuple[float, float] | None = None
 
     def artefact(self, artefact_id: str) -> Artefact:
         return next(a for a in self.artefacts if a.id == artefact_id)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -13,6 +13,16 @@ from mbcacq.model import cell
 
 Vector = tuple[float, float, float]
 Size = Annotated[float, Field(ge=0)]
+RoomTemperature = Annotated[float, Field(ge=-40, le=80)]  # of a place where a robot works
+
+
+def _rising(limits: tuple[float, float]) -> tuple[float, float]:
+    if limits[0] > limits[1]:
+        raise ValueError("the lowest comes first; exchange the two")
+    return limits
+
+
+TemperatureRange = Annotated[tuple[RoomTemperature, RoomTemperature], AfterValidator(_rising)]
 
 
 class Strict(BaseModel):
@@ -206,6 +216,7 @@ class CellSpec(Strict):
     artefacts: tuple[ArtefactSpec, ...] = Field(min_length=1)
     stations: tuple[StationSpec, ...] = Field(min_length=1)
     scanner: ScannerSpec = ScannerSpec()
+    room_temperature_C: TemperatureRange | None = None
 
     def model(self) -> cell.Cell:
         flange = self.flange_poses or FlangePosesSpec()
@@ -227,6 +238,7 @@ class CellSpec(Strict):
             measurement=MEASUREMENTS[self.measurement],
             noise_rad=np.radians(self.scanner.noise_deg) if self.scanner.noise_deg else None,
             simulated=self.simulated,
+            room_temperature_C=self.room_temperature_C,
         )
 
 

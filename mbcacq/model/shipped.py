@@ -16,6 +16,19 @@ def folder() -> Path:
     raise ConfigError("the robots and plans that come with mbcacq are missing; reinstall it")
 
 
+def plans() -> list[str]:
+    """Names of the plans."""
+    return sorted(path.stem for path in folder().glob("*.yaml"))
+
+
+def plan_file(path: Path) -> Path:
+    """The path of a plan as it is; where there is no such file, the tool's own plan of that name: ``kuka``, ``kuka.yaml`` and
+    ``plans/kuka.yaml`` are all one. A path into any other folder stays what it is."""
+    if path.exists() or path.parent.name not in ("", "plans") or len(path.parts) > 2 or path.suffix not in ("", ".yaml"):
+        return path
+    return folder() / f"{path.stem}.yaml" if path.stem in plans() else path
+
+
 def robots() -> list[str]:
     """Names of the robots, as ``model:`` of a trajectory set takes them."""
     return sorted(path.stem for path in (folder() / "robots").glob("*.yaml"))

@@ -8,24 +8,29 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.model import cell
+from mbcacq.model import cell, shipped
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
+from mbcacq.model.formats import newer_format
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
 from mbcacq.plan.schema import Look, Plan, Taught
 from mbcacq.plan.yaml_source import Path_, YamlFile, parse, read
 
+PLAN_FORMAT = "mbcacq-plan/1"
 ROTATION_TOLERANCE = 0.02  # of the format: published matrices carry two to four digits
 
 
 def load(path: str | Path, text: str | None = None) -> LoadedPlan:
     """Read a plan, its robot and its artefacts. Raises ConfigError 'file:line: sentence' for the first thing that is wrong.
 
-    text: the plan's YAML, where it is not written to ``path`` yet.
+    path: also the name of one of the tool's own plans, where there is no file of that name. text: the plan's YAML, where it is not written
+    to ``path`` yet.
     """
-    file = read(Path(path), "plan") if text is None else parse(text, Path(path))
+    file = read(shipped.plan_file(Path(path)), "plan") if text is None else parse(text, Path(path))
     if "format" not in file.data:
         raise file.error((), "this is no plan, which begins with 'format: mbcacq-plan/1'; give a plan, or add that line")
+    if sentence := newer_format(file.data["format"], PLAN_FORMAT):
+        raise file.error(("format",), f"this plan {sentence}")
     plan = file.validate(Plan)
     robot = _robot(file, plan)
     artefacts = _artefacts(file, plan)
@@ -40,6 +45,7 @@ def load(path: str | Path, text: str | None = None) -> LoadedPlan:
         stations=tuple(cell.Station(str(s.id), s.artefact, s.pose_in_base.transform(), s.pose_in_base.sigma_mm) for s in plan.stations),
         scanner_name=scanner.model or scanner.driver,
         noise_mm=None if scanner.noise_mm is None else np.array(scanner.noise_mm),
+        room_temperature_C=plan.room_temperature_C,
     )
     named = (plan.robot.model, *plan.artefacts)
     return LoadedPlan(file.path, plan, described, file.text, file.lines, {name: read(file.path.parent / name).text for name in named})

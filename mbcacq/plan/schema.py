@@ -6,7 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, Vector
+from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Vector
+
+MOST_EXPOSURES = 1000  # of one pose: at a second each, a quarter of an hour
+Noise = Annotated[float, Field(ge=0, le=10)]  # mm; what is worse tells no ball of an artefact from the next
 
 
 class Coupling(Strict):
@@ -61,8 +64,8 @@ class ScannerUse(Strict):
     options: dict[str, Any] = {}
     field_of_view: FieldOfView
     exposure_us: float | None = None
-    noise_mm: Vector | None = None  # of one fitted ball centre along x, y, z, in the middle of the field of view
-    noise_far_mm: Vector | None = None  # the same at its far end, where it differs; between and before them by their ratio
+    noise_mm: tuple[Noise, Noise, Noise] | None = None  # of one fitted ball centre along x, y, z, in the middle of the field of view
+    noise_far_mm: tuple[Noise, Noise, Noise] | None = None  # the same at its far end, where it differs; between them by their ratio
     noise_factor_at_60_deg: float = Field(default=1.0, ge=1, le=100)  # how many times noisier a surface is that is seen 60 deg aslant
     resolution_mm: float | None = Field(default=None, gt=0.03)  # between neighbouring points, in the middle of the field of view
     scan_time_s: float = Field(default=1.0, ge=0)  # of one exposure with its transfer, for the estimate of the duration
@@ -100,7 +103,7 @@ class View(Strict):
 class Step(Strict):
     name: str
     phase: Literal["translation", "orientation", "position", "length", "verification"]
-    exposures: int | None = Field(default=None, ge=1)
+    exposures: int | None = Field(default=None, ge=1, le=MOST_EXPOSURES)
 
 
 class Translate(Step):
@@ -165,8 +168,9 @@ class Plan(Strict):
     sensors: tuple[SensorUse, ...] = ()
     hand_eye: PoseSpec
     artefacts: tuple[str, ...] = Field(min_length=1)  # artefact YAML files, relative to the plan
+    room_temperature_C: TemperatureRange | None = None  # range that the room keeps: its share of a verified length's uncertainty
     stations: tuple[StationPlace, ...] = Field(min_length=1)
-    exposures: int = Field(default=3, ge=1)
+    exposures: int = Field(default=3, ge=1, le=MOST_EXPOSURES)
     station_tolerance_mm: float = Field(default=30.0, gt=0)  # an artefact seen farther from its planned place ends the run
     obstacles: tuple[Obstacle, ...] = ()
     workspace: Workspace | None = None  # nothing of the arm that moves may leave it

@@ -12,11 +12,12 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from mbcacq.errors import ConfigError
+from mbcacq.model.yaml12 import Yaml12Loader
 
 MAX_BYTES = 1_000_000
 MAX_NODES = 40_000
 MAX_DEPTH = 40
-LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml takes a tenth of the time
+LOADER = Yaml12Loader
 
 KINDS = {"steps": "a plan", "links": "a robot file", "balls": "an artefact file"}  # by the key that only such a file has
 

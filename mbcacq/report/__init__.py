@@ -10,10 +10,11 @@ from mbcacq.report.sources.run_folder import read_run_identity, read_run_info
 
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
-    from mbcacq.report.content import Content, FleetContent
+    from mbcacq.report.content import Content, FleetContent, ReportVerdict
 
 __all__ = [
     "content_of",
+    "judged",
     "read_run_identity",
     "read_run_info",
     "report_from_result",
@@ -40,6 +41,15 @@ def content_of(result: Mapping[str, Any], observations: Observations | None = No
     from mbcacq.report.sources import from_result
 
     return from_result.content_of(result, observations, run_info)
+
+
+def judged(result: Mapping[str, Any]) -> tuple[ReportVerdict, list[tuple[str, str, str]], str]:
+    """The verdict on a result, its uncertainty budget, and a sentence on places beyond their expected uncertainty: as page one has them."""
+    from mbcacq.report.sources.from_result import spacing_of
+    from mbcacq.report.verdict import beyond_expected_sentence, uncertainty_budget, verdict_of
+
+    spacing = spacing_of(result)
+    return verdict_of(spacing, result), uncertainty_budget(result.get("verification")), beyond_expected_sentence(spacing)
 
 
 def write_report_page(content: Content, path: str | Path) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.report.content import Content, DiagnosisContent, EffectContent
+from mbcacq.report.verdict import largest_error
 
 SIGNS = {"pass": "✓", "fail": "✗", "undecided": "?", "found": "→", "none": "–"}
 
@@ -14,9 +15,8 @@ def verdict_card(content: Content) -> str:
     lines = [f"# {SIGNS[content.verdict.level]} {content.verdict.headline}", ""]
     spacing = content.spacing
     if spacing is not None:
-        worst = float(np.abs(spacing.after).max())
-        limit = "no limit in the plan" if spacing.limit is None else f"limit {spacing.limit:.3f} mm"
-        lines += [f"## Largest length error {worst:.3f} mm, {limit}", f"before calibration {np.abs(spacing.before).max():.3f} mm", ""]
+        limit = "no limit in the plan" if spacing.limit is None else f"limit {spacing.limit:g} mm"
+        lines += [f"## {largest_error(spacing)}, {limit}", f"before calibration {spacing.mm(np.abs(spacing.before).max())} mm", ""]
     return "\n".join([*lines, content.verdict.reason, "", *(f"*{caveat}*" for caveat in content.caveats)])
 
 
@@ -40,8 +40,8 @@ def _card(number: int, effect: EffectContent) -> list[str]:
     rows = [
         ("what", f"{what}" + (f", depends on {effect.depends_on}" if effect.depends_on else "")),
         ("where", where),
-        ("how much (± is k = 2)", much or "see its response curve"),
-        ("how sure", f"p-value {effect.p_value}; removes {effect.gain} of the excess over noise in held-out data"),
+        ("how much (± is k = 2)", "a trend: no figure is beyond its uncertainty" if effect.trend else much or "see its response curve"),
+        ("how sure", f"{effect.p_value}; removes {effect.gain} of the excess over noise in held-out data"),
     ]
     table = [f"| {label} | {text} |" for label, text in rows]
     others = [f"- {text}" for text in effect.alternatives] or ["- no other candidate comes near"]

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.quantities import K, decimal_places, fixed
+
 
 @dataclass(frozen=True)
 class ReportVerdict:
@@ -37,7 +39,7 @@ class Action:
 class Spacing:
     """Sphere spacing errors at the verification artefact. place: k names; certified: (k,) mm; before, after: (k,) mm signed;
     sigma: (k,) mm standard deviation that the fit expects, or None; limit: mm or None; more: further figures (label, text). independent:
-    the poses were held out of the fit.
+    the poses were held out of the fit. judging: (k,) mm standard uncertainty of judging each error, or None.
     """
 
     place: list[str]
@@ -48,6 +50,21 @@ class Spacing:
     limit: float | None = None
     more: list[tuple[str, str]] = field(default_factory=list)
     independent: bool = True
+    judging: np.ndarray | None = None
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """(k,) bool: the error after is larger than its expanded expected uncertainty."""
+        return np.zeros(len(self.after), dtype=bool) if self.sigma is None else np.abs(self.after) > K * self.sigma
+
+    @property
+    def places_shown(self) -> int:
+        """Decimal places of every length of the table: those of the smallest uncertainty of judging."""
+        return 3 if self.judging is None or not self.judging.all() else max(decimal_places(K * float(self.judging.min())), 0)
+
+    def mm(self, value: float) -> str:
+        """A length of the table, without its unit."""
+        return fixed(value, self.places_shown)
 
 
 @dataclass(frozen=True)
@@ -148,7 +165,7 @@ class Coverage:
 @dataclass(frozen=True)
 class EffectContent:
     """One effect of a diagnosis. parameters: (name, value, expanded uncertainty, unit) as texts; harmonics: of a periodic effect, the heads
-    of a table and a row a harmonic; alternatives: sentences."""
+    of a table and a row a harmonic; alternatives: sentences; trend: no figure of it is beyond its uncertainty, and none is shown."""
 
     title: str
     depends_on: str
@@ -157,6 +174,7 @@ class EffectContent:
     parameters: list[tuple[str, str, str, str]]
     alternatives: list[str]
     harmonics: tuple[list[str], list[list[str]]] | None = None
+    trend: bool = False
 
 
 @dataclass(frozen=True)
@@ -228,7 +246,8 @@ class FleetContent:
 
 @dataclass(frozen=True)
 class Content:
-    """All that a report says. with_effects: of the cell that was calibrated with what its diagnosis found, on the poses of ``spacing``."""
+    """All that a report says: of the cell with what its diagnosis found where the run has that, else of its geometry. earlier: the spacing
+    with the geometry alone, at the places of ``spacing``, where the cell has effects."""
 
     title: str
     subtitle: str
@@ -256,7 +275,7 @@ class Content:
     accuracy: AccuracyGrid | None = None
     devices: Devices | None = None
     diagnosis: DiagnosisContent | None = None
-    with_effects: Spacing | None = None
+    earlier: Spacing | None = None
     warnings: list[str] = field(default_factory=list)
     caveats: list[str] = field(default_factory=list)
     versions: list[tuple[str, str]] = field(default_factory=list)

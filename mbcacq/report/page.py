@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.files.atomic_write import write_file
+from mbcacq.quantities import fixed, pair, signed, uncertainty
 from mbcacq.report.content import Content, DiagnosisContent, FleetContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
@@ -25,7 +26,7 @@ def render(content: Content) -> str:
     from mbcacq.report.charts.spacing_svg import spacing_picture
 
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
-    stages = "" if content.with_effects is None else Markup(_stages(content.spacing, content.with_effects))
+    stages = "" if content.earlier is None or content.spacing is None else Markup(_stages(content.earlier, content.spacing))
     figures = report_figures(content) | ({} if content.diagnosis is None else diagnosis_figures(content.diagnosis))
     return _template(
         "page.html.j2",
@@ -42,15 +43,13 @@ def render(content: Content) -> str:
     )
 
 
-def _stages(geometry: Spacing | None, with_effects: Spacing) -> str:
-    """The bar before calibration, after geometry where that was measured at the same places, and after effects."""
+def _stages(geometry: Spacing, with_effects: Spacing) -> str:
+    """The bar before calibration, after geometry, and after effects."""
     from mbcacq.report.charts.stages_svg import stages_picture
 
-    stages = {"before": with_effects.before}
-    if geometry is not None and geometry.place == with_effects.place:
-        stages["after geometry"] = geometry.after
+    stages = {"before": with_effects.before, "after geometry": geometry.after, "after effects": with_effects.after}
     expected = None if with_effects.sigma is None else float(np.sqrt(2 / np.pi) * np.mean(with_effects.sigma))
-    return stages_picture(with_effects.place, stages | {"after effects": with_effects.after}, expected)
+    return stages_picture(with_effects.place, stages, expected)
 
 
 def _scene(content: Content) -> Any:
@@ -94,22 +93,16 @@ def _template(name: str, **values: Any) -> str:
     environment = Environment(
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"number": number, "signed": signed, "curve_title": curve_title, "quantity": quantity}
+    environment.filters |= {
+        "number": fixed,
+        "signed": signed,
+        "pair": pair,
+        "uncertainty": uncertainty,
+        "curve_title": curve_title,
+        "quantity": quantity,
+    }
     kept = {key: Markup((HERE / file).read_text(encoding="utf-8")) for key, file in (("css", "page.css"), ("js", "page.js"))}
     return environment.get_template(name).render(plotly=Markup(get_plotlyjs()), **kept, **values)
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Fixed point with a typographic minus; a dash where there is no value."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    rounded = round(float(value), digits) + 0.0  # a zero has no sign
-    return f"{rounded:.{digits}f}".replace("-", "−")
-
-
-def signed(value: float | None, digits: int = 3) -> str:
-    text = number(value, digits)
-    return text if text == "–" or text.startswith("−") or not text.strip("0.") else f"+{text}"
 
 
 def curve_title(effect: str, location: str) -> str:

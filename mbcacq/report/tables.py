@@ -7,20 +7,19 @@ from dataclasses import dataclass
 
 from mbcacq.report.content import Content, ParameterRow
 
-MDH = {"theta": "θ / deg", "d": "d / mm", "a": "a / mm", "alpha": "α / deg", "beta": "β / deg"}
+MDH = {"theta": "θ / °", "d": "d / mm", "a": "a / mm", "alpha": "α / °", "beta": "β / °"}
 _KINEMATIC = re.compile(r"(theta|d|a|alpha|beta)_(\d+)")
 _BALL = re.compile(r"ball_(.+)\.([xyz])")
 
 
 @dataclass(frozen=True)
 class Matrix:
-    """heads: column titles; rows: (name, cells), a cell a ParameterRow or None. Corrections are shown times ``scale`` with ``digits``."""
+    """heads: column titles; rows: (name, cells), a cell a ParameterRow or None. Corrections are shown times ``scale``."""
 
     title: str
     corner: str
     heads: list[str]
     rows: list[tuple[str, list[ParameterRow | None]]]
-    digits: list[int]
     scale: float = 1.0
     note: str = ""
 
@@ -37,7 +36,6 @@ def matrices(content: Content) -> list[Matrix]:
                 "axis",
                 list(MDH.values()),
                 kinematic,
-                [4, 4, 4, 4, 4],
                 note="Calibrated minus nominal, with expanded uncertainties U (k = 2).",
             )
         )
@@ -48,7 +46,6 @@ def matrices(content: Content) -> list[Matrix]:
                 "ball",
                 ["x / µm", "y / µm", "z / µm"],
                 balls,
-                [2, 2, 2],
                 1e3,
                 "Estimated within the uncertainty of the certificate, in the artefact's frame.",
             )

@@ -7,11 +7,24 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.length_budget import temperature_sentence
+from mbcacq.calibration.verification import verdict_of_places
+from mbcacq.effects.effect_term import UNKNOWN
+from mbcacq.quantities import K, measured, micrometres, signed, uncertainty
 from mbcacq.report.content import Action, ReportVerdict, Spacing
 
 FEWEST_OF_ONE_SIGN = 5
 UNITS = {"C": "°C", "s": "s", "ms": "ms", "mm": "mm", "um": "µm", "V": "V", "A": "A"}  # by the ending of a quantity's name
 SUSPICIOUS = 1.5  # times the stated noise that the residuals need: something is not in the model
+HEADLINES = {
+    "pass": "Passed: every place is within the limit",
+    "fail": "Not passed: the limit is exceeded",
+    "undecided": "Neither proven nor disproven: within the uncertainty of the limit",
+}
+NO_BUDGET = (
+    "Neither proven nor disproven: no uncertainty of judging is known",
+    "The result was written by an older mbcacq, without an uncertainty budget: calibrate the recording anew.",
+)
 VERIFY_INDEPENDENTLY = Action(
     "Verify on poses of their own",
     "The verification poses took part in the calibration: they say how well it fits, not how well it predicts. "
@@ -24,8 +37,9 @@ MEASURE_MORE = Action(
     "mbcacq plan design PLAN",
 )
 DECIDE_BETTER = Action(
-    "Decide with a better certificate or more places",
-    "The largest error lies within the uncertainty of the limit: only a smaller uncertainty of the certified distance can decide.",
+    "Decide with a smaller uncertainty",
+    "An error lies within U of the limit. The largest term of the uncertainty budget says what helps: a better certificate, a measured "
+    "temperature of the artefact, or more exposures at each end.",
 )
 MEASURE_INDEPENDENTLY = Action(
     "Measure an artefact that judges",
@@ -33,44 +47,78 @@ MEASURE_INDEPENDENTLY = Action(
 )
 
 
-def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], certificate: float) -> ReportVerdict:
-    """Judge the verification against its limit. certificate: standard uncertainty (mm) of a certified distance."""
+def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spacing | None = None) -> ReportVerdict:
+    """Judge the verification against its limit, each place with the uncertainty of judging it.
+
+    earlier: the same places with the geometry alone, where the result has effects.
+    """
     fit = result["fit"]
     if spacing is None:
         return ReportVerdict(
             "none",
             "Calibrated, not verified",
-            f"No verification artefact was measured. Residual on the poses of the calibration: {fit['rms_mm']:.4f} mm rms.",
+            f"No verification artefact was measured. Residual on the poses of the calibration: {micrometres(fit['rms_mm'])} (3D rms).",
         )
-    before, after = np.abs(spacing.before), np.abs(spacing.after)
-    errors = (
-        f"Mean sphere spacing error {after.mean():.3f} mm (before {before.mean():.3f} mm), "
-        f"largest {after.max():.3f} mm at place {spacing.place[int(after.argmax())]}"
-    )
+    errors = f"{largest_error(spacing)}{_compared(spacing, earlier)}, mean {spacing.mm(np.abs(spacing.after).mean())} mm"
     if spacing.limit is None:
         return ReportVerdict("none", "Calibrated and verified", f"{errors}. The plan sets no limit.")
-    U = 2 * certificate
+    if spacing.judging is None:
+        return ReportVerdict("undecided", NO_BUDGET[0], f"{errors}; limit {spacing.limit:g} mm. {NO_BUDGET[1]}")
     against = (
-        f"{errors}; limit {spacing.limit:.3f} mm, expanded uncertainty of the certified length U = {U:.4f} mm (k = 2). "
-        "Decision rule of ISO 14253-1: passed up to the limit minus U, not passed beyond the limit plus U."
+        f"{errors}; limit {spacing.limit:g} mm. Decision rule of ISO 14253-1: passed up to the limit minus U, not passed beyond the limit "
+        "plus U, each place with its U (k = 2) of the budget below."
     )
-    if after.max() + U <= spacing.limit:
-        return ReportVerdict("pass", "Passed: every place is within the limit", against)
-    if after.max() - U > spacing.limit:
-        return ReportVerdict("fail", "Not passed: the limit is exceeded", against)
-    return ReportVerdict("undecided", "Neither proven nor disproven: within the uncertainty of the limit", against)
+    level = verdict_of_places(spacing.after, list(spacing.judging), spacing.limit)
+    return ReportVerdict(level, HEADLINES[level], against)
 
 
-def uncertainty_budget(spacing: Spacing | None, certificate: float) -> list[tuple[str, str, str]]:
-    """(source, standard uncertainty, what it is) of a verified length, the last row combined and expanded. certificate: mm, standard
-    uncertainty of a certified distance. What is judged, the error of the cell, is no part of the uncertainty of judging it."""
-    if spacing is None:
+def largest_error(spacing: Spacing) -> str:
+    """The largest error with the uncertainty of judging it, and where it is."""
+    worst = int(np.abs(spacing.after).argmax())
+    U = None if spacing.judging is None else K * spacing.judging[worst]
+    value = measured(abs(spacing.after[worst]), U, "mm")
+    return f"Largest sphere spacing error {value}{'' if U is None else ' (k = 2)'} at place {spacing.place[worst]}"
+
+
+def _compared(spacing: Spacing, earlier: Spacing | None) -> str:
+    """The largest error before calibration, and with the geometry alone where effects came after it."""
+    before = [f"before calibration {spacing.mm(np.abs(spacing.before).max())} mm"]
+    if earlier is not None:
+        before.append(f"with the geometry alone {spacing.mm(np.abs(earlier.after).max())} mm")
+    return f" ({', '.join(before)})"
+
+
+def beyond_expected_sentence(spacing: Spacing | None) -> str:
+    """A sentence on the places whose errors exceed what the calibration expects of itself, or ''."""
+    if spacing is None or not spacing.beyond.any() or spacing.sigma is None:
+        return ""
+    at = [int(i) for i in np.flatnonzero(spacing.beyond)]
+    listed = ", ".join(
+        f"{spacing.place[i]} ({spacing.mm(abs(float(spacing.after[i])))} against {uncertainty(K * float(spacing.sigma[i]))} mm)"
+        for i in at[:5]
+    )
+    more = f" and {len(at) - 5} more" if len(at) > 5 else ""
+    return (
+        f"At {len(at)} of {len(spacing.place)} places the error is beyond the expanded uncertainty that the calibration expects there: "
+        f"{listed}{more}. The model lacks something, or the noise is larger than it was taken to be."
+    )
+
+
+def uncertainty_budget(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+    """(source, standard uncertainty, what it is) of a verified length, the last two rows combined and expanded. What is judged, the error
+    of the cell, is no part of the uncertainty of judging it."""
+    budget = (verification or {}).get("budget")
+    if not budget:
         return []
-    return [
-        ("certified distance", f"{certificate:.4f} mm", "of two balls, from the certificate"),
-        ("temperature of the artefact", "not included", "the certified length is taken as it stands"),
-        ("expanded, k = 2", f"U = {2 * certificate:.4f} mm", "of the length error; it decides at the limit (ISO 14253-1)"),
+    rows = [
+        ("certified distance", "certificate_mm", "of two balls, from the certificate"),
+        ("temperature of the artefact", "temperature_mm", temperature_sentence(budget)),
+        ("probing of the spheres", "probing_mm", "noise of both centres along the length"),
+        ("repeatability of the arm", "repeatability_mm", "of both poses along the length"),
     ]
+    out = [(source, f"{uncertainty(budget[key])} mm", what) for source, key, what in rows]
+    out.append(("combined, k = 1", f"{uncertainty(budget['combined_mm'])} mm", f"at place {budget['station']}, where it is largest"))
+    return [*out, ("expanded, k = 2", f"U = {uncertainty(K * budget['combined_mm'])} mm", "it decides at the limit (ISO 14253-1)")]
 
 
 def one_sign(spacing: Spacing | None) -> str:
@@ -83,44 +131,48 @@ def one_sign(spacing: Spacing | None) -> str:
     ppm = 1e6 * float(np.mean(spacing.after / spacing.certified))
     count = len(spacing.after)
     return (
-        f"All {count} errors are {'positive' if positive else 'negative'}: mean {1e3 * spacing.after.mean():+.1f} µm, {ppm:+.0f} ppm of "
-        f"the length. {count} independent errors of mean zero would be of one sign with probability {2.0 ** (1 - count):.1g}. "
+        f"All {count} errors are {'positive' if positive else 'negative'}: mean {signed(1e3 * spacing.after.mean(), 1)} µm, "
+        f"{signed(ppm, 0)} ppm of the length. "
+        f"{count} independent errors of mean zero would be of one sign with probability 1/{2 ** (count - 1)}. "
         "A common cause acts like this: the certified length, its temperature, or the scale of the scanner."
     )
 
 
-def headlines(spacing: Spacing | None, result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """(label, value with unit, remark) of the first screen."""
+def headlines(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spacing | None = None) -> list[tuple[str, str, str]]:
+    """(label, value with unit, remark) of the first screen. earlier: as in ``verdict_of``."""
     fit, out = result["fit"], []
     aside = ", the arm's errors aside" if result.get("scope") else ""
     if spacing is not None:
-        before, after = np.abs(spacing.before).max(), np.abs(spacing.after)
-        worst = int(after.argmax())
-        sigma = "" if spacing.sigma is None else f" ± {2 * spacing.sigma[worst]:.3f}"
-        out.append(
-            (
-                "largest sphere spacing error",
-                f"{after.max():.3f}{sigma} mm",
-                f"before {before:.3f} mm; ± is what the calibration leaves open (k = 2)",
-            )
-        )
+        worst = int(np.abs(spacing.after).argmax())
+        U = None if spacing.judging is None else K * spacing.judging[worst]
+        before = _compared(spacing, earlier).strip(" ()")
+        remark = before if U is None else f"± is U (k = 2) of judging it; {before}"
+        out.append(("largest sphere spacing error", measured(abs(spacing.after[worst]), U, "mm"), remark))
     if fit.get("expected_accuracy_mm") is not None:
-        expected = f"{2e3 * fit['expected_accuracy_mm']:.0f} µm"
+        expected = f"{uncertainty(1e3 * K * fit['expected_accuracy_mm'])} µm"
         out.append(("expected accuracy of a point", expected, f"in the workspace, 3D, U (k = 2){aside}"))
-    out.append(("residual", f"{1e3 * fit['rms_mm']:.1f} µm", f"3D rms of {fit['centres']} centres, {fit['poses']} poses"))
+    out.append(("residual", micrometres(fit["rms_mm"]), f"3D rms of {fit['centres']} centres, {fit['poses']} poses"))
     return out
 
 
 def next_action(
-    verdict: ReportVerdict, spacing: Spacing | None, result: Mapping[str, Any], diagnosis: Mapping[str, Any] | None, name: str
+    verdict: ReportVerdict,
+    spacing: Spacing | None,
+    result: Mapping[str, Any],
+    diagnosis: Mapping[str, Any] | None,
+    name: str,
+    with_effects: str = "",
 ) -> Action:
-    """The one thing to do next. name: of the run folder or the data, for the commands."""
+    """The one thing to do next. name: of the run folder or the data, for the commands; with_effects: the folder of the result with the
+    effects that were found, where ``result`` is that one."""
     if spacing is not None and not spacing.independent:
         return VERIFY_INDEPENDENTLY
+    if with_effects:
+        return _without_finding(verdict, spacing, with_effects, has_effects=True)
     if diagnosis is None:
         action = _ask_for_diagnosis(verdict, max(result["noise"].get("check_factor") or [0.0]), name)
     else:
-        action = _after_diagnosis(verdict, diagnosis)
+        action = _after_diagnosis(verdict, diagnosis, name)
     return action or _without_finding(verdict, spacing, name)
 
 
@@ -135,18 +187,18 @@ def _ask_for_diagnosis(verdict: ReportVerdict, factor: float, name: str) -> Acti
     return Action("Ask why", f"{reason}: something may be missing in the model. Ask what, and where.", f"mbcacq diagnose {name}")
 
 
-def _after_diagnosis(verdict: ReportVerdict, diagnosis: Mapping[str, Any]) -> Action | None:
+def _after_diagnosis(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: str) -> Action | None:
     """None where the diagnosis found nothing and advises nothing."""
     if diagnosis["verdict"] in ("explained", "partly_explained", "unexplained"):
-        return _after_finding(verdict, diagnosis)
+        return _after_finding(verdict, diagnosis, name)
     if diagnosis.get("advice"):
         return Action("Measure what is missing", str(diagnosis["advice"][0].get("reason", "")))
     return None
 
 
-def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any]) -> Action:
+def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: str) -> Action:
     effects = diagnosis.get("effects") or []
-    if diagnosis["verdict"] == "unexplained" or not effects or effects[0]["name"] == "unknown":
+    if diagnosis["verdict"] == "unexplained" or not effects or effects[0]["name"] == UNKNOWN:
         first = (diagnosis.get("mismatch") or [{"at": "the arm", "depends_on": "something not recorded"}])[0]
         return Action(
             f"Look at {first['at']}",
@@ -154,21 +206,25 @@ def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any]) -> Acti
             "A repeated measurement in another order separates a lasting cause from a passing one.",
         )
     names = " and ".join(f"{readable(e['name'])} at {', '.join(e['where'])}" for e in effects[:2])
-    what = "Mind it where you use the cell" if verdict.level == "pass" else "Repair it, or correct for it"
+    what = "Take it into the model" if verdict.level == "pass" else "Repair it, or take it into the model"
     return Action(
         f"{what}: {names}",
-        "The diagnosis names it, and it predicts held-out poses. The section Diagnosis shows its size and its response curve.",
+        "The diagnosis names it, and it predicts held-out poses. The calibration with it is judged by the same bar.",
+        f"mbcacq diagnose {name} --calibrate",
     )
 
 
-def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str) -> Action:
+def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str, has_effects: bool = False) -> Action:
     if verdict.level == "fail":
         return MEASURE_MORE
     if verdict.level == "undecided":
         return DECIDE_BETTER
     if spacing is None:
         return MEASURE_INDEPENDENTLY
-    return Action("Put the result to use", "Write it for the controller, for ROS or as tables.", f"mbcacq export {name} --results DIR")
+    why = "Write it for the controller, for ROS or as tables."
+    if has_effects:
+        why += " These hold the geometry; mbcacq correct and mbcacq apply take the effects into account too."
+    return Action("Put the result to use", why, f"mbcacq export {name} --results DIR")
 
 
 def readable(name: str) -> str:

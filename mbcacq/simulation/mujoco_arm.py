@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from scipy.interpolate import CubicSpline
 
 from mbcacq.errors import ConfigError
+from mbcacq.model import yaml12
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.robot_import.import_robot import ImportedRobot, import_robot
@@ -73,7 +73,7 @@ def load_arm(path: Path | str) -> MujocoArm:
     """Raises ConfigError where MuJoCo is missing, cannot read the file, or no serial arm of named hinges is in it."""
     path, engine = Path(path), mujoco_engine()
     imported = import_robot(path)
-    robot = RobotSpec.model_validate(yaml.safe_load(imported.text)).model()
+    robot = RobotSpec.model_validate(yaml12.load(imported.text)).model()
     try:
         spec = engine.MjSpec.from_file(str(path))
         model = spec.compile()

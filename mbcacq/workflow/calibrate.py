@@ -153,7 +153,7 @@ def calibration_content(
     asked, options = options, options_for(observations, options)
     calibration = calibrate(observations, options, effects=effects, hold_effects=hold_effects)
     content = calibration.to_dict()
-    content["verification"] = room.verify(observations, calibration).to_dict()
+    content["verification"] = room.verify(observations, calibration, limit_mm=limit_of(Path(data))).to_dict()
     content["gaps"] = find_gaps(Path(data))
     if asked.kinematics and not options.kinematics:
         content["scope"] = FLANGE_POSES_ALONE if observations.cell.robot.of_flange_poses else HAND_EYE_ALONE
@@ -163,6 +163,15 @@ def calibration_content(
         split = cross_validate(observations, options, held_out.split, size=held_out.size, fits=held_out.fits, seed=held_out.seed)
         content["held_out"] = split.to_dict()
     return content
+
+
+def limit_of(run: Path) -> float | None:
+    """The limit of the sphere spacing error, mm, that a run was judged by; None where it has none."""
+    if not (run / "result.json").is_file():
+        return None
+    from mbcacq.exports.result_json import load_result
+
+    return (load_result(run).get("verification") or {}).get("limit_mm")
 
 
 def joint_content(

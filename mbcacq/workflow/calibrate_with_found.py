@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration import Calibration, CalibrationOptions, Verification
+from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError
-from mbcacq.exports.result_json import load_result
 from mbcacq.files.atomic_write import write_files
+from mbcacq.quantities import fixed
 from mbcacq.workflow.calibrate import calibrate, verify
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
@@ -46,7 +47,7 @@ class CalibratedWithFound:
         if not self.places:
             return "There are no verification poses: nothing says how good the calibration is."
         figures = ", ".join(
-            f"{name} {np.abs(errors).mean():.4f} mm (largest {np.abs(errors).max():.4f})" for name, errors in self.stages.items()
+            f"{name} {fixed(np.abs(errors).mean())} mm (largest {fixed(np.abs(errors).max())} mm)" for name, errors in self.stages.items()
         )
         nothing = "" if self.with_effects else " No effect was found that a calibration could take."
         return f"Sphere spacing error at {len(self.places)} places, mean: {figures}.{nothing}"
@@ -54,7 +55,7 @@ class CalibratedWithFound:
     def result(self) -> dict[str, Any]:
         """The content of result.json of the better described cell."""
         calibration, verified = self.with_effects or self.geometry, self.by_effects or self.by_geometry
-        return calibration.to_dict() | {"verification": verified.to_dict()}
+        return calibration.to_dict() | {"verification": verified.to_dict(), "accuracy_map": accuracy_map(calibration).to_dict()}
 
     def write(self, folder: Path) -> list[Path]:
         """Write result.json and, where there are verification poses, bar.svg; the files. Raises RecordingError where that is impossible."""
@@ -64,13 +65,6 @@ class CalibratedWithFound:
         if self.places:
             files["bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
         return write_files(folder, files)
-
-
-def limit_of(run: Path) -> float | None:
-    """The limit of the sphere spacing error, mm, that a run was judged by; None where it has none."""
-    if not (run / "result.json").is_file():
-        return None
-    return (load_result(run).get("verification") or {}).get("limit_mm")
 
 
 def calibrate_with_found(

@@ -13,6 +13,7 @@ from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, Unmode
 from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
+from mbcacq.model.formats import newer_format
 from mbcacq.model.json_text import damage, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
@@ -183,6 +184,8 @@ class DiagnosisResult:
     def from_json(cls, text: str) -> DiagnosisResult:
         """The diagnosis of such a text, without observations and pictures. Raises ConfigError where it is none."""
         content = read_json(text, "the diagnosis", "give what mbcacq diagnose --out writes")
+        if isinstance(content, dict) and (sentence := newer_format(content.get("format"), READABLE)):
+            raise ConfigError(f"the diagnosis {sentence}")
         if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
             raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
         motion, simulation = content.get("motion"), content.get("simulation")

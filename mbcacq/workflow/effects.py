@@ -14,12 +14,14 @@ from mbcacq.effects import catalogue
 from mbcacq.effects.effect_model import EffectModel, combined
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.errors import ConfigError
+from mbcacq.model.formats import newer_format
 from mbcacq.model.json_text import read_json
 from mbcacq.recording.datasets.yaml_text import RESEMBLES
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
 One = DiagnosisResult | Diagnosis | EffectModel | Calibration | CalibratedCell | Path | str
 Effects = One | Sequence[One]
+READABLE = ("mbcacq-diagnosis/2", "mbcacq-result/1", "mbcacq-effect-model/1")
 DIAGNOSIS, RESULT, EFFECT_MODEL = KINDS = ("mbcacq-diagnosis/", "mbcacq-result/", "mbcacq-effect-model/")
 
 
@@ -55,6 +57,8 @@ def _from_file(path: Path) -> EffectModel:
     kind = content.get("format")
     if not isinstance(kind, str):
         raise ConfigError(f"{file} does not say its format, as a diagnosis does; give what mbcacq diagnose --out wrote")
+    if sentence := newer_format(kind, READABLE):
+        raise ConfigError(f"{file} {sentence}")
     if not kind.startswith(KINDS):
         raise ConfigError(
             f"{file} is of format '{kind}', and no diagnosis, result or model of effects; give what mbcacq diagnose --out wrote"

@@ -12,19 +12,21 @@ from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.errors import CalibrationError
+from mbcacq.quantities import fixed
 from mbcacq.workflow.load import load_observations
 
 
 @dataclass(frozen=True, repr=False)
 class RunResult:
     """What a run gave. content: that of result.json, with 'verification', 'accuracy_map', 'gaps' and 'files' (recording, result, report).
-    limit_mm: the plan's limit of the sphere spacing error, or None."""
+    limit_mm: the plan's limit of the sphere spacing error, or None. next_step: what to do next in words, and the command for it or ''."""
 
     folder: Path
     calibration: Calibration
     verification: Verification
     content: dict[str, Any]
     limit_mm: float | None = None
+    next_step: tuple[str, str] = ("", "")
 
     @property
     def worst_mm(self) -> float | None:
@@ -32,11 +34,10 @@ class RunResult:
         return (self.content.get("verification") or {}).get("after", {}).get("max_mm")
 
     def refuse_beyond_limit(self) -> None:
-        """Raises CalibrationError where the largest sphere spacing error is above the plan's limit."""
-        worst = self.worst_mm
-        if self.limit_mm is not None and worst is not None and worst > self.limit_mm:
+        """Raises CalibrationError where a sphere spacing error is beyond the plan's limit by more than the uncertainty of judging it."""
+        if (self.content.get("verification") or {}).get("verdict") == "fail":
             raise CalibrationError(
-                f"the largest sphere spacing error is {worst:.3f} mm, above the plan's limit of {self.limit_mm:g} mm; "
+                f"the largest sphere spacing error is {fixed(self.worst_mm)} mm, beyond the plan's limit of {self.limit_mm:g} mm; "
                 f"see {self.content['files']['report']}"
             )
 
@@ -95,4 +96,5 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     log_result(run, observations, calibration.state, before, judgement)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     content = content | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}
-    return RunResult(run, calibration, verification, content, limit_mm)
+    next_step = ("", "") if page.next is None else (page.next.what, page.next.command)
+    return RunResult(run, calibration, verification, content, limit_mm, next_step)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
+from mbcacq.files import atomic_write
 from mbcacq.plan import LoadedPlan, expand, refuse_errors
 from mbcacq.plan.programs import Trigger, motion_program, written
 from mbcacq.workflow.acquire import plan_acquisition
@@ -50,13 +51,6 @@ def robot_program(
 
 def write_files(files: dict[str, str], out: Path, replace: bool) -> list[Path]:
     """Write them into a folder. Raises ConfigError where one exists already (and not ``replace``), RecordingError."""
-    targets = {out / name: text for name, text in files.items()}
-    if not replace and (there := [path for path in targets if path.exists()]):
+    if not replace and (there := [out / name for name in files if (out / name).exists()]):
         raise ConfigError(f"{there[0]} exists already; give another --out, or --replace")
-    for path, text in targets.items():
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(text.encode("ascii", "replace"))
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be written: {error.strerror}; give another --out") from error
-    return list(targets)
+    return atomic_write.write_files(out, {name: text.encode("ascii", "replace") for name, text in files.items()})

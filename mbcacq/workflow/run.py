@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.acquisition.event_bus import Subscriber
 from mbcacq.design.planned_scope import scope_sentence
 from mbcacq.devices import load_driver
@@ -43,7 +44,8 @@ class Operator:
     allow_motion: called with plan, remaining poses and swept space before a real arm moves; raises Aborted or ConfigError to refuse.
     artefact_moved: of a resumed run, whether the artefact of this station was touched since. pause: asked before each pose.
     message: gets sentences for people. progress: gets a sentence at the begin of each step that takes long, and an empty one where the
-    terminal is needed otherwise. subscribers: get every event. assume_yes: answer the positioner's prompts with yes.
+    terminal is needed otherwise. subscribers: get every event. began: gets the folder of the run before anything is opened. assume_yes:
+    answer the positioner's prompts with yes.
     """
 
     allow_motion: Callable[[LoadedPlan, Sequence[PlannedPose], Swept], None] = refuse_motion
@@ -53,6 +55,7 @@ class Operator:
     progress: Callable[[str], None] = lambda sentence: None
     subscribers: tuple[Subscriber, ...] = ()
     assume_yes: bool = False
+    began: Callable[[Path], None] = lambda folder: None
 
 
 def run(
@@ -83,7 +86,7 @@ def run(
     operator = operator or Operator()
     loaded = as_plan(plan)
     if not dry_run:
-        refuse_unknown_drivers(loaded)
+        refuse_impossible_devices(loaded)
     operator.progress("checking that every pose can be reached and seen")
     poses = expand(loaded)
     refuse_errors(loaded, poses)
@@ -111,6 +114,7 @@ def run(
             folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
             held.enter_context(write_lock(folder, "run"))
         acquisition.folder = folder
+        operator.began(folder)
         operator.progress("starting the fake cell" if dry_run else "")
         try:
             with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:

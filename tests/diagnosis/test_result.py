@@ -104,8 +104,8 @@ def test_an_object_of_another_kind_is_refused(content):
 def test_a_diagnosis_shows_itself_in_a_notebook():
     hostile = replace(FOUND, effects=(replace(FOUND.effects[0], where=("<b>",)),))
 
-    assert repr(FOUND) == "<Diagnosis explained: gear_transmission_error at A2, A3; held-out rms 0.0640 -> 0.0140 mm>"
-    assert "A2.order = [1, 100] +- [0.01, 0.02]" in FOUND._repr_html_()
+    assert repr(FOUND) == "<Diagnosis explained: gear_transmission_error at A2, A3; held-out rms 64.0 µm -> 14.0 µm>"
+    assert "A2 order 1.000 ± 0.020, 100.000 ± 0.040" in FOUND._repr_html_()
     assert "<td>&lt;b&gt;</td>" in hostile._repr_html_()
     assert "http" not in FOUND._repr_html_()
 

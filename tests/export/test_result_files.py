@@ -34,7 +34,7 @@ def test_the_file_reads_back(solved, result_file):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("format", "mbcacq-result/2", "format 'mbcacq-result/1'"),
+        ("format", "mbcacq-other/2", "format 'mbcacq-result/1'"),
         ("T_flange_scanner", [[1, 2], [3, 4]], "T_flange_scanner"),
         ("covariance", [[1.0]], "the covariance is not"),
         ("robot", {"name": "x"}, r"robot\."),

@@ -19,18 +19,53 @@ from mbcacq.cli.step_progress import StepProgress
 ROOT = Path(__file__).parents[2]
 
 
-def test_a_long_step_is_named_again_while_it_lasts(monkeypatch, capfd):
+def ticking(monkeypatch, capfd, terminal: bool) -> str:
+    """What is written while a step lasts over many ticks of a fast clock."""
     monkeypatch.setattr(step_progress, "EVERY_S", 0.02)
     monkeypatch.setattr(step_progress.signal, "getsignal", lambda number: step_progress.signal.SIG_DFL)  # pytest-timeout has its own alarm
+    ticks = []
+    tick = StepProgress._tick
+    monkeypatch.setattr(StepProgress, "_tick", lambda self: (ticks.append(1), tick(self))[1])
     with StepProgress() as progress:
+        progress._terminal = terminal
         progress("calibrating")
+        progress.begin("drawing")
         end = time.monotonic() + 20.0
-        said = ""
-        while "so far" not in said and time.monotonic() < end:
+        while len(ticks) < 20 and time.monotonic() < end:
             time.sleep(0.02)
-            said += capfd.readouterr().err
-    assert said.startswith("calibrating ...\n")
-    assert "calibrating: 0 s so far" in said
+    return capfd.readouterr().err
+
+
+def test_a_long_step_is_named_again_on_a_terminal_while_it_lasts(monkeypatch, capfd):
+    assert "drawing: 0 s so far" in ticking(monkeypatch, capfd, True)
+
+
+def test_a_file_or_a_pipe_gets_one_line_a_step(monkeypatch, capfd):
+    assert ticking(monkeypatch, capfd, False) == "calibrating ...\ndrawing ...\n"
+
+
+def test_of_many_parts_a_file_gets_the_first_the_last_and_every_tenth(capfd):
+    progress = StepProgress()
+    for part in range(1, 201):
+        progress(f"pose {part} of 200")
+    said = [line.split(",")[0].removesuffix(" ...") for line in capfd.readouterr().err.splitlines()]
+    assert said == [f"pose {part} of 200" for part in (1, *range(20, 201, 20))]
+
+
+@pytest.mark.parametrize("columns", [20, 40, 80])
+def test_a_terminal_breaks_lines_between_words(columns):
+    from mbcacq.cli.step_progress import shortened
+    from mbcacq.cli.terminal import wrapped
+
+    text = "  simulated: the fake cell or a model made these data, no real arm was measured\nshort"
+    lines = wrapped(text, columns).split("\n")
+    assert max(map(len, lines)) <= columns
+    assert " ".join(" ".join(lines).split()) == " ".join(text.split())
+    assert all(line.startswith("    ") for line in lines[1:-1])
+    assert wrapped("/a/path/that/is/longer/than/the/terminal/is/wide", 20) == "/a/path/that/is/longer/than/the/terminal/is/wide"
+    cut = shortened(text.split("\n")[0], columns)
+    assert len(cut) <= columns
+    assert text.startswith(cut.removesuffix("…"))
 
 
 def test_the_time_left_follows_from_the_parts_done(monkeypatch, capfd):

@@ -40,7 +40,11 @@ FAULTS = {
         [("name: small\n", "name: small\nformat: mbcacq-plan/1\n")],
         "plan.yaml:3: key 'format' stands here a second time (first in line 1); remove one",
     ),
-    "wrong format": ([("mbcacq-plan/1", "mbcacq-plan/9")], "plan.yaml:1: format: input should be 'mbcacq-plan/1', not 'mbcacq-plan/9'"),
+    "wrong format": (
+        [("mbcacq-plan/1", "mbcacq-plan/9")],
+        "plan.yaml:1: this plan was written by a newer mbcacq: its format is 'mbcacq-plan/9'",
+    ),
+    "no format of ours": ([("mbcacq-plan/1", "plan/1")], "plan.yaml:1: format: input should be 'mbcacq-plan/1', not 'plan/1'"),
     "bad step kind": ([("do: look", "do: dance")], "plan.yaml:19: steps[0]: do: dance is not one of 'translate', 'look', 'joints'"),
     "step without kind": ([("    do: look\n", "")], "plan.yaml:19: steps[0] lacks 'do'; say which of 'translate', 'look', 'joints'"),
     "too short a vector": ([("[600, 0, 100]", "[600, 0]")], "plan.yaml:17: stations[1].pose_in_base.translation_mm has too few values"),

@@ -38,7 +38,7 @@ FAULTS = [
     ("cell.yaml", "abc_deg: [10, 20, 30]", "rotation: [[1,0,0],[0,1,0],[0,0,-1]]", r"cell\.yaml:12: the rotation matrix is not"),
     ("cell.yaml", "d_mm: 515", "d_mm: 515, d_mm: 516", r"cell\.yaml:9: the key 'd_mm' stands here twice"),
     ("cell.yaml", "stations:", "stations: [", r"cell\.yaml:\d+: not valid YAML"),
-    ("cell.yaml", "observation-set/1", "observation-set/2", r"cell\.yaml:1: format"),
+    ("cell.yaml", "observation-set/1", "observation-set/2", r"cell\.yaml:1: it was written by a newer mbcacq"),
 ]
 
 

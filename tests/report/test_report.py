@@ -15,9 +15,9 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import fixed as fixed_point
+from mbcacq.quantities import signed
 from mbcacq.report import read_run_identity, report_from_result
-from mbcacq.report.page import number as fixed_point
-from mbcacq.report.page import signed
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
 BEFORE, AFTER = [0.721, 0.837, 1.041, 0.712, 0.734], [0.457, 0.347, 0.428, 0.375, 0.364]
@@ -95,8 +95,28 @@ def make_result(limit=0.5):
             "before": {},
             "after": {"max_mm": max(AFTER)},
             "limit_mm": limit,
+            "budget": {
+                "station": "b1",
+                "length_mm": 735.2364,
+                "certificate_mm": 0.0014,
+                "temperature_mm": 0.0011,
+                "probing_mm": 0.0025,
+                "repeatability_mm": 0.0025,
+                "combined_mm": 0.004,
+                "temperature": {
+                    "low_C": 15.0,
+                    "high_C": 25.0,
+                    "sensor_C": 0.0,
+                    "reference_C": 20.0,
+                    "source": "assumed",
+                    "what": "",
+                    "expansion_ppm_per_K": 0.5,
+                    "expansion_stated": True,
+                },
+            },
             "places": [
                 {"station": f"b{i}", "balls": [9, 10], "certified_mm": 735.2364, "before_mm": b, "after_mm": a, "expected_mm": 0.01}
+                | {"judging_mm": 0.004}
                 for i, (b, a) in enumerate(zip(BEFORE, AFTER, strict=True), 1)
             ],
         },
@@ -161,9 +181,9 @@ def page(tmp_path, result, **more):
 def test_the_table_is_that_of_the_published_experiment(tmp_path):
     words = page(tmp_path, make_result()).words
     for number in BEFORE + AFTER:
-        assert f"+{number:.3f}" in words
-    assert "mean of magnitudes 0.809 0.394" in words
-    assert "maximum 1.041 0.457" in words
+        assert f"+{number:.4f}" in words
+    assert "mean of magnitudes 0.8090 0.3942" in words
+    assert "maximum 1.0410 0.4570" in words
     assert "735.2364" in words
 
 
@@ -176,10 +196,52 @@ def test_the_table_is_that_of_the_published_experiment(tmp_path):
         (None, "none", "Calibrated and verified"),
     ],
 )
-def test_the_verdict_considers_the_uncertainty_of_the_certificate(tmp_path, limit, level, headline):
+def test_the_verdict_considers_the_uncertainty_of_judging(tmp_path, limit, level, headline):
     report = page(tmp_path, make_result(limit), observations=make_observations())
     assert headline in report.words
     assert f'class="verdict {level}"' in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_result_without_a_budget_is_not_decided(tmp_path):
+    result = make_result(0.5)
+    for place in result["verification"]["places"]:
+        del place["judging_mm"]
+    del result["verification"]["budget"]
+    words = page(tmp_path, result, observations=make_observations()).words
+    assert "Neither proven nor disproven" in words
+    assert "calibrate the recording anew" in words
+
+
+def test_the_budget_names_every_term_and_the_assumed_temperature(tmp_path):
+    words = page(tmp_path, make_result()).words
+    for term in ("certified distance", "temperature of the artefact", "probing of the spheres", "repeatability of the arm"):
+        assert term in words
+    assert "15 to 25 °C is assumed" in words
+    assert "U = 0.0080 mm" in words
+    assert words.count("0.4570 ± 0.0080 mm") == 2  # page one: in the verdict, and as its number
+
+
+def test_a_place_beyond_its_own_expected_uncertainty_is_marked(tmp_path):
+    result = make_result()
+    for place in result["verification"]["places"]:
+        place["expected_mm"] = 0.3
+    assert "beyond the expanded uncertainty" not in page(tmp_path, result).words
+    result["verification"]["places"][1]["expected_mm"] = 0.056
+    words = page(tmp_path, result).words
+    assert "At 1 of 5 places the error is beyond the expanded uncertainty that the calibration expects there: b2" in words
+    assert (tmp_path / "report.html").read_text(encoding="utf-8").count('<tr class="beyond">') == 1
+
+
+def test_the_page_is_about_the_cell_with_its_effects_where_the_run_has_it(tmp_path):
+    better = make_result()
+    better["effects"] = {"format": "mbcacq-effect-model/1", "terms": [], "recording": {}}
+    for place in better["verification"]["places"]:
+        place["after_mm"] = 0.0188
+    info = {"folder": "runs/today", "with_effects": better}
+    words = page(tmp_path, make_result(), run_info=info).words
+    assert "Largest sphere spacing error 0.0188 ± 0.0080 mm (k = 2)" in words
+    assert "with the geometry alone 0.4570 mm" in words
+    assert "mbcacq export runs/today/with-effects --results DIR" in words
 
 
 def test_without_verification_nothing_is_claimed(tmp_path):
@@ -199,9 +261,9 @@ def test_verification_on_the_poses_of_the_fit_is_labelled_as_such(tmp_path):
 
 def test_parameters_with_their_expanded_uncertainties(tmp_path):
     words = page(tmp_path, make_result()).words
-    assert "+0.1430 ± 0.0114" in words
+    assert "+0.143 ± 0.011" in words
     assert "−0.0170 ± 0.0018" in words  # degrees
-    assert "+0.40 ± 1.40" in words  # micrometres of a ball
+    assert "+0.4 ± 1.4" in words  # micrometres of a ball
     assert "theta_1 turns base and stations together" in words
     assert "264.7998" in words
     assert "a_1 and hand_eye.x −0.987" in words
@@ -349,7 +411,7 @@ def test_a_path_that_cannot_be_written_is_refused(tmp_path):
 def test_many_stations_share_one_limit_line(tmp_path):
     result = make_result()
     result["verification"]["limit_mm"] = 0.3
-    assert "limit ±0.300 mm" in page(tmp_path, result).words
+    assert "Limit ±0.300 mm" in page(tmp_path, result).words
 
 
 def test_an_alternative_is_stated_by_its_odds():

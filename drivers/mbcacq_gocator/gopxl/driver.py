@@ -39,6 +39,8 @@ class GoPxL:
     Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``.
     """
 
+    options_model = GoPxLOptions
+
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.name, self.model = name, model
         self.options = GoPxLOptions.read(name, options or {})

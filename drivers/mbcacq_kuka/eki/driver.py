@@ -13,7 +13,7 @@ from mbcacq.devices import ConfigError, ConnectError, Cycles, Description, Devic
 from mbcacq_kuka.controller_files import eki_files
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.cell_check import check_cell, frame_distance
-from mbcacq_kuka.eki.options import read_options
+from mbcacq_kuka.eki.options import EkiOptions, read_options
 from mbcacq_kuka.eki.record import Record
 from mbcacq_kuka.eki.session import EkiSession
 from mbcacq_kuka.eki.telegrams import LIN, PTP, State
@@ -30,6 +30,8 @@ class KukaEki:
     """
 
     plan_facts = ("kinematics",)
+
+    options_model = EkiOptions
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model

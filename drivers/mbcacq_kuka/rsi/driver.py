@@ -32,7 +32,7 @@ from mbcacq_kuka.controller_files import rsi_files
 from mbcacq_kuka.eki.client import EkiClient
 from mbcacq_kuka.eki.start import start_by_eki
 from mbcacq_kuka.rsi.cycle_process import CycleProcess
-from mbcacq_kuka.rsi.options import read_options
+from mbcacq_kuka.rsi.options import RsiOptions, read_options
 from mbcacq_kuka.rsi.recovery import PendingMove, off_path
 from mbcacq_kuka.rsi.shared import ARRIVED, MOVE, MOVING, STOP, RsiCommand
 
@@ -66,6 +66,8 @@ class KukaRsi:
     """A six-axis KUKA arm under RSI joint correction. ``options``: see options.Options. Implements mbcacq.devices.Robot."""
 
     plan_facts = ("dynamics",)
+
+    options_model = RsiOptions
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model

@@ -136,6 +136,14 @@ def on_loopback(address: str) -> bool:
         return False
 
 
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return text == "localhost"
+    return True
+
+
 def _one_or_six(name: str, key: str, value: Any) -> tuple[float, ...]:
     six = [value] * 6 if np.ndim(value) == 0 else value
     return tuple(array(name, key, six, (6,)).tolist())
@@ -153,6 +161,11 @@ def _check_texts(name: str, options: RsiOptions) -> None:
 def _check_addresses(name: str, options: RsiOptions) -> None:
     if not isinstance(options.bind, str) or not isinstance(options.controller_ip, str):
         raise ConfigError(f"robot '{name}': options bind and controller_ip are addresses, in quotes")
+    for key, address in (("bind", options.bind), ("controller_ip", options.controller_ip)):
+        if address and not _is_address(address):
+            raise ConfigError(
+                f"robot '{name}': option {key} must be an IP address, such as 172.31.1.100, it is {address!r}; the telegrams go to no name"
+            )
     if not options.controller_ip and not on_loopback(options.bind):
         raise ConfigError(
             f"robot '{name}': option controller_ip is missing; on {options.bind} any computer of the network could send telegrams, so "

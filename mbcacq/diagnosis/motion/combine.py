@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
-from mbcacq.diagnosis.output.text import number
+from mbcacq.quantities import K, measured, split_unit
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,10 @@ class SingleEstimate:
     value: float
     std: float
 
-    def __str__(self) -> str:
-        return f"{number(self.value)} +- {number(self.std)}"
+    def shown(self, parameter: str) -> str:
+        """With its expanded uncertainty (k = 2) in the unit of the parameter's name."""
+        _, unit, factor = split_unit(parameter)
+        return measured(factor * self.value, K * factor * self.std, unit)
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> 
     if found:
         lines += ["", "Found in both:"]
         lines += [
-            f"  {a.parameter}: {a.poses} from the poses, {a.motion} from the motion: "
+            f"  {split_unit(a.parameter)[0]}: {a.poses.shown(a.parameter)} from the poses, {a.motion.shown(a.parameter)} from the motion: "
             f"{'they agree' if a.agrees else 'they do not agree'} ({a.sigmas:.1f} sigma)"
             for a in found
         ]

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.output.text import NOT_DETERMINED, VERDICTS, number, phase_is_undetermined
+from mbcacq.diagnosis.output.text import NOT_DETERMINED, phase_is_undetermined, verdict_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
+from mbcacq.quantities import K, measured, significant, split_unit, symbol
 
 CHANNELS = {
     "q_joint": "joint-side against motor-side angle",
@@ -27,7 +28,7 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
 
 def headline(diagnosis: MotionDiagnosis) -> str:
     """The verdict as a sentence."""
-    return CANNOT_TELL if diagnosis.verdict == "cannot_tell" else VERDICTS[diagnosis.verdict]
+    return CANNOT_TELL if diagnosis.verdict == "cannot_tell" else verdict_in_words(diagnosis.verdict)
 
 
 def motion_details(diagnosis: MotionDiagnosis) -> str:
@@ -39,11 +40,13 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
         for m in diagnosis.mismatch[:MOST_ROWS]:
             lines.append(f"  {m.at:<8} depends on {m.depends_on:<14} share {m.share:.0%} ({CHANNELS[m.channel]})")
         lines.append("")
+    if diagnosis.effects:
+        lines.append("Effects, ± U (k = 2):")
     for effect in diagnosis.effects:
         gain = effect.held_out_gain_here if isinstance(effect, MotionEffect) else effect.held_out_gain
         where = ", ".join(effect.where)
         lines.append(f"{effect_in_words(effect.name)} at {where} (removes {gain:.1%} of the excess there, on held-out data)")
-        lines += [f"  {name} {_values(name, p)}" for name, p in effect.parameters.items()]
+        lines += [f"  {_values(name, p)}" for name, p in effect.parameters.items()]
         lines += [f"  {_rms_of_shape(effect)}"] if isinstance(effect, UnmodelledMotionEffect) else []
         lines += [f"  {note}" for note in (effect.notes if isinstance(effect, MotionEffect) else ())]
     for pair in diagnosis.not_separable:
@@ -59,21 +62,23 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
 
 def _values(name: str, parameter: Mapping[str, Any]) -> str:
     values, stds = (x if isinstance(x, list) else [x] for x in (parameter["value"], parameter["std"]))
+    words, unit, factor = split_unit(name)
     if all(phase_is_undetermined(name, s) for s in stds):
-        return NOT_DETERMINED
-    return "= " + ", ".join(f"{number(v)} +- {number(s)}" for v, s in zip(values, stds, strict=True))
+        return f"{words} {NOT_DETERMINED}"
+    shown = (measured(factor * v, K * factor * s, unit) for v, s in zip(values, stds, strict=True))
+    return f"{words} {', '.join(shown)}"
 
 
 def _rms_of_shape(effect: UnmodelledMotionEffect) -> str:
     """Its size. The bins hold equally many samples, so that the mean square over them is that over the recording."""
     torque = effect.channel == "tau"
     rms = float(np.sqrt(np.mean(np.square(effect.y))))
-    size = f"{number(rms)} N m" if torque else f"{number(float(np.degrees(rms)))} deg"
+    size = f"{significant(rms)} N·m" if torque else f"{significant(float(np.degrees(rms)))}°"
     return f"rms {size}, as a function of {effect.depends_on} ({CHANNELS[effect.channel]})"
 
 
 def _held_out(c: ChannelFit) -> str:
-    before = f"{c.held_out.before_rms:.4g} {c.unit} before"
+    before = f"{significant(c.held_out.before_rms)} {symbol(c.unit)} before"
     if c.refused_rms is not None:
-        return f"{before}; the model found elsewhere makes it {c.refused_rms:.4g} and is refused here"
-    return f"{before}, {c.held_out.after_rms:.4g} after"
+        return f"{before}; the model found elsewhere makes it {significant(c.refused_rms)} and is refused here"
+    return f"{before}, {significant(c.held_out.after_rms)} after"

@@ -21,6 +21,7 @@ import numpy as np
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
+from mbcacq.diagnosis.output.noise_floor import NOT_SIZES
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -31,7 +32,6 @@ QUANTILE = 1.645  # of a standard normal variable: 95 % below
 MOST_VALUES = 12  # of a hyper-parameter that are tried
 ROUNDED = 1e-10  # share of an effect's information, or displacement, below which what is left of it is rounding
 ENOUGH = 0.5  # share of the effects that a verdict ``none`` excludes at their typical size
-NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
 
 
 def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -> list[SizedEffect]:
@@ -45,8 +45,13 @@ def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -
 
 def exclusion_limits(limited: Sequence[SizedEffect], there: Elsewhere) -> tuple[ExclusionLimit, ...]:
     """As they are reported, those with the largest error in the workspace first; what the geometry absorbs before all others."""
-    out = (ExclusionLimit(e.candidate.name, e.candidate.where, *parameter_of(e), *errors_elsewhere(there, e)) for e in limited)
+    out = (ExclusionLimit(e.candidate.name, e.candidate.where, *parameter_of(e), *errors_elsewhere(there, e), usual(e)) for e in limited)
     return tuple(sorted(out, key=lambda e: -np.inf if e.value is None else -(e.workspace_mm or 0.0)))
+
+
+def usual(effect: SizedEffect) -> float | None:
+    """The limit in typical sizes of the effect; None where the geometry absorbs it."""
+    return effect.in_typical_sizes if np.isfinite(effect.in_typical_sizes) else None
 
 
 def says_too_little(limited: Sequence[SizedEffect], poses: int) -> str | None:

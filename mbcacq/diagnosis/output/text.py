@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from mbcacq.diagnosis.output.noise_floor import ABSURD, NoiseFloor, is_trend
 from mbcacq.diagnosis.result import (
     Alternative,
     BetweenRecordings,
@@ -14,12 +15,13 @@ from mbcacq.diagnosis.result import (
     NotSeparable,
     Proposal,
 )
-from mbcacq.effects.effect import ParameterEstimate, in_digits
+from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
+from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, significant, split_unit, uncertainty, with_unit
 
 VERDICTS = {
-    "none": "No effect: the simulation explains the recording down to the measured noise.",
-    "explained": "Explained: the effects below bring the simulation down to the measured noise.",
+    "none": "No effect: the simulation explains the recording {distance}.",
+    "explained": "Explained: the effects below bring the simulation {distance}.",
     "partly_explained": "Partly explained: the effects below help, but structure remains.",
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "Cannot tell: these poses do not let the candidates be told apart, or be seen.",
@@ -29,12 +31,14 @@ MOST_LIMITS = 3  # effects that could still hide, in the text
 NOT_DETERMINED = "is not determined"
 LARGEST_PHASE_STD_DEG = 90.0
 STANDS_IN = "A smooth model stands in its place."
+TREND = "  a trend: no figure of it is beyond its expanded uncertainty (k = 2)"
 SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
 
 
 def words(d: Diagnosis) -> str:
     """The whole diagnosis as text of several lines."""
-    lines = [VERDICTS[d.verdict]]
+    floor = noise_floor(d)
+    lines = [verdict_in_words(d.verdict, floor)]
     if d.verdict == "unexplained":
         lines.append(STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED)
     lines.append("")
@@ -42,17 +46,18 @@ def words(d: Diagnosis) -> str:
         lines.append("Where model and data disagree:")
         lines += [f"  {m.at:<10} depends on {m.depends_on:<18} share {m.share:.0%}" for m in d.mismatch]
         lines.append("")
+    if d.effects:
+        lines += ["Effects, ± U (k = 2):"]
     for effect in d.effects:
         lines += describe(effect)
     held = d.fit.held_out
     lines += geometry_lines(d.geometry_alone)
     lines.append(
-        f"On held-out data (by {held.split}): {held.before_rms_mm:.4f} mm before, {held.after_rms_mm:.4f} mm after; "
-        f"chi2/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; "
-        f"expected from noise alone: {d.fit.repeatability_floor_mm:.4f} mm."
+        f"On held-out data (by {held.split}): {micrometres(held.before_rms_mm)} before, {micrometres(held.after_rms_mm)} after; "
+        f"χ²/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; expected from noise alone: {floor.noise} (k = 2)."
     )
     lines += proposal_lines(d.proposals)
-    lines += [hidden(limit) for limit in d.exclusion_limits[:MOST_LIMITS]]
+    lines += limit_lines(d.exclusion_limits)
     lines += [difference(one) for one in d.between_recordings]
     lines += [f"Cannot be told apart: {' and '.join(map(effect_in_words, pair.effects))} ({odds_of(pair)})" for pair in d.not_separable]
     lines += [f"Measure next: {a.reason}" for a in d.advice]
@@ -60,32 +65,45 @@ def words(d: Diagnosis) -> str:
     return "\n".join(lines)
 
 
+def noise_floor(d: Diagnosis) -> NoiseFloor:
+    """How near the model comes to the noise on held-out data."""
+    return NoiseFloor.of(d.fit.held_out.after_rms_mm, d.fit.repeatability_floor_mm, sum(g.centres for g in d.geometry_alone))
+
+
+def verdict_in_words(verdict: str, floor: NoiseFloor | None = None) -> str:
+    """The verdict as a sentence, with how near to the noise the model comes where that is known."""
+    return VERDICTS[verdict].format(distance="down to the measured noise" if floor is None else floor.distance)
+
+
 def geometry_lines(each: Sequence[GeometryAlone]) -> list[str]:
     """What took part and the noise before any effect, a line for each recording."""
     out = []
     for number, g in enumerate(each, 1):
         which = f", recording {number}" if len(each) > 1 else ""
-        instrument = ", ".join(f"{s:.2g}" for s in g.noise.scanner_mm)
+        instrument = listed([1e3 * s for s in g.noise.scanner_mm])
         least, most = (_whole(1e6 * v) for v in (min(g.noise.joint_rad), max(g.noise.joint_rad)))
         joints = most if least == most else f"{least} to {most}"
-        turn = "" if g.noise.turn_rad is None else f", orientations {_whole(1e6 * g.noise.turn_rad)} urad"
-        out.append(f"Geometry alone{which}: {g.poses} poses, {g.centres} centres; noise {instrument} mm{turn}, joints {joints} urad")
+        turn = "" if g.noise.turn_rad is None else f", orientations {_whole(1e6 * g.noise.turn_rad)} µrad"
+        noise = f"noise {instrument} µm along x, y, z{turn}, joints {joints} µrad (k = 1)"
+        out.append(f"Geometry alone{which}: {g.poses} poses, {g.centres} centres; {noise}")
     return out
 
 
 def _whole(value: float) -> str:
     """A whole number; two digits of one below ten."""
-    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+    return fixed(value, 0) if value >= 10 else significant(value, 2)
 
 
 def difference(b: BetweenRecordings) -> str:
     """One parameter over the recordings, in one line."""
-    each = ", ".join(f"{in_digits(v)} +- {in_digits(s)}" for v, s in zip(b.values, b.stds, strict=True))
-    said = f"{b.parameter} in the recordings: {each}; common {in_digits(b.common)} +- {in_digits(b.common_std)}"
+    words, unit, factor = split_unit(b.parameter)
+    each = ", ".join(measured(factor * v, K * factor * s) for v, s in zip(b.values, b.stds, strict=True))
+    said = f"{words} in the recordings: {each}; common {measured(factor * b.common, K * factor * b.common_std, unit)} (± is U, k = 2)"
     if b.p_value > DIFFERENT:
-        return f"{said}, no difference between them (p = {b.p_value:.2g})"
+        return f"{said}, no difference between them ({p_value(b.p_value)})"
     causes = "another tool or another stated mass, the temperature, wear"
-    return f"{said}, standard deviation between recordings {in_digits(b.between_std)} (p = {b.p_value:.1g}): {causes} could be behind it"
+    between = f"standard deviation between recordings {uncertainty(factor * b.between_std)} {unit}".rstrip()
+    return f"{said}, {between} ({p_value(b.p_value)}): {causes} could be behind it"
 
 
 def proposal_lines(proposals: Sequence[Proposal]) -> list[str]:
@@ -96,9 +114,20 @@ def proposal_lines(proposals: Sequence[Proposal]) -> list[str]:
         out.append(f"Proposed: {p.formula}")
         out.append(
             f"  log Bayes factor {p.log_bayes_factor:.1f}, {odds_in_words(p.odds)}; "
-            f"held-out chi2/dof {p.held_out_before_chi2_dof:.2f} -> {p.held_out_chi2_dof:.2f}{smooth}; "
+            f"held-out χ²/dof {p.held_out_before_chi2_dof:.2f} -> {p.held_out_chi2_dof:.2f}{smooth}; "
             f"found again in {p.found_in} of {p.parts} searches without a part of the data"
         )
+    return out
+
+
+def limit_lines(limits: Sequence[ExclusionLimit]) -> list[str]:
+    """The largest effects that could still hide, a line each; those that these poses do not test at all together in one."""
+    untested = [limit for limit in limits if limit.in_usual_sizes is not None and limit.in_usual_sizes > ABSURD]
+    out = [hidden(limit) for limit in [one for one in limits if one not in untested][:MOST_LIMITS]]
+    if untested:
+        names = ", ".join(f"{one.name} at {'+'.join(one.where)} ({split_unit(one.parameter)[0]})" for one in untested[:MOST_LIMITS])
+        more = f" and {len(untested) - MOST_LIMITS} more" if len(untested) > MOST_LIMITS else ""
+        out.append(f"Not tested by these poses (only what is over {ABSURD:.0f} times the usual size would show): {names}{more}")
     return out
 
 
@@ -107,19 +136,24 @@ def hidden(limit: ExclusionLimit) -> str:
     at = f"{limit.name} at {'+'.join(limit.where)}"
     if limit.value is None:
         return f"Not excluded at any size: {at}, which the free geometry absorbs"
-    size = f"{limit.parameter.rpartition('.')[2]} = {limit.value:.2g}"
+    words, unit, factor = split_unit(limit.parameter.rpartition(".")[2])
+    size = f"{words} {with_unit(significant(factor * limit.value, 2), unit)}"
+    if limit.in_usual_sizes is not None:
+        size += f" ({significant(limit.in_usual_sizes, 2)} times the usual size)"
     if limit.workspace_mm is None or limit.length_mm is None:
         return f"Not excluded (95 %): {at} up to {size}"
-    return f"Not excluded (95 %): {at} up to {size}, {limit.workspace_mm:.2g} mm in the workspace, {limit.length_mm:.2g} mm in a length"
+    errors = f"{significant(limit.workspace_mm, 2)} mm in the workspace, {significant(limit.length_mm, 2)} mm in a length"
+    return f"Not excluded (95 %): {at} up to {size}, {errors}"
 
 
 def describe(effect: EffectFound) -> list[str]:
-    """The lines of one effect, with an empty one at the end."""
+    """The lines of one effect, with an empty one at the end; of a trend no figure."""
+    trend = is_trend({name: _components(estimate) for name, estimate in effect.parameters.items()})
     out = [
-        f"{effect_in_words(effect.name)} at {', '.join(effect.where)} (p = {effect.p_value:.1g}, "
+        f"{'Trend: ' if trend else ''}{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
         f"removes {effect.held_out_gain:.0%} of the excess over noise)"
     ]
-    out += [f"  {name} {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
+    out += [TREND] if trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
     if effect.alternatives:
         out.append(
             "  could also be: "
@@ -128,15 +162,22 @@ def describe(effect: EffectFound) -> list[str]:
     return [*out, ""]
 
 
+def _components(estimate: ParameterEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    values, stds = (x if isinstance(x, tuple) else (x,) for x in (estimate.value, estimate.std))
+    return values, stds
+
+
 def phase_is_undetermined(name: str, std: float) -> bool:
     """A standard deviation of more than a quarter of a period: the value says nothing, and it would be read as if it did."""
     return name.endswith("phase_deg") and std > LARGEST_PHASE_STD_DEG
 
 
 def _reported(name: str, estimate: ParameterEstimate) -> str:
-    """A parameter with its standard deviation; a phase that has no value as such, where it has one in no harmonic."""
+    """A parameter with its expanded uncertainty; a phase that has no value as such, where it has one in no harmonic."""
     stds = estimate.std if isinstance(estimate.std, tuple) else (estimate.std,)
-    return NOT_DETERMINED if all(phase_is_undetermined(name, s) for s in stds) else f"= {estimate}"
+    if all(phase_is_undetermined(name, s) for s in stds):
+        return f"{split_unit(name)[0]} {NOT_DETERMINED}"
+    return parameter_in_words(name, estimate)
 
 
 def likelihood(a: Alternative) -> str:
@@ -150,8 +191,3 @@ def odds_of(pair: NotSeparable) -> str:
     """How alike two effects are, and how probable the second is."""
     alike = f"correlation {pair.correlation:.2f}"
     return alike if pair.odds is None else f"{alike}, {odds_in_words(pair.odds)}"
-
-
-def number(value: float | Sequence[float]) -> str:
-    """Four significant digits of a number, or of each component in brackets."""
-    return in_digits(tuple(value) if isinstance(value, Sequence) else value)

@@ -14,6 +14,7 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.model import yaml12
 from mbcacq.model.heading_units import UnknownUnitError, converted, split_heading
 from mbcacq.model.robot_import.source import ArmSource
 
@@ -162,7 +163,7 @@ def _csv(path: Path, text: str) -> tuple[list[str], list[list[Any]]]:
 
 def _yaml(path: Path, text: str) -> tuple[list[str], list[list[Any]]]:
     try:
-        data = yaml.safe_load(text)
+        data = yaml12.load(text)
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
     rows = data.get("rows") if isinstance(data, dict) else data

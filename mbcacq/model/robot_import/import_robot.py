@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain_from_axes import ChainInFrames, chain_from_axes
+from mbcacq.model import yaml12
 from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.robot_import.dh_table import read_dh_table
 from mbcacq.model.robot_import.mjcf import read_mjcf
@@ -94,6 +94,9 @@ def _read(
     arguments: Mapping[str, str] | None,
 ) -> ArmSource:
     kind = path.suffix.lower()
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise ConfigError(f"{path} {what}; give the file that describes the arm")
     if kind in (".csv", ".yaml", ".yml"):
         if convention is None:
             raise ConfigError(f"{path}: which convention do its rows follow? say --convention standard or --convention modified")
@@ -143,7 +146,7 @@ def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray,
         "# H_i = Rz(sign*q_i + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta); q as the file counts the joints' angles.",
         "# Centres of gravity stand in the frame of their own link (behind its row).",
         *(f"# {remark}." for remark in remarks),
-        f"name: {yaml.safe_dump(name, width=1000).splitlines()[0]}",
+        f"name: {yaml12.dump(name, width=1000).splitlines()[0]}",
     ]
     down = rows.T_given_base[:3, :3].T @ np.array([0.0, 0.0, -1.0])
     if np.abs(down - [0, 0, -1]).max() > 1e-9:
@@ -174,7 +177,7 @@ def _short(value: float, digits: int = 9) -> str:
 
 def _compared(path: Path, text: str, rows: ChainInFrames, source: ArmSource) -> tuple[float, float]:
     """Largest difference (mm, rad) of the file that is written and its source. Raises ConfigError where they differ."""
-    model = RobotSpec.model_validate(yaml.safe_load(text)).model()
+    model = RobotSpec.model_validate(yaml12.load(text)).model()
     limits = np.nan_to_num(source.limits, nan=np.pi)
     q = np.random.default_rng(0).uniform(np.minimum(*limits.T), np.maximum(*limits.T), (POSTURES, model.n))
     made, given = rows.T_given_base @ model.chain.flange(q) @ rows.T_flange_given, source.forward(q)

@@ -18,7 +18,7 @@ __all__ = ["DIALECTS", "ExposeAt", "MotionProgram", "MoveTo", "PlaceArtefact", "
 
 
 @dataclass(frozen=True)
-class Dialect:
+class ControllerLanguage:
     """maker: whose controllers read it. axes: how many such a program can have, or () for any. joints: where the angles that the controller
     measured are found afterwards. load: how the program gets onto the controller."""
 
@@ -29,21 +29,25 @@ class Dialect:
 
 
 DIALECTS = {
-    "krl": Dialect(
+    "krl": ControllerLanguage(
         "KUKA (KSS)", (6,), "in NAME.dat, copied back from the controller", "copy both files to KRC:\\R1\\Program; select NAME in T1"
     ),
-    "rapid": Dialect(
+    "rapid": ControllerLanguage(
         "ABB", (6,), "in HOME:/NAME.csv", "load NAME.mod into T_ROB1, move the pointer to mbcacq_run; the output is do_mbcacq_N"
     ),
-    "karel": Dialect(
+    "karel": ControllerLanguage(
         "FANUC", (6,), "in UD1:\\NAME.csv", "translate NAME.kl (ktrans), load both; position register 90 and group 1 are used"
     ),
-    "urscript": Dialect(
+    "urscript": ControllerLanguage(
         "Universal Robots", (6,), "in the log, as text messages 'mbcacq joints'", "load NAME.script in a Script node of a program"
     ),
-    "vplus": Dialect("Adept, Staubli (V+)", (4, 5, 6), "on the terminal, lines 'mbcacq pose'", "LOAD NAME.pg, then EXECUTE NAME"),
-    "inform": Dialect("Yaskawa Motoman", (6, 7), "nowhere; write them down where they are wanted", "load the job from a USB stick"),
-    "csv": Dialect("any other", (), "wherever the controller writes them", "read it by a program of your own"),
+    "vplus": ControllerLanguage(
+        "Adept, Staubli (V+)", (4, 5, 6), "on the terminal, lines 'mbcacq pose'", "LOAD NAME.pg, then EXECUTE NAME"
+    ),
+    "inform": ControllerLanguage(
+        "Yaskawa Motoman", (6, 7), "nowhere; write them down where they are wanted", "load the job from a USB stick"
+    ),
+    "csv": ControllerLanguage("any other", (), "wherever the controller writes them", "read it by a program of your own"),
 }
 
 
@@ -107,7 +111,7 @@ def _table(program: MotionProgram) -> str:
     return out.getvalue()
 
 
-def _readme(program: MotionProgram, about: Dialect, files: list[str]) -> str:
+def _readme(program: MotionProgram, about: ControllerLanguage, files: list[str]) -> str:
     trigger = program.trigger
     asked = {
         "output": f"digital output {trigger.output} is set for {trigger.pulse_s:g} s, then the arm waits {trigger.exposure_s:g} s",

@@ -9,6 +9,7 @@ import yaml
 
 from mbcacq.files import angles
 from mbcacq.model.cell import Artefact, Cell, RobotModel, Station
+from mbcacq.model.yaml12 import Yaml12Dumper
 
 FORMAT = "mbcacq-observation-set/1"
 
@@ -28,6 +29,8 @@ def cell_to_yaml(cell: Cell) -> str:
     if cell.noise_rad is not None:
         scanner["noise_deg"] = _degrees(np.array([cell.noise_rad]))[0]
     data["scanner"] = scanner
+    if cell.room_temperature_C is not None:
+        data["room_temperature_C"] = _FlowList(float(T) for T in cell.room_temperature_C)
     return _dump(data)
 
 
@@ -133,7 +136,7 @@ class _FlowList(list):
     """A list written on one line."""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(Yaml12Dumper):
     pass
 
 

@@ -11,10 +11,11 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from mbcacq.errors import ConfigError
+from mbcacq.model.formats import newer_format
+from mbcacq.model.yaml12 import Yaml12Loader
 
 MAX_BYTES = 16 << 20
 Spec = TypeVar("Spec", bound=BaseModel)
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 RESEMBLES = 0.8  # similarity of two words from which one is taken for a slip of the other
@@ -33,7 +34,7 @@ def read_yaml_text(path: Path) -> str:
 
 def load_yaml(text: str, name: str) -> tuple[dict[str, Any], yaml.Node]:
     """The mapping in a YAML text, and its node tree for line numbers. Raises ConfigError."""
-    loader = _Loader(text)
+    loader = Yaml12Loader(text)
     try:
         node = loader.get_single_node()
         data = loader.construct_document(node) if node is not None else None
@@ -79,6 +80,9 @@ def validate(model: type[Spec], data: dict[str, Any], node: yaml.Node, name: str
     Keys that the model does not know are left out, at every level: these are open formats, and other programs add what they need. One
     that resembles a known key which is not there is taken for a slip and refused.
     """
+    known = get_args(model.model_fields["format"].annotation) if "format" in model.model_fields else ()
+    if sentence := newer_format(data.get("format"), known):
+        raise ConfigError(f"{name}:{line_of(node, ('format',))}: it {sentence}")
     for path, key, meant in misspelt(model, data):
         raise ConfigError(f"{name}:{line_of(node, (*path, key))}: the key '{key}' is not known; '{meant}' is meant? correct it")
     try:

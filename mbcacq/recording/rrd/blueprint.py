@@ -12,6 +12,7 @@ import yaml
 from rerun.blueprint import encodings
 
 from mbcacq.geometry.chain import Chain
+from mbcacq.model import yaml12
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.chart import SHEET_HEIGHT, SHEET_WIDTH, sheet_height
@@ -266,7 +267,7 @@ def _point(xyz: np.ndarray) -> Point:
 def stations(plan_yaml: str) -> np.ndarray:
     """(S, 3) planned places, none where the run has no plan of that form."""
     try:
-        places = [station["pose_in_base"]["translation_mm"] for station in yaml.safe_load(plan_yaml)["stations"]]
+        places = [station["pose_in_base"]["translation_mm"] for station in yaml12.load(plan_yaml)["stations"]]
         return np.array(places, dtype=float).reshape(-1, 3)
     except (yaml.YAMLError, KeyError, TypeError, ValueError):
         return np.zeros((0, 3))

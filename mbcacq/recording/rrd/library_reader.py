@@ -13,6 +13,8 @@ from mbcacq.errors import MbcacqError, RecordingError
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
+NOT_OURS = "holds no recording of mbcacq"  # in the sentence about a file that can be read, and was written by another program
+
 
 class LibraryReader:
     """One .rrd file. Where its footer is missing, it is read from end to end.
@@ -29,9 +31,7 @@ class LibraryReader:
             self._reader = RrdReader(rerun_path(path))
             stores = [store for store in self._reader.recordings() if store.application_id == layout.APPLICATION]
         if not stores:
-            raise RecordingError(
-                f"{path} holds no recording of mbcacq: it was torn before anything was written, or another program wrote it"
-            )
+            raise RecordingError(f"{path} {NOT_OURS}: it was torn before anything was written, or another program wrote it")
         self._store = stores[0]
         try:
             self._indexed = self._reader.store(store=self._store)

@@ -11,6 +11,7 @@ from rerun.components import MarkerShape
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
+from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.rrd import layout
@@ -91,7 +92,7 @@ def log_ball_series(rec: rr.RecordingStream, cell: Cell) -> None:
 def log_obstacles(rec: rr.RecordingStream, plan_yaml: str) -> None:
     """The plan's boxes, as outlines; those that would only frame the whole scene (a floor) are left to the grid."""
     try:
-        given = yaml.safe_load(plan_yaml)["obstacles"]
+        given = yaml12.load(plan_yaml)["obstacles"]
         boxes = [(str(o["name"]), np.array(o["min_mm"], float), np.array(o["max_mm"], float)) for o in given]
     except (yaml.YAMLError, KeyError, TypeError, ValueError):
         return
@@ -263,7 +264,7 @@ def _log_scanner(rec: rr.RecordingStream, view: dict[str, Any]) -> None:
 def home(plan_yaml: str, n: int) -> np.ndarray:
     """(n,) rad, the plan's home: how the arm is drawn until it reports itself."""
     try:
-        q = np.radians(np.array(yaml.safe_load(plan_yaml)["robot"]["home_deg"], dtype=float))
+        q = np.radians(np.array(yaml12.load(plan_yaml)["robot"]["home_deg"], dtype=float))
     except (yaml.YAMLError, KeyError, TypeError, ValueError):
         return np.zeros(n)
     return q if q.shape == (n,) else np.zeros(n)
@@ -272,7 +273,7 @@ def home(plan_yaml: str, n: int) -> np.ndarray:
 def _field_of_view(plan_yaml: str) -> dict[str, Any]:
     """The plan's field of view, or a small cone where the run has no plan of that form."""
     try:
-        view = yaml.safe_load(plan_yaml)["scanner"]["field_of_view"]
+        view = yaml12.load(plan_yaml)["scanner"]["field_of_view"]
         return {**view, "near_z_mm": float(view["near_z_mm"])}
     except (yaml.YAMLError, KeyError, TypeError, ValueError):
         return {"near_z_mm": 20.0, "far_z_mm": -20.0, "near_half_mm": (30.0, 30.0), "far_half_mm": (40.0, 40.0)}

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import write_file
+from mbcacq.model import yaml12
 from mbcacq.plan.yaml_source import parse
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import digest_of_file, note_whole, read_stretches
@@ -25,17 +24,37 @@ SHOWN = 60  # characters of a value
 @dataclass(frozen=True)
 class KeptPlan:
     """plan: its YAML; files: name -> text of the files it names; cell: which cell was driven. None for what neither the folder nor its
-    recordings say. repairs: one sentence for each file that had to be restored or is lost."""
+    recordings say. path: where the plan was read from, in runs of today. repairs: one sentence for each file that had to be restored or is
+    lost."""
 
     plan: str | None
     files: Mapping[str, str] | None
     cell: str | None
     repairs: tuple[str, ...] = field(default=())
+    path: str | None = None
 
 
-def plan_files_text(files: Mapping[str, str], cell: str) -> str:
-    """plan.files.json: the texts of the files that the plan names, and which cell is driven ('real', or the fake one and its seed)."""
-    return json.dumps({"format": FORMAT, "cell": cell, "files": dict(files)}, indent=1) + "\n"
+def plan_files_text(files: Mapping[str, str], cell: str, path: Path | None = None) -> str:
+    """plan.files.json: the texts of the files that the plan names, and which cell is driven ('real', or the fake one and its seed). path:
+    of the plan, with which a resumed run needs not be given it again."""
+    where = {} if path is None else {"path": str(path.absolute())}
+    return json.dumps({"format": FORMAT, "cell": cell, **where, "files": dict(files)}, indent=1) + "\n"
+
+
+def plan_of_run(folder: Path) -> Path:
+    """The plan that a run folder was recorded with. Raises ConfigError where the folder does not say, or the plan is gone."""
+    try:
+        kept = json.loads((folder / FILES).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{folder} holds no run to resume; give the folder of the interrupted run") from None
+    except (OSError, ValueError):
+        kept = {}
+    path = kept.get("path") if isinstance(kept, dict) else None
+    if not isinstance(path, str):
+        raise ConfigError(f"{folder} does not say which plan it was recorded with; give that: mbcacq run PLAN --resume {folder}")
+    if not Path(path).is_file():
+        raise ConfigError(f"the plan {path} of {folder} is gone; give where it is now: mbcacq run PLAN --resume {folder}")
+    return Path(path)
 
 
 def keep_plan(folder: Path, plan: str, plan_files: str) -> None:
@@ -70,7 +89,7 @@ def read_kept_plan(folder: Path) -> KeptPlan:
         elif parts:
             repairs.append(f"{folder / name} {what}, and no recording holds a copy; it is taken to be as in this run")
     kept = json.loads(found[FILES]) if FILES in found else {}
-    return KeptPlan(found.get(PLAN), kept.get("files"), kept.get("cell"), tuple(repairs))
+    return KeptPlan(found.get(PLAN), kept.get("files"), kept.get("cell"), tuple(repairs), kept.get("path"))
 
 
 def fault_of(folder: Path, name: str) -> str:
@@ -133,7 +152,7 @@ def refuse_change(folder: Path, kept: KeptPlan, plan: str, files: Mapping[str, s
 
 def _changes(name: str, before: str, now: str) -> Iterator[str]:
     if before != now:
-        for where, old, new in _differences(yaml.safe_load(before), yaml.safe_load(now), ""):
+        for where, old, new in _differences(yaml12.load(before), yaml12.load(now), ""):
             yield f"{name} was changed: {where.lstrip('.')} was {old} and is {new}"
 
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from mbcacq.errors import ConfigError, MbcacqError, RecordingError
+from mbcacq.errors import ConfigError, MbcacqError, RecordingError, SystemRefused
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
 from mbcacq.recording.rrd.rerun_path import rerun_path
@@ -41,10 +41,26 @@ def files(path: Path | str) -> list[Path]:
     return [path]
 
 
+def refuse_unreadable(path: Path) -> None:
+    """Raises RecordingError for a file of which nothing can be read; a torn end is no hindrance, and the viewer shows those of others."""
+    from mbcacq.recording.rrd.library_reader import NOT_OURS
+    from mbcacq.recording.rrd.reader import Recording
+
+    try:
+        Recording(path)
+    except RecordingError as error:
+        if NOT_OURS not in str(error):
+            raise
+
+
 def view(sources: Sequence[Path | str], opening: Callable[[], None] = lambda: None) -> None:
-    """Open files or addresses in the viewer and wait until it is closed. opening: called before. Raises RecordingError where it cannot."""
+    """Open files or addresses in the viewer and wait until it is closed. opening: called before. Raises SystemRefused where
+    there is no screen or the viewer does not start, RecordingError for a file that is no recording."""
+    for source in sources:
+        if isinstance(source, Path) and source.suffix == ".rrd":
+            refuse_unreadable(source)
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise RecordingError("there is no screen to open the viewer on; make pictures with --screenshot DIR")
+        raise SystemRefused("there is no screen to open the viewer on; make pictures with --screenshot DIR")
     opening()
     with quiet_environment() as environment, tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
         shown = map(str, layout_first(sources, Path(folder)))
@@ -67,7 +83,7 @@ def view(sources: Sequence[Path | str], opening: Callable[[], None] = lambda: No
             raise
     if child.returncode:
         reason = rerun_program.error_line(subprocess.CompletedProcess(child.args, child.returncode, "", err))
-        raise RecordingError(f"the viewer could not be opened ({reason}); without a screen, use --screenshot DIR")
+        raise SystemRefused(f"the viewer could not be opened ({reason}); without a screen, use --screenshot DIR")
 
 
 def screenshots(

@@ -7,32 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
+from mbcacq.quantities import K, micrometres, p_value, pair, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable
 
-K = 2.0  # coverage factor of the uncertainties shown
-MOST_PLACES = 6  # after the decimal point; smaller values are written with a power of ten
 VERDICTS = {
-    "none": ("pass", "No effect found", "The model explains the data down to the measured noise."),
-    "explained": ("found", "Explained", "With the effects below the model explains the data down to the measured noise."),
+    "none": ("pass", "No effect found", "The model explains the data {distance}."),
+    "explained": ("found", "Explained", "With the effects below the model explains the data {distance}."),
     "partly_explained": ("found", "Partly explained", "The effects below help, but residual structure remains."),
     "unexplained": ("fail", "Unexplained", "There is a mismatch that no effect of the catalogue describes."),
     "cannot_tell": ("none", "Cannot tell", "From these poses the candidates cannot be separated or detected."),
-}
-UNITS = {
-    "rad_per_Nm": "µrad/(N m)",
-    "mm_per_K": "mm/K",
-    "um": "µm",
-    "urad": "µrad",
-    "deg": "deg",
-    "mm": "mm",
-    "rad": "rad",
-    "ppm": "ppm",
-    "ppm_per_K": "ppm/K",
-    "s": "s",
-    "kg": "kg",
-    "K": "K",
 }
 
 
@@ -44,6 +30,8 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
 
     level, headline, reason = VERDICTS.get(diagnosis["verdict"], ("none", readable(diagnosis["verdict"]), ""))
     fit = diagnosis["fit"]
+    centres = sum(int(g.get("centres", 0)) for g in diagnosis.get("geometry_alone", ()))
+    floor = NoiseFloor.of(fit["held_out"]["after_rms_mm"], fit["repeatability_floor_mm"], centres)
     validation = [
         (label, _misfit(fit[key], "before"), _misfit(fit[key], "after"))
         for key, label in (("train", "data fitted"), ("held_out", f"held-out data (by {fit['held_out']['split']})"))
@@ -57,18 +45,18 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
     return DiagnosisContent(
         level,
         headline,
-        reason,
+        reason.format(distance=floor.distance),
         [_effect(e, axis_of) for e in diagnosis["effects"]],
         [(m["at"], axis_of(m["depends_on"])[0], _share(m["share"])) for m in diagnosis["mismatch"]],
         validation,
-        f"{1e3 * fit['repeatability_floor_mm']:.1f} µm",
+        floor.noise,
         remarks,
         **({} if pictures is None else _drawn(pictures, axis_of)),
     )
 
 
 def _misfit(fit: Mapping[str, float], when: str) -> str:
-    return f"{1e3 * fit[f'{when}_rms_mm']:.1f} µm (χ²/dof {fit[f'{when}_chi2_dof']:.2f})"
+    return f"{micrometres(fit[f'{when}_rms_mm'])} (χ²/dof {fit[f'{when}_chi2_dof']:.2f})"
 
 
 def _drawn(pictures: Mapping[str, Any], axis_of: Any) -> dict[str, Any]:
@@ -99,15 +87,23 @@ def _complete(pictures: Mapping[str, Any]) -> bool:
 def _effect(effect: Mapping[str, Any], axis_of: Any) -> EffectContent:
     name = _effect_name(effect["name"])
     alternatives = [f"{_effect_name(a['name'])} at {', '.join(a['where'])} ({_likelihood(a)})" for a in effect["alternatives"]]
+    trend = is_trend({key: _components(entry) for key, entry in effect["parameters"].items()})
+    shown = {} if trend else effect["parameters"]
     return EffectContent(
-        f"{name[0].upper()}{name[1:]} at {', '.join(effect['where'])}",
+        f"{'Trend: ' if trend else ''}{name if trend else name[0].upper() + name[1:]} at {', '.join(effect['where'])}",
         axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
-        "below 1e-12" if effect["p_value"] < 1e-12 else f"about {effect['p_value']:.1g}",
+        p_value(effect["p_value"]),
         _share(effect["held_out_gain"]),
-        [row for key, entry in effect["parameters"].items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
+        [row for key, entry in shown.items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
         alternatives,
-        _harmonics({key: entry for key, entry in effect["parameters"].items() if _of_harmonics(key, entry)}),
+        _harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
+        trend,
     )
+
+
+def _components(entry: Mapping[str, Any]) -> tuple[list[float | None], list[float | None]]:
+    values, stds = (v if isinstance(v, list) else [v] for v in (entry["value"], entry["std"]))
+    return values, stds
 
 
 def _note(note: str) -> str:
@@ -153,43 +149,20 @@ def _harmonics(parameters: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], 
 
 
 def _parameter(key: str, entry: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    name, unit = split_unit(key)
-    factor = 1e6 if key.endswith("rad_per_Nm") else 1.0
-    listed = [v if isinstance(v, list) else [v] for v in (entry["value"], entry["std"])]
-    values, stds = ([None if x is None else factor * x for x in v] for v in listed)
+    name, unit, factor = split_unit(key)
+    values, stds = ([None if x is None else factor * x for x in v] for v in _components(entry))
     return [
         (
             f"{name} {'xyz'[k] if _is_vector(key, entry) else f'[{k + 1}]'}" if len(values) > 1 else name,
-            _number(v, s),
-            _number(None if s is None else K * s, s),
+            *pair(v, None if s is None else K * s),
             unit,
         )
         for k, (v, s) in enumerate(zip(values, stds, strict=False))
     ]
 
 
-def split_unit(key: str) -> tuple[str, str]:
-    """'A2.compliance_rad_per_Nm' -> 'A2 compliance', 'rad/(N m)'."""
-    for ending in sorted(UNITS, key=len, reverse=True):
-        if key.endswith("_" + ending):
-            return readable(key[: -len(ending) - 1].replace(".", " ")), UNITS[ending]
-    return readable(key.replace(".", " ")), ""
-
-
 def _share(value: float) -> str:
     return "below 1%" if 0 < value < 0.005 else f"{value:.0%}"
-
-
-def _number(value: float | None, std: float | None) -> str:
-    """As many places as the expanded uncertainty justifies: two digits of its own, the same for the value and for its uncertainty."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    if not std or not np.isfinite(std):
-        return f"{value + 0.0:.4g}".replace("-", "−")
-    places = 1 - int(np.floor(np.log10(K * std)))
-    if places > MOST_PLACES:
-        return f"{value:.2g}".replace("-", "−")
-    return f"{round(value, places) + 0.0:.{max(places, 0)}f}".replace("-", "−")
 
 
 def _map(fields: list[Mapping[str, Any]], axis_of: Any) -> tuple[list[str], list[str], np.ndarray] | None:

@@ -13,13 +13,14 @@ from mbcacq.calibration.caveats import caveats
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
-from mbcacq.report.verdict import SUSPICIOUS, headlines, next_action, one_sign, uncertainty_budget, verdict_of
+from mbcacq.report.sources.run_folder import WITH_EFFECTS
+from mbcacq.report.verdict import SUSPICIOUS, beyond_expected_sentence, headlines, next_action, one_sign, uncertainty_budget, verdict_of
 from mbcacq.version import __version__
 
 FORMAT = "mbcacq-result/1"
-K = 2.0  # coverage factor of every expanded uncertainty of the page
 GROUPS = (("hand_eye", "Hand-eye corrections"), ("ball_", "Ball centres, within the certificate"), ("effect", "Effects"))
 METHODS = {"ml": "maximum likelihood over all observations", "paper": "stage by stage, as published"}
 
@@ -34,8 +35,9 @@ def content_of(result: Mapping[str, Any], observations: Observations | None = No
         raise ConfigError(f"the calibration result is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
 
 
-def _content(result: Mapping[str, Any], observations: Observations | None, run_info: Mapping[str, Any]) -> Content:
+def _content(geometry: Mapping[str, Any], observations: Observations | None, run_info: Mapping[str, Any]) -> Content:
     found = {}
+    result, folder = best_result(geometry, run_info)
     if observations is not None and observations.n_centres:
         from mbcacq.calibration import state_from_dict
         from mbcacq.calibration.result_io import effects_of
@@ -48,20 +50,22 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         found["residuals"] = measured.residuals(used, state, noise["scanner_mm"], noise["joint_rad"], rejected, effects_of(dict(result)))
         found["coverage"] = measured.coverage(observations, state)
         found["spheres"] = measured.spheres(observations)
-    spacing = _spacing(result.get("verification"), {str(s["id"]) for s in result["stations"]})
-    verdict = verdict_of(spacing, result, _certificate(observations))
+    spacing = spacing_of(result)
+    earlier = spacing_of(geometry) if folder else None
+    earlier = earlier if earlier is not None and spacing is not None and earlier.place == spacing.place else None
+    verdict = verdict_of(spacing, result, earlier)
     diagnosis = run_info.get("diagnosis")
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
         verdict=verdict,
         instrument=_instrument(result),
-        headlines=headlines(spacing, result),
-        next=next_action(verdict, spacing, result, diagnosis, str(run_info.get("folder") or "RUN")),
+        headlines=headlines(spacing, result, earlier),
+        next=next_action(verdict, spacing, result, diagnosis, str(run_info.get("folder") or "RUN"), folder),
         facts=_facts(result, run_info),
         fit=_fit(result),
         spacing=spacing,
-        budget=uncertainty_budget(spacing, _certificate(observations)),
+        budget=uncertainty_budget(result.get("verification")),
         one_sign=one_sign(spacing),
         identity=_identity(result, observations, run_info),
         figures=_figures(result.get("verification")),
@@ -69,14 +73,14 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
         diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
-        with_effects=_spacing((run_info.get("with_effects") or {}).get("verification"), set()),
+        earlier=earlier,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         hand_eye_alone=bool(result.get("scope")),
         noise=_noise(result),
         observability=_observability(result),
         correlation=_correlation(result),
         not_separable=[(" and ".join(c["parameters"]), float(c["correlation"])) for c in result.get("correlated", ())][:20],
-        warnings=_warnings(result),
+        warnings=_warnings(result, spacing),
         caveats=[sentence[0].upper() + sentence[1:] + "." for sentence in caveats(result)],
         versions=[*((str(k), str(v)) for k, v in (run_info.get("versions") or {}).items()), ("report written by", f"mbcacq {__version__}")],
         hashes=list(run_info.get("hashes") or ()),
@@ -85,35 +89,49 @@ def _content(result: Mapping[str, Any], observations: Observations | None, run_i
     )
 
 
-def _spacing(verification: Mapping[str, Any] | None, fitted: set[str]) -> Spacing | None:
+def best_result(geometry: Mapping[str, Any], run_info: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
+    """The result that a page is about: that with the effects that were found, where the run has one, else the geometry; and its folder,
+    '' for the geometry."""
+    better = run_info.get("with_effects")
+    if not isinstance(better, Mapping) or better.get("format") != FORMAT or not better.get("effects"):
+        return geometry, ""
+    kept = {key: geometry[key] for key in ("gaps", "simulated", "scope") if key in geometry}
+    return {**better, **kept}, f"{run_info.get('folder') or 'RUN'}/{WITH_EFFECTS}"
+
+
+def spacing_of(result: Mapping[str, Any]) -> Spacing | None:
+    """The verification of a result as the page shows it; None where there is none."""
+    verification, fitted = result.get("verification"), {str(s["id"]) for s in result["stations"]}
     if verification is None or not (places := verification.get("places")):
         return None
     several = len({p["station"] for p in places}) < len(places)
-    expected = [p.get("expected_mm") for p in places]
+    expected, judging = ([p.get(key) for p in places] for key in ("expected_mm", "judging_mm"))
     more = []
     if verification.get("expected_mean_mm") is not None:
-        more.append(("mean magnitude expected from the fit", f"{verification['expected_mean_mm']:.4f} mm"))
+        more.append(("mean magnitude expected from the fit", f"{uncertainty(verification['expected_mean_mm'])} mm"))
     more += [
-        ("uncertainty of the mean error that all places share, U (k = 2)", f"{K * value:.4f} mm")
+        ("uncertainty of the mean error that all places share, U (k = 2)", f"{uncertainty(K * value)} mm")
         for key, value in verification.items()
         if key == "common_mm" and isinstance(value, float)
     ]
     return Spacing(
         [f"{p['station']}" + (f": {p['balls'][0]}–{p['balls'][1]}" if several else "") for p in places],
         *(np.array([p[key] for p in places], dtype=float) for key in ("certified_mm", "before_mm", "after_mm")),
-        sigma=None if any(e is None for e in expected) else np.array(expected, dtype=float),
+        sigma=_all_known(expected),
+        judging=_all_known(judging),
         limit=verification.get("limit_mm"),
         more=more,
         independent=not any(str(p["station"]) in fitted for p in places),
     )
 
 
+def _all_known(values: list[Any]) -> np.ndarray | None:
+    return None if any(v is None for v in values) else np.array(values, dtype=float)
+
+
 def _figures(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str, str, str]]:
     """(name, value, expanded uncertainty, limit, verdict) of the figures after the guideline, as texts."""
     words = {"pass": "passed", "fail": "not passed", "undecided": "undecided", "none": "not judged"}
-
-    def mm(value: Any) -> str:
-        return "–" if value is None else f"{float(value):.4f}"
 
     def name(figure: Mapping[str, Any]) -> str:
         return figure["name"] + (f", largest of {figure['count']}" if figure["count"] > 1 else "")
@@ -121,9 +139,8 @@ def _figures(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str
     return [
         (
             name(f),
-            mm(f["value_mm"]),
-            mm(None if f["uncertainty_mm"] is None else 2 * f["uncertainty_mm"]),
-            mm(f["limit_mm"]),
+            *pair(f["value_mm"], None if f["uncertainty_mm"] is None else K * f["uncertainty_mm"]),
+            "–" if f["limit_mm"] is None else f"{f['limit_mm']:g}",
             words[f["verdict"]],
         )
         for f in (verification or {}).get("figures", ())
@@ -147,13 +164,6 @@ def _when(text: str) -> str:
     return f"{when:%Y-%m-%d %H:%M} {when.tzname() or ''}".strip()
 
 
-def _certificate(observations: Observations | None) -> float:
-    """Standard uncertainty (mm) of a certified distance, worst of the artefacts; 0 where it is not known."""
-    if observations is None:
-        return 0.0
-    return float(np.sqrt(2) * max(a.uncertainty_mm for a in observations.cell.artefacts))
-
-
 def _instrument(result: Mapping[str, Any]) -> str:
     return "instrument" if result.get("measurement") == "target_in_base" else "scanner"
 
@@ -173,7 +183,9 @@ def _identity(result: Mapping[str, Any], observations: Observations | None, run_
     out += [(str(name), str(text)) for name, text in (run_info.get("identity") or {}).items()]
     if observations is not None:
         for artefact in observations.cell.artefacts:
-            centre = f"U = {K * artefact.uncertainty_mm:.4f} mm (k = 2) of a coordinate, at {artefact.reference_temperature_C:g} °C"
+            centre = (
+                f"U = {uncertainty(K * artefact.uncertainty_mm)} mm (k = 2) of a coordinate, at {artefact.reference_temperature_C:g} °C"
+            )
             out.append((f"artefact {artefact.id}", f"{artefact.name or artefact.id}; {len(artefact.ball_ids)} balls; {centre}"))
     devices = run_info.get("devices")
     for name, low, high, _ in devices.health if devices is not None else ():
@@ -187,14 +199,14 @@ def _identity(result: Mapping[str, Any], observations: Observations | None, run_
 
 def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     fit = result["fit"]
-    out = [("poses, centres used", f"{fit['poses']}, {fit['centres']}"), ("residual, 3D rms", f"{1e3 * fit['rms_mm']:.1f} µm")]
+    out = [("poses, centres used", f"{fit['poses']}, {fit['centres']}"), ("residual, 3D rms", micrometres(fit["rms_mm"]))]
     if fit.get("chi2_dof") is not None:
         out.append(("χ² over degrees of freedom", f"{fit['chi2_dof']:.3f} ({fit['dof']})"))
     held_out = result.get("held_out")
     if held_out:
-        out.append(("poses held out, 3D rms", f"{1e3 * held_out['rms_mm']:.1f} µm ({held_out['poses']} poses, by {held_out['split']})"))
+        out.append(("poses held out, 3D rms", f"{micrometres(held_out['rms_mm'])} ({held_out['poses']} poses, by {held_out['split']})"))
     if fit.get("expected_accuracy_mm") is not None:
-        out.append(("expected accuracy of a point, U (k = 2)", f"{2e3 * fit['expected_accuracy_mm']:.1f} µm"))
+        out.append(("expected accuracy of a point, U (k = 2)", f"{uncertainty(1e3 * K * fit['expected_accuracy_mm'])} µm"))
     return out
 
 
@@ -204,7 +216,7 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
         name = str(p["name"])
         if name.startswith("unknown:"):
             continue  # hundreds of coefficients of basis functions, none of which means anything by itself
-        unit, factor = ("deg", 180 / np.pi) if p["unit"] == "rad" else (str(p["unit"]), 1.0)
+        unit, factor = ("°", 180 / np.pi) if p["unit"] == "rad" else (symbol(str(p["unit"])), 1.0)
         rotation = re.fullmatch(r"hand_eye\.r[xyz]", name) is not None
         error, value = factor * float(p["error"]), factor * float(p["value"])
         group = next((title for prefix, title in GROUPS if name.startswith(prefix)), None)
@@ -221,11 +233,11 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
 def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     noise = result["noise"]
     out = [
-        (f"{_instrument(result)}, one centre along x, y, z", ", ".join(f"{1e3 * v:.1f}" for v in noise["scanner_mm"]) + " µm"),
-        ("joint repeatability, A1 …", ", ".join(f"{1e6 * v:.1f}" for v in noise["joint_rad"]) + " µrad"),
+        (f"{_instrument(result)}, one centre along x, y, z", listed([1e3 * v for v in noise["scanner_mm"]]) + " µm"),
+        ("joint repeatability, A1 …", listed([1e6 * v for v in noise["joint_rad"]]) + " µrad"),
     ]
     if noise.get("turn_rad") is not None:
-        out.append(("orientation of the target", f"{1e6 * noise['turn_rad']:.1f} µrad"))
+        out.append(("orientation of the target", f"{fixed(1e6 * noise['turn_rad'], 1)} µrad"))
     if noise.get("check_factor"):
         out.append((f"found over stated noise of the {_instrument(result)}", ", ".join(f"{v:.2f}" for v in noise["check_factor"])))
     return out
@@ -235,7 +247,7 @@ def _observability(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     out = [("rank", f"{result['fit']['rank']} (free parameters and station poses)")]
     indices = result.get("observability")
     if isinstance(indices, Mapping):
-        out += [(f"observability index {k}", f"{v:.4g}" if isinstance(v, int | float) else str(v)) for k, v in indices.items()]
+        out += [(f"observability index {k}", significant(v) if isinstance(v, int | float) else str(v)) for k, v in indices.items()]
     return out
 
 
@@ -251,8 +263,8 @@ def _correlation(result: Mapping[str, Any]) -> tuple[list[str], np.ndarray] | No
     return [names[i] for i in keep], C / np.maximum(np.outer(std, std), 1e-300)
 
 
-def _warnings(result: Mapping[str, Any]) -> list[str]:
-    out = []
+def _warnings(result: Mapping[str, Any], spacing: Spacing | None) -> list[str]:
+    out = [sentence] if (sentence := beyond_expected_sentence(spacing)) else []
     factor = result["noise"].get("check_factor")
     if factor and max(factor) > SUSPICIOUS:
         out.append(

@@ -1,0 +1,43 @@
+"""Whether the drivers that a plan names exist and take the options that it gives them: asked of the drivers, before anything is opened."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from mbcacq.acquisition.cell_devices import device_makers, refuse_equal_names
+from mbcacq.devices import ConfigError, Sensor
+from mbcacq.plan import LoadedPlan
+from mbcacq.plan.findings import PlanFinding
+
+
+def device_findings(loaded: LoadedPlan) -> Iterator[PlanFinding]:
+    """An error for every device of the plan that its driver refuses, or that has no driver, with the line of the option in question."""
+    sensors: list[Sensor] = []
+    for role, make in device_makers(loaded).items():
+        try:
+            device = make()
+        except ConfigError as error:
+            yield _finding(loaded, role, str(error))
+            continue
+        if role.startswith("sensor"):
+            sensors.append(device)
+    try:
+        refuse_equal_names(sensors)
+    except ConfigError as error:
+        yield _finding(loaded, "sensors", str(error))
+
+
+def refuse_impossible_devices(loaded: LoadedPlan) -> None:
+    """Raises ConfigError with file and line for the first device of the plan that cannot be."""
+    for found in device_findings(loaded):
+        raise ConfigError(str(found))
+
+
+def _finding(loaded: LoadedPlan, role: str, sentence: str) -> PlanFinding:
+    section: tuple[str | int, ...] = ("sensors", int(role.split()[1]) - 1) if role.startswith("sensor ") else (role,)
+    keys = [where for where in loaded.lines if where[: len(section)] == section]
+    options = [where for where in keys if "options" in where and re.search(rf"\b{re.escape(str(where[-1]))}\b", sentence)]
+    driver = (*section, "driver")
+    at = options[0] if options else driver if driver in loaded.lines else section
+    return PlanFinding("error", "device", "", f"{loaded.path}:{loaded.lines.get(at, 1)}", sentence)

@@ -1,0 +1,182 @@
+"""Uncertainty of judging a length with the cell: certificate, temperature of the artefact, probing of spheres, repeatability of the arm.
+
+What is judged, the error of the calibrated cell, is no part of the uncertainty of judging it (ISO 14253-1): the covariance of the
+calibration does not enter here. Every term is a standard uncertainty along the length; they are independent, and add as squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.uncertainty import measuring_terms, to_base
+from mbcacq.model.cell import Artefact
+from mbcacq.model.observations import Observations
+
+ASSUMED_ROOM_C = (15.0, 25.0)  # of a workshop without air conditioning, where nothing was measured or stated
+STEEL_PPM_PER_K = 11.5  # of an artefact whose expansion its file does not state; few that are sold expand more
+THERMOMETER_C = 0.5  # standard uncertainty of an industrial sensor on the artefact
+AIR_C = 1.0  # of taking the air's temperature for the artefact's, which follows it late
+ROOM_NAMES = ("air", "room", "ambient", "hall", "environment")
+DATA_SHEET_SIGMAS = 3.0  # pose repeatability RP of ISO 9283 is the mean plus three standard deviations
+
+
+@dataclass(frozen=True)
+class Temperature:
+    """What is known of an artefact's temperature while it was measured.
+
+    low_C, high_C: range; sensor_C: standard uncertainty of reading it there; source: 'measured', 'stated' or 'assumed'; what: the sensor
+    or where the range comes from, in words.
+    """
+
+    low_C: float
+    high_C: float
+    sensor_C: float
+    source: str
+    what: str
+
+    def deviation_K(self, reference_C: float) -> float:
+        """Root mean square distance from the reference temperature, anything within the range being as likely: an offset that is not
+        corrected counts in full (GUM, F.2.4.5)."""
+        middle = 0.5 * (self.low_C + self.high_C) - reference_C
+        return float(np.sqrt(middle**2 + (self.high_C - self.low_C) ** 2 / 12 + self.sensor_C**2))
+
+
+@dataclass(frozen=True)
+class LengthBudget:
+    """Standard uncertainties (mm) of judging one length of length_mm."""
+
+    length_mm: float
+    certificate_mm: float
+    temperature_mm: float
+    probing_mm: float
+    repeatability_mm: float
+
+    @property
+    def combined_mm(self) -> float:
+        terms = self.certificate_mm, self.temperature_mm, self.probing_mm, self.repeatability_mm
+        return float(np.sqrt(np.sum(np.square(terms))))
+
+
+def artefact_temperature(obs: Observations, artefact: Artefact) -> Temperature:
+    """The temperature of an artefact over the poses of ``obs``: from a sensor on it, of the air, from the stated range of the room, or
+    assumed, in this order.
+
+    A temperature belongs to the artefact where its column (``NAME_C``) names the artefact's id or begins with 'artefact'; to the air where
+    it names air, room, ambient or hall.
+    """
+    columns = {name: values[np.isfinite(values)] for name, values in obs.temperatures.items()}
+    columns = {name: values for name, values in columns.items() if len(values)}
+    for name, values in columns.items():
+        words = name.lower().removesuffix("_c").split("_")
+        if artefact.id.lower() in words or words[0] == "artefact":
+            return Temperature(float(values.min()), float(values.max()), THERMOMETER_C, "measured", name)
+    for name, values in columns.items():
+        if set(name.lower().split("_")) & set(ROOM_NAMES):
+            return Temperature(float(values.min()), float(values.max()), AIR_C, "measured", name)
+    if obs.cell.room_temperature_C is not None:
+        return Temperature(*obs.cell.room_temperature_C, 0.0, "stated", "room_temperature_C")
+    return Temperature(*ASSUMED_ROOM_C, 0.0, "assumed", "no temperature was measured or stated")
+
+
+def thermal_mm(artefact: Artefact, length_mm: float, temperature: Temperature) -> float:
+    """Standard uncertainty (mm) of a certified length by the temperature of its artefact."""
+    ppm = STEEL_PPM_PER_K if artefact.expansion_ppm_per_K is None else artefact.expansion_ppm_per_K
+    return 1e-6 * abs(ppm) * length_mm * temperature.deviation_K(artefact.reference_temperature_C)
+
+
+def length_budget(
+    obs: Observations,
+    station: int,
+    balls: tuple[int, int],
+    ends: Sequence[tuple[np.ndarray, np.ndarray, int]],
+    calibration: Calibrated | None,
+) -> LengthBudget:
+    """The budget of the length between two balls of a station.
+
+    Parameters
+    ----------
+    obs
+        The poses verified on.
+    station
+        Index of the station.
+    balls
+        Ids of the two balls.
+    ends
+        Of each ball: joint angles (1, n) rad, centre (1, 3) mm in the scanner frame, and number of poses averaged over.
+    calibration
+        Gives the noise; None: probing and repeatability are not known and count as zero.
+    """
+    artefact = obs.cell.artefact(obs.cell.stations[station].artefact)
+    a, b = (artefact.centres[artefact.ball_ids.index(ball)] for ball in balls)
+    length = float(np.linalg.norm(a - b))
+    probing = repeatability = 0.0
+    if calibration is not None:
+        pa, pb = (to_base(calibration, q, xyz) for q, xyz, _ in ends)
+        u = ((pb - pa) / np.linalg.norm(pb - pa))[0]
+        for q, xyz, count in ends:
+            seen, moved = measuring_terms(calibration, q, xyz)
+            probing += float(u @ seen[0] @ u) / count
+            repeatability += repeated_variance(obs, float(u @ moved[0] @ u)) / count
+    return LengthBudget(
+        length,
+        float(np.sqrt(2) * artefact.uncertainty_mm),
+        thermal_mm(artefact, length, artefact_temperature(obs, artefact)),
+        float(np.sqrt(probing)),
+        float(np.sqrt(repeatability)),
+    )
+
+
+def repeated_variance(obs: Observations, found_mm2: float) -> float:
+    """Variance (mm^2) of one end by the arm's repeatability: as the recording shows it, but no more than the data sheet's pose
+    repeatability, where it states one. What a model lacks may look like scatter of the joints, and must not widen what it is judged by.
+    """
+    if obs.cell.robot.repeatability_mm is None:
+        return found_mm2
+    stated = (obs.cell.robot.repeatability_mm / DATA_SHEET_SIGMAS) ** 2
+    return min(found_mm2, stated) if found_mm2 > 0 else stated
+
+
+def budget_content(obs: Observations, stations: Sequence[int], budgets: Sequence[LengthBudget]) -> dict[str, Any]:
+    """The budget as result.json holds it: of the place with the largest combined uncertainty, and what is known of the temperature."""
+    at = int(np.argmax([b.combined_mm for b in budgets]))
+    artefact = obs.cell.artefact(obs.cell.stations[stations[at]].artefact)
+    temperature, one = artefact_temperature(obs, artefact), budgets[at]
+    stated = artefact.expansion_ppm_per_K is not None
+    return {
+        "station": obs.cell.stations[stations[at]].id,
+        "length_mm": one.length_mm,
+        "certificate_mm": one.certificate_mm,
+        "temperature_mm": one.temperature_mm,
+        "probing_mm": one.probing_mm,
+        "repeatability_mm": one.repeatability_mm,
+        "combined_mm": one.combined_mm,
+        "temperature": {
+            "low_C": temperature.low_C,
+            "high_C": temperature.high_C,
+            "sensor_C": temperature.sensor_C,
+            "reference_C": float(artefact.reference_temperature_C),
+            "source": temperature.source,
+            "what": temperature.what,
+            "expansion_ppm_per_K": artefact.expansion_ppm_per_K if stated else STEEL_PPM_PER_K,
+            "expansion_stated": stated,
+        },
+    }
+
+
+def temperature_sentence(budget: Mapping[str, Any]) -> str:
+    """What a budget takes the artefact's temperature to be, as a person reads it."""
+    t = budget["temperature"]
+    low, high = f"{t['low_C']:.3g}", f"{t['high_C']:.3g}"
+    span = f"{low} °C" if low == high else f"{low} to {high} °C"
+    how = {
+        "measured": f"measured ({t['what']}), {span}",
+        "stated": f"stated for the room, {span}",
+        "assumed": f"not known: {span} is assumed (state room_temperature_C, or measure it)",
+    }[t["source"]]
+    steel = "" if t["expansion_stated"] else ", steel is assumed"
+    return f"{how}; certified at {t['reference_C']:g} °C, {t['expansion_ppm_per_K']:g} ppm/K{steel}"

@@ -1,0 +1,29 @@
+"""``mbcacq plan copy``: one of the tool's plans with its files, where the user can edit it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from mbcacq.cli.next_step import say_next
+from mbcacq.cli.terminal import echo
+
+
+@click.command("copy")
+@click.argument("name")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False), default=Path())
+@click.option("--force", is_flag=True, help="Replace what is already there.")
+def copy(name: str, folder: Path, force: bool) -> None:
+    """Put the plan NAME that came with mbcacq, with its robot and artefact files, into FOLDER (default: here).
+
+    \b
+    Example:
+      mbcacq plan copy kuka my-cell
+    """
+    from mbcacq.workflow.copy_plan import copy_plan
+
+    written = copy_plan(name, folder, force=force)
+    for path in written:
+        echo(str(path))
+    say_next("look at it, change what differs in your cell", f"mbcacq plan check {written[0]}")

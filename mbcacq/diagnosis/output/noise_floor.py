@@ -1,0 +1,57 @@
+"""How far the model stays above the noise on held-out data, and which effects are a trend and no finding with a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.quantities import K, fixed, micrometres
+
+ABSURD = 100.0  # times an effect's usual size: what is limited only there was not tested
+NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """3D rms (mm) on held-out data after the model, the rms that noise alone would leave, and its expanded uncertainty (0: not known)."""
+
+    after_mm: float
+    floor_mm: float
+    expanded_mm: float = 0.0
+
+    @classmethod
+    def of(cls, after_mm: float, floor_mm: float, centres: int) -> NoiseFloor:
+        """centres: how many took part; the rms of 3 N coordinates of normal noise has the relative standard deviation 1 / sqrt(6 N)."""
+        return cls(after_mm, floor_mm, K * floor_mm / np.sqrt(6.0 * centres) if centres else 0.0)
+
+    @property
+    def above_mm(self) -> float:
+        """How far the rms is above that of noise alone; 0 where it is within its uncertainty."""
+        above = self.after_mm - self.floor_mm
+        return above if above > self.expanded_mm else 0.0
+
+    @property
+    def noise(self) -> str:
+        """The rms that noise alone would leave, with its uncertainty."""
+        if not self.expanded_mm:
+            return micrometres(self.floor_mm)
+        return f"({fixed(1e3 * self.floor_mm, 1)} ± {fixed(1e3 * self.expanded_mm, 1)}) µm"
+
+    @property
+    def distance(self) -> str:
+        """How near the model comes to the noise: 'down to the measured noise', or how far above it."""
+        if not self.above_mm:
+            return "down to the measured noise"
+        return f"to {micrometres(self.above_mm)} ({self.above_mm / self.floor_mm:.0%}) above the measured noise"
+
+
+def is_trend(parameters: Mapping[str, tuple[Iterable[float | None], Iterable[float | None]]]) -> bool:
+    """Whether no parameter that is a size reaches its expanded uncertainty: the effect helps, but no figure of it may be relied on.
+
+    parameters: by name, the values of its components and their standard deviations.
+    """
+    sizes = [pairs for name, pairs in parameters.items() if name.rpartition(".")[2] not in NOT_SIZES]
+    known = [(v, s) for values, stds in sizes for v, s in zip(values, stds, strict=False) if v is not None and s]
+    return bool(known) and all(abs(v) < K * s for v, s in known)

@@ -1,0 +1,119 @@
+"""What no device can run is found by `plan check`, and before anything is opened by `run`, `fakes` and `doctor`: the drivers say so."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from mbcacq.acquisition.device_check import device_findings
+from mbcacq.cli.app import app
+from mbcacq.plan import load
+
+PLANS = Path(__file__).parents[2] / "plans"
+
+
+@pytest.fixture
+def plan(tmp_path):
+    """Writes the shipped KUKA plan with something replaced; its path."""
+
+    def write(old, new, name="kuka.yaml"):
+        for folder in ("robots", "artefacts"):
+            shutil.copytree(PLANS / folder, tmp_path / folder, dirs_exist_ok=True)
+        text = (PLANS / name).read_text(encoding="utf-8")
+        assert old in text
+        (tmp_path / name).write_text(text.replace(old, new, 1), encoding="utf-8")
+        return tmp_path / name
+
+    return write
+
+
+OPTIONS = "options: {bind: 127.0.0.1, port: 49152, cycle_ms: 12}"
+IMPOSSIBLE = [
+    ("driver: kuka_rsi", "driver: fanuc_rmi", "there is no driver 'fanuc_rmi' among the robots"),
+    ("driver: gocator", "driver: photoneo", "there is no driver 'photoneo' among the scanners"),
+    ("positioner: {driver: manual}", "positioner: {driver: turntable9}", "there is no driver 'turntable9' among the positioners"),
+    (OPTIONS, OPTIONS.replace("49152", "70000"), "option port must be a whole number from 0 to 65535, it is 70000"),
+    (OPTIONS, OPTIONS.replace("49152", "-1"), "it is -1"),
+    (OPTIONS, OPTIONS.replace("12}", "0}"), "option cycle_ms must be 4 or 12, it is 0"),
+    (OPTIONS, OPTIONS.replace("127.0.0.1", "everywhere"), "option bind must be an IP address"),
+    (OPTIONS, "options: {address: 172.31.1.147, acceleration_percent: 50}", "unknown option"),
+    ("options: {address: 127.0.0.1}", "options: {address: 127.0.0.1, cycle_ms: 12}", "unknown option 'cycle_ms'"),
+    ("options: {address: 127.0.0.1}", "options: {}", "the option address is missing"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "says"), IMPOSSIBLE)
+def test_what_its_driver_refuses_is_an_error_of_the_plan_with_its_line(plan, old, new, says):
+    path = plan(old, new)
+    found = list(device_findings(load(path)))
+    assert len(found) == 1
+    assert says in found[0].sentence
+    line = int(found[0].place.rpartition(":")[2])
+    text = path.read_text(encoding="utf-8").splitlines()
+    assert re.search(r"driver|options", text[line - 1])
+
+
+@pytest.mark.parametrize("command", ["fakes", "run"])
+def test_it_ends_a_command_before_anything_is_opened(plan, command):
+    """Exit code and sentence of a wrong plan; nobody is asked whether the arm may move."""
+    path = plan(OPTIONS, OPTIONS.replace("49152", "70000"))
+    done = CliRunner().invoke(app, [command, str(path)])
+    assert done.exit_code == 2
+    line = next(i for i, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1) if "70000" in text)
+    assert f"{path}:{line}: robot 'kuka_rsi': option port must be" in done.stderr
+
+
+def test_every_shipped_plan_has_devices_that_can_be():
+    for path in sorted(PLANS.glob("*.yaml")):
+        assert list(device_findings(load(path))) == []
+
+
+def test_two_sensors_of_one_value_are_an_error(plan):
+    values = "options: {host: 127.0.0.1, values: {air_C: {address: 1, unit: °C}}}"
+    sensors = f"sensors:\n  - {{driver: modbus, {values}}}\n  - {{driver: modbus, {values}}}\npositioner: {{driver: manual}}"
+    (found,) = device_findings(load(plan("positioner: {driver: manual}", sensors)))
+    assert "both deliver 'air_C'" in found.sentence
+
+
+def test_the_schema_for_editors_knows_each_drivers_options():
+    schema = json.loads(CliRunner().invoke(app, ["schema", "plan"]).stdout)
+    checked = jsonschema.Draft202012Validator(schema)
+    kuka = yaml.safe_load((PLANS / "kuka.yaml").read_text(encoding="utf-8"))
+    for path in sorted(PLANS.glob("*.yaml")):
+        assert list(checked.iter_errors(yaml.safe_load(path.read_text(encoding="utf-8")))) == []
+    for section, key, value in (("robot", "cycle_s", 12), ("robot", "port", "x"), ("scanner", "bind", "127.0.0.1")):
+        wrong = json.loads(json.dumps(kuka))
+        wrong[section]["options"][key] = value
+        assert list(checked.iter_errors(wrong)) != []
+    wrong = json.loads(json.dumps(kuka))
+    wrong["robot"]["driver"] = "fanuc_rmi"
+    assert list(checked.iter_errors(wrong)) != []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            "noise_mm: [0.005, 0.005, 0.009]",
+            "noise_mm: [1000, 1000, 1000]",
+            "scanner.noise_mm[0]: input should be less than or equal to 10",
+        ),
+        ("exposures: 3", "exposures: 1000000000000", "exposures: input should be less than or equal to 1000"),
+    ],
+)
+def test_what_no_scanner_has_is_named(plan, old, new, says):
+    done = CliRunner().invoke(app, ["plan", "check", str(plan(old, new)), "--quick"])
+    assert done.exit_code == 2
+    assert says in done.stderr
+
+
+def test_a_scanner_of_coarse_noise_is_checked_to_the_end(plan):
+    """What leaves no parameter determined is a sentence, no accident of an empty array."""
+    done = CliRunner().invoke(app, ["plan", "check", str(plan("noise_mm: [0.005, 0.005, 0.009]", "noise_mm: [10, 10, 10]", "quick.yaml"))])
+    assert done.exit_code in (0, 2)
+    assert "bug" not in done.stderr
