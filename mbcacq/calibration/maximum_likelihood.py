@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.result import Calibration
-from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway
+from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.description import with_likely_cause
 from mbcacq.errors import CalibrationError, ContradictionError
@@ -36,6 +36,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
 
 
 def _calibrate(observations: Observations, options: CalibrationOptions) -> Calibration:
+    refuse_unknown_arm(observations, options)
     if options.method == "paper":
         from mbcacq.calibration.staged import calibrate_paper
 

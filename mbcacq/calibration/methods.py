@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.calibration.hand_eye_equations import LEAST_TURN, MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
@@ -20,7 +21,8 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 LEAST_SECOND_ROTATION = np.radians(2.0)  # rms rotation about a second axis; below it AX = XB leaves the translation along the first open
-OPENCV = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
+LEAST_POSES = 3
+TOO_FEW = "needs three scans of one station that show a target's pose or three balls each, not all on one line"
 
 
 def nominal(obs: Observations) -> CellState:
@@ -34,43 +36,76 @@ def hand_eye_only(obs: Observations) -> CellState:
     return calibrate(obs, CalibrationOptions(kinematics=False)).state
 
 
-def opencv(name: str) -> Callable[[Observations], CellState]:
-    """Hand-eye by AX = XB with one of OpenCV's methods, from the artefact's pose in each scan of the station with most poses."""
+def by_motions(name: str) -> Callable[[Observations], CellState]:
+    """Hand-eye by A X = X B, from the target's pose in each scan and every two poses at one station."""
 
     def fit(obs: Observations) -> CellState:
-        try:
-            import cv2  # pyright: ignore[reportMissingImports]  # not a dependency: compared where it is installed
-        except ImportError as error:
-            raise CalibrationError("OpenCV is not installed; pip install 'opencv-python-headless<5'") from error
-        if not hasattr(cv2, "calibrateHandEye"):
-            raise CalibrationError(f"OpenCV {cv2.__version__} has no calibrateHandEye in Python; pip install 'opencv-python-headless<5'")
-        where, T_scanner_artefact = artefact_poses(obs)
-        station = np.bincount(obs.station[where]).argmax()
-        here = obs.station[where] == station
-        if here.sum() < 3:
-            raise CalibrationError("needs three scans of one station that show three balls each, not all on one line")
-        T = obs.cell.robot.chain.flange(obs.q[where[here]])
-        rotations = se3.rotation_log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
-        if np.linalg.svd(rotations - rotations.mean(axis=0), compute_uv=False)[1] < LEAST_SECOND_ROTATION * np.sqrt(len(T)):
-            raise CalibrationError(
-                "the orientations at a station turn too little, or about one axis only, which leaves AX = XB "
-                "undetermined; turn about two axes by 10 deg and more"
-            )
-        measured = T_scanner_artefact[here]
-        method = getattr(cv2, f"CALIB_HAND_EYE_{name}")
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the exception says it, or what comes back
-        try:
-            R, t = cv2.calibrateHandEye(
-                list(T[:, :3, :3]), list(T[:, :3, 3]), list(measured[:, :3, :3]), list(measured[:, :3, 3]), method=method
-            )
-        except cv2.error as error:
-            raise CalibrationError(f"OpenCV refused the poses: {str(error).splitlines()[-1].strip()}") from error
-        X = se3.transform(R, t.ravel())
-        if not np.all(np.isfinite(X)):
-            raise CalibrationError("gave no finite transform")
-        return with_all_stations(obs, replace(nominal(obs), T_flange_scanner=X))
+        hand, eye, station = _poses_of_both(obs, name)
+        A, B = motions(hand, eye, station)
+        turning = np.linalg.norm(se3.rotation_log(A[:, :3, :3]), axis=1) > LEAST_TURN
+        return _with_hand_eye(obs, _finite(MOTION_METHODS[name](A[turning], B[turning])))
 
     return fit
+
+
+def by_poses(name: str) -> Callable[[Observations], CellState]:
+    """Hand-eye and the place of the target at once by A X = Z B, from the poses at the station that has most."""
+
+    def fit(obs: Observations) -> CellState:
+        hand, eye, station = _poses_of_both(obs, name)
+        here = station == np.bincount(station).argmax()
+        if here.sum() < LEAST_POSES:
+            raise CalibrationError(TOO_FEW)
+        _, Z = POSE_METHODS[name](eye[here], se3.inverse(hand[here]))
+        return _with_hand_eye(obs, _finite(se3.inverse(Z)))
+
+    return fit
+
+
+def _poses_of_both(obs: Observations, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The moving hand (K, 4, 4), the target seen by the eye (K, 4, 4) and the station (K,) of each pose. Of a fixed scanner the hand that
+    moves is the base as the flange sees it. Raises CalibrationError where the poses do not determine the equations of ``name``."""
+    where, eye = artefact_poses(obs)
+    station = obs.station[where]
+    if np.bincount(station).max() < LEAST_POSES:
+        raise CalibrationError(TOO_FEW)
+    hand = obs.cell.robot.chain.flange(obs.q[where])
+    if obs.cell.measurement == TARGET_IN_BASE:
+        hand = se3.inverse(hand)
+    best = max(_second_rotation(hand[station == s]) for s in np.unique(station))
+    if best < LEAST_SECOND_ROTATION:
+        equations = "AX = XB" if name in MOTION_METHODS else "AX = ZB"
+        raise CalibrationError(
+            f"the orientations at a station turn too little, or about one axis only, which leaves {equations} "
+            "undetermined; turn about two axes by 10 deg and more"
+        )
+    return hand, eye, station
+
+
+def _second_rotation(T: np.ndarray) -> float:
+    """rms rotation (rad) of transforms (P, 4, 4) about the second of their axes."""
+    rotations = se3.rotation_log(np.swapaxes(T[:1, :3, :3], 1, 2) @ T[:, :3, :3])
+    size = np.linalg.svd(rotations - rotations.mean(axis=0), compute_uv=False)
+    return float(size[1] / np.sqrt(len(T))) if len(size) > 1 else 0.0
+
+
+def _with_hand_eye(obs: Observations, X: np.ndarray) -> CellState:
+    """The nominal cell with what the equations gave: the scanner on the flange, or where a fixed one stands in the base."""
+    first = nominal(obs)
+    if obs.cell.measurement != TARGET_IN_BASE:
+        return with_all_stations(obs, replace(first, T_flange_scanner=X))
+    where, eye = artefact_poses(obs)
+    station = np.bincount(obs.station[where]).argmax()
+    here = obs.station[where] == station
+    target = se3.inverse(obs.cell.robot.chain.flange(obs.q[where[here]])) @ X @ eye[here]
+    T = se3.transform(se3.nearest_rotation(target[:, :3, :3].mean(axis=0)), target[:, :3, 3].mean(axis=0))
+    return with_all_stations(obs, replace(first, T_flange_scanner=T))
+
+
+def _finite(X: np.ndarray) -> np.ndarray:
+    if not np.all(np.isfinite(X)):
+        raise CalibrationError("gave no finite transform")
+    return X
 
 
 def staged_method(pairs: str) -> Callable[[Observations], CellState]:
@@ -104,7 +139,8 @@ def maximum_likelihood(obs: Observations) -> CellState:
 
 COMPARED_METHODS: dict[str, Callable[[Observations], CellState]] = {
     "nominal": nominal,
-    **{f"AX=XB {name.capitalize()} (OpenCV)": opencv(name) for name in OPENCV},
+    **{f"AX=XB {name}": by_motions(name) for name in MOTION_METHODS},
+    **{f"AX=ZB {name}": by_poses(name) for name in POSE_METHODS},
     "hand-eye only": hand_eye_only,
     "paper": staged_method("one"),
     "paper (four balls)": staged_method("four"),
@@ -115,21 +151,30 @@ COMPARED_METHODS: dict[str, Callable[[Observations], CellState]] = {
 
 
 def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (K,) whose scan shows three balls or more that are not on one line, and T_scanner_artefact (K, 4, 4) of each."""
-    _scanner_of_several_balls(obs)
+    """Poses (K,) at which the pose of the target shows, measured itself or by three balls or more that are not on one line, and
+    T_scanner_target (K, 4, 4) of each."""
+    if obs.rotation is not None:
+        where, first = np.unique(obs.pose, return_index=True)
+        R = obs.rotation[first]
+        place = obs.xyz[first] - np.einsum("mij,mj->mi", R, obs.cell.ball_centres[obs.ball[first]])
+        return where, se3.transform(R, place)
+    if np.bincount(obs.pose).max(initial=0) < LEAST_POSES or not np.any(np.abs(obs.xyz) > 1e-9):
+        raise CalibrationError(TOO_FEW)
     from mbcacq.calibration.staged.ball_pairs import FLAT_MM, width
     from mbcacq.estimation.initial_guess import fit_rigid_transforms
 
-    enough = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= 3)
+    enough = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= LEAST_POSES)
     flat = [width(obs.cell.ball_centres[obs.ball[obs.pose == p]]) < FLAT_MM for p in enough]
     where = enough[~np.array(flat, bool)]
     if not len(where):
-        raise CalibrationError("needs three scans of one station that show three balls each, not all on one line")
+        raise CalibrationError(TOO_FEW)
     rows = np.isin(obs.pose, where)
     group = np.searchsorted(where, obs.pose[rows])
     return where, fit_rigid_transforms(obs.cell.ball_centres[obs.ball[rows]], obs.xyz[rows], group, len(where))
 
 
 def _scanner_of_several_balls(obs: Observations) -> None:
+    if obs.cell.robot.of_flange_poses:
+        raise CalibrationError("needs joint angles: poses of the flange say nothing of the arm's links")
     if obs.cell.measurement == TARGET_IN_BASE or np.bincount(obs.pose).max(initial=0) < 2 or not np.any(np.abs(obs.xyz) > 1e-9):
         raise CalibrationError("needs a scanner that sees several balls at a pose")

@@ -25,9 +25,10 @@ from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
-from mbcacq.estimation.scan_scale import scan_scale
+from mbcacq.estimation.scan_scale import scale_in_words, scan_scale
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import damage, read_json
 from mbcacq.quantities import K, pair, symbol, uncertainty
@@ -46,6 +47,7 @@ def to_dict(c: CalibrationFit) -> dict[str, Any]:
         **({"simulated": True} if cell.simulated else {}),
         "robot": {
             "name": cell.robot.name,
+            **({"flange_poses": True} if cell.robot.of_flange_poses else {}),
             "sign": nominal.sign.tolist(),
             "limits": cell.robot.limits.tolist(),
             "nominal": {p: getattr(nominal, p).tolist() for p in PARAMETERS},
@@ -87,6 +89,7 @@ def to_dict(c: CalibrationFit) -> dict[str, Any]:
         },
         "observability": of_calibration(c),
         "scan_scale": _scan_scale(c),
+        **({"scale": words} if (words := scale_in_words(c.observations)) else {}),
         "held": c.held,
         "correlated": [{"parameters": [a, b], "correlation": r} for a, b, r in c.correlated],
         "rejected": [{"pose": r.pose, **({} if r.ball is None else {"ball": r.ball}), "distance_mm": r.distance_mm} for r in c.rejected],
@@ -127,7 +130,7 @@ def chain_of(result: Mapping[str, Any], which: str) -> Chain:
     for name, column in zip(PARAMETERS, columns, strict=True):
         if column.shape != sign.shape:
             raise ValueError(f"{name} of the {which} arm has {column.size} values, the arm has {sign.size} axes")
-    return Chain(sign, *columns)
+    return FlangePoses.new() if result["robot"].get("flange_poses") else Chain(sign, *columns)
 
 
 def layout_from_dict(result: Mapping[str, Any]) -> ParameterLayout:

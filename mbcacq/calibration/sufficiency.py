@@ -28,6 +28,13 @@ HAND_EYE_ALONE = (
 )
 
 
+FLANGE_POSES_ALONE = (
+    "the poses are given by the flange and not by joint angles: the hand-eye transform alone is calibrated, and what the arm's links "
+    "are off "
+    "by is noise of these poses; for the arm, give joint angles"
+)
+
+
 def options_for(obs: Observations, options: CalibrationOptions) -> CalibrationOptions:
     """The options with the scope that the poses are meant for. obs: recorded, or as planned.
 
@@ -35,6 +42,8 @@ def options_for(obs: Observations, options: CalibrationOptions) -> CalibrationOp
     at one station determine the hand-eye transform alone; at several stations, what they leave open is held, and the standard deviations
     show it. Options that hold the arm or refuse nothing already, and those of the published method, stay.
     """
+    if obs.cell.robot.of_flange_poses and options.method == "ml":
+        return replace(options, kinematics=False)
     if options.method != "ml" or not (options.kinematics and options.refuse) or obs.phase is None or "position" in obs.phase:
         return options
     if at_one_station(select_phases(obs, options)):
@@ -49,13 +58,22 @@ def refuse_insufficient(obs: Observations, options: CalibrationOptions) -> None:
         refuse_one_station(obs)
 
 
+def refuse_unknown_arm(obs: Observations, options: CalibrationOptions) -> None:
+    """Raise CalibrationError where the arm's links are to be identified from poses of the flange."""
+    if (options.kinematics or options.method == "paper") and obs.cell.robot.of_flange_poses:
+        raise CalibrationError(
+            "the poses are given by the flange and not by joint angles, which leaves the arm's links undetermined; identify the hand-eye "
+            "transform alone (--hand-eye-only), or give the joint angles"
+        )
+
+
 def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
     """Raise CalibrationError where it can be said before solving: too few balls, poses or orientations."""
     per_station = obs.cell.measurement != TARGET_IN_BASE
     if per_station:
-        _refuse_few_balls(obs)
+        _refuse_few_balls(obs, not options.kinematics)
     turn = orientation_range(obs, enough=LEAST_ROTATION)
-    if turn < LEAST_ROTATION and float(np.abs(obs.q).max(initial=0.0)) < RADIANS_AS_DEG:
+    if turn < LEAST_ROTATION and not obs.cell.robot.of_flange_poses and float(np.abs(obs.q).max(initial=0.0)) < RADIANS_AS_DEG:
         raise CalibrationError(
             f"no joint angle exceeds {np.degrees(RADIANS_AS_DEG):.2g} deg, and all poses of a station have the same orientation (within "
             f"{np.degrees(turn):.1f} deg): they look like radians; give joint angles in degrees"
@@ -87,12 +105,12 @@ def at_one_station(obs: Observations) -> bool:
     return obs.cell.measurement != TARGET_IN_BASE and len(used) == 1 and obs.cell.stations[used[0]].T_base_station is None
 
 
-def _refuse_few_balls(obs: Observations) -> None:
-    """At least one station must have shown three balls of its artefact, or all where it has fewer."""
+def _refuse_few_balls(obs: Observations, hand_eye_alone: bool) -> None:
+    """At least one station must have shown three balls of its artefact, or all where it has fewer; for the hand-eye alone one is enough."""
     for s in np.unique(obs.station):
         artefact = obs.cell.artefact(obs.cell.stations[s].artefact)
         measured = len(np.unique(obs.ball[obs.station[obs.pose] == s]))
-        if measured >= min(3, len(artefact.ball_ids)):
+        if measured >= min(3, len(artefact.ball_ids)) or obs.rotation is not None or hand_eye_alone:
             return
     raise CalibrationError(
         "fewer than three balls of the artefact were seen at every station, which leaves the orientation of the "

@@ -24,6 +24,7 @@ COMMANDS = {
     "collect": "calibrate from clouds that the scanner's own program saved",
     "plan": "make, show, check or design a plan, without opening a socket",
     "robot": "make a robot file from a URDF, an MJCF file or a table of DH rows",
+    "data": "make an observation set of files from other programs",
     "calibrate": "calibrate the cell from a run, a recording or an observation set",
     "compare": "compare calibration methods on the same data",
     "diagnose": "say where simulation and recording differ, and which effects the model lacks",

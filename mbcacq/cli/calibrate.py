@@ -201,7 +201,8 @@ def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
         console.print(f"*** {sentence} ***", markup=False)
     if arm and tables.identifies_arm(result):
         console.print(tables.parameters(result))
-    console.print(tables.hand_eye(result))
+    for table in (*tables.fixed_scanners(result), tables.hand_eye(result)):
+        console.print(table)
     for line in [*tables.effects(result), *tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
         console.print(line)
     if result.get("verification"):

@@ -19,7 +19,8 @@ from mbcacq.cli.terminal import echo
 @click.option("--seed", default=0, show_default=True, help="Seed of the split.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as one JSON object on stdout.")
 def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
-    """Calibrate the recording DATA in every way and compare: nominal, AX=XB (OpenCV, where installed), hand-eye only, the paper's method
+    """Calibrate the recording DATA in every way and compare: nominal, AX=XB and AX=ZB (Tsai-Lenz,
+    Park-Martin, Horaud-Dornaika, Andreff, Daniilidis; Shah, Li), hand-eye only, the paper's method
     (as printed, and with more pairs of balls), distance constraint only, maximum likelihood. A method that DATA does not determine is
     listed with the reason.
 

@@ -92,21 +92,42 @@ def _cell(parameter: dict[str, Any] | None) -> str:
     return f"{'+' if parameter['error'] > 0 else ''}{error}\n± {U}"
 
 
-def hand_eye(result: dict[str, Any]) -> Table:
+def fixed_scanners(result: dict[str, Any]) -> list[Table]:
+    """Where an instrument that does not move stands in the base: what a hand-eye calibration of a fixed scanner is for."""
+    if result.get("measurement") != "target_in_base":
+        return []
+    out = []
+    for station in result["stations"]:
+        table = Table(title=f"instrument '{station['id']}' in the base, ± U (k = 2)", title_justify="left")
+        std = station["std"]
+        _frame_rows(table, station["T_base_station"], [*std[:3], *std[:2:-1]])
+        out.append(table)
+    return out
+
+
+def _frame_rows(table: Table, T: list[list[float]], std: list[float | None]) -> None:
+    """The frame, and its expanded uncertainties below it.
+
+    std: (6,) standard deviations in mm and rad, None where held. Those of the rotation are about the frame's z, y, x axes, near enough to
+    A, B, C for reading.
+    """
     from mbcacq.geometry import se3
 
-    xyz, abc = se3.to_abc(np.array(result["T_flange_scanner"]))
+    xyz, abc = se3.to_abc(np.array(T))
+    for name, unit in zip("XYZABC", ("mm", "mm", "mm", "°", "°", "°"), strict=True):
+        table.add_column(f"{name} / {unit}", justify="right")
+    scaled = [(v, s, 1.0) for v, s in zip(xyz, std[:3], strict=True)]
+    scaled += [(TO_DEG * v, s, TO_DEG) for v, s in zip(abc, std[3:], strict=True)]
+    shown = [(fixed(v, 4), "held") if s is None else pair(v, K * scale * s) for v, s, scale in scaled]
+    table.add_row(*(value for value, _ in shown))
+    table.add_row(*(U if U == "held" else f"± {U}" for _, U in shown))
+
+
+def hand_eye(result: dict[str, Any]) -> Table:
     std = {p["name"]: p["std"] for p in result["parameters"] if p["name"].startswith("hand_eye.")}
     what = "target on the flange" if result.get("measurement") == "target_in_base" else "scanner on the flange (hand-eye)"
     table = Table(title=f"{what}, ± U (k = 2)", title_justify="left")
-    for name, unit in zip("XYZABC", ("mm", "mm", "mm", "°", "°", "°"), strict=True):
-        table.add_column(f"{name} / {unit}", justify="right")
-    # The standard deviations of the rotation are about the scanner's z, y, x axes, close enough to A, B, C only for reading.
-    named = [(v, f"hand_eye.{c}", 1.0) for v, c in zip(xyz, "xyz", strict=True)]
-    named += [(TO_DEG * v, f"hand_eye.{c}", TO_DEG) for v, c in zip(abc, ("rz", "ry", "rx"), strict=True)]
-    shown = [(fixed(v, 4), "held") if std.get(n) is None else pair(v, K * scale * std[n]) for v, n, scale in named]
-    table.add_row(*(value for value, _ in shown))
-    table.add_row(*(U if U == "held" else f"± {U}" for _, U in shown))
+    _frame_rows(table, result["T_flange_scanner"], [std.get(f"hand_eye.{c}") for c in ("x", "y", "z", "rz", "ry", "rx")])
     return table
 
 
@@ -120,11 +141,22 @@ def fit(result: dict[str, Any]) -> list[str]:
         aside = "noise of measuring aside" if identifies_arm(result) else "noise of measuring and the arm's own errors aside"
         out.append(f"Expected accuracy of a point in the workspace: {uncertainty(1e3 * K * expected)} µm (U, k = 2; {aside})")
     if noise:
-        repeat = f"; joints repeat within {listed([1e6 * s for s in noise['joint_rad']])} µrad" if any(noise["joint_rad"]) else ""
-        out.append(f"Noise (k = 1): scanner {listed([1e3 * s for s in noise['scanner_mm']])} µm along x, y, z{repeat}")
+        turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
+        axes = listed([1e3 * s for s in noise["scanner_mm"]])
+        out.append(f"Noise (k = 1): scanner {axes} µm along x, y, z{turn}{_repeatability(result)}")
         if result["method"] == "paper":
             out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
     return out
+
+
+def _repeatability(result: dict[str, Any]) -> str:
+    found = result["noise"]["joint_rad"]
+    if not any(found):
+        return ""
+    if result["robot"].get("flange_poses"):  # displacements in mm, then rotations in rad
+        places, turns = (listed([scale * s for s in part]) for part, scale in ((found[:3], 1e3), (found[3:], 1e6)))
+        return f"; poses of the flange are off by {places} µm and {turns} µrad along and about x, y, z of the base"
+    return f"; joints repeat within {listed([1e6 * s for s in found])} µrad"
 
 
 def remarks(result: dict[str, Any]) -> list[str]:
@@ -135,7 +167,8 @@ def remarks(result: dict[str, Any]) -> list[str]:
     held = result.get("held") or {}
     if not identifies_arm(result):
         arm = arm_parameters(result)
-        out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values")
+        if not result["robot"].get("flange_poses"):
+            out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values")
         held = {name: why for name, why in held.items() if name not in arm}
     reasons: dict[str, list[str]] = {}
     for name, why in held.items():
@@ -162,7 +195,7 @@ def scan_scale(result: dict[str, Any]) -> list[str]:
     """The scanner's own scale, and a warning where it differs from the certificate's: no calibration of the arm can observe that."""
     s = result.get("scan_scale")
     if not s:
-        return []
+        return [f"Scale: {result['scale']}"] if result.get("scale") else []
     out = [f"Scale within the scans against the certificate: {measured(s['ppm'], K * s['sigma_ppm'], 'ppm')} (k = 2, {s['scans']} scans)"]
     if s["significant"]:
         how, sigmas = "longer" if s["ppm"] > 0 else "shorter", abs(s["ppm"]) / s["sigma_ppm"]

@@ -10,8 +10,16 @@ import numpy as np
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.cell import Station
+from mbcacq.geometry.flange_poses import flange_coordinates, flange_transforms
+from mbcacq.geometry.orientations import in_words, to_matrices, to_numbers
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Station
 from mbcacq.model.observations import Observations
+
+FLANGE_ANGLES = ("ZYX", "xyz", "vector", "XYZ", "ZYZ")  # of the makers' conventions, those with three angles
+_OTHER = {
+    TARGET_IN_BASE: "the measured points taken in the scanner's frame (scanner on the flange: use measurement: artefact_in_scanner)",
+    ARTEFACT_IN_SCANNER: "the scanner taken as fixed and the artefact on the flange (fixed scanner: use measurement: target_in_base)",
+}
 
 Change = Callable[[Observations], Observations]
 
@@ -34,7 +42,11 @@ class Misreading:
 def hypotheses(o: Observations) -> Iterator[Misreading]:
     """Every simple change of convention that these observations allow."""
     yield from _units(o)
-    yield from _axes(o)
+    if o.cell.robot.of_flange_poses:
+        yield from _flange(o)
+    else:
+        yield from _robot_units(o)
+        yield from _axes(o)
     yield from _measured(o)
     yield from _certified(o)
     yield from _frames(o)
@@ -42,6 +54,13 @@ def hypotheses(o: Observations) -> Iterator[Misreading]:
 
 
 def _units(o: Observations) -> Iterator[Misreading]:
+    for what, factor in (("metres", 1e3), ("inches", INCH_MM), ("micrometres", 1e-3)):
+        yield Misreading(f"the measured points read as {what}, not millimetres", "unit", lambda o, f=factor: replace(o, xyz=f * o.xyz))
+        if np.any(o.cell.ball_centres):
+            yield Misreading(f"the certified centres read as {what}, not millimetres", "unit", lambda o, f=factor: _certified_times(o, f))
+
+
+def _robot_units(o: Observations) -> Iterator[Misreading]:
     if np.degrees(np.abs(o.q)).max() < RADIANS:
         yield Misreading("the angles read as radians, not degrees", "unit", lambda o: replace(o, q=np.degrees(o.q)))
     lengths = np.abs(np.concatenate([o.cell.robot.chain.a, o.cell.robot.chain.d]))
@@ -50,10 +69,21 @@ def _units(o: Observations) -> Iterator[Misreading]:
     alpha = np.abs(o.cell.robot.chain.alpha)
     if np.degrees(alpha).max() < RADIANS and alpha.any():
         yield Misreading("the robot's alpha and theta read as radians, not degrees", "unit", lambda o: _with_chain(o, _scaled_angles))
-    for what, factor in (("metres", 1e3), ("inches", INCH_MM), ("micrometres", 1e-3)):
-        yield Misreading(f"the measured points read as {what}, not millimetres", "unit", lambda o, f=factor: replace(o, xyz=f * o.xyz))
-        if np.any(o.cell.ball_centres):
-            yield Misreading(f"the certified centres read as {what}, not millimetres", "unit", lambda o, f=factor: _certified_times(o, f))
+
+
+def _flange(o: Observations) -> Iterator[Misreading]:
+    """Conventions of the poses of the flange: what each set of angles would be, had it been written in another."""
+    yield Misreading(
+        "the poses of the flange inverted (they are of the base in the flange)", "frame", lambda o: _other_flange(o, se3.inverse)
+    )
+    for read in ("ZYX", "xyz", "vector"):
+        for meant in FLANGE_ANGLES:
+            if meant != read:
+                what = f"the orientations of the flange taken as {in_words(meant)}, where they were read as {in_words(read)}"
+                yield Misreading(what, "orientation", lambda o, r=read, m=meant: _other_flange(o, lambda T: _reread(T, r, m)))
+    for what, factor in (("metres", 1e3), ("inches", INCH_MM)):
+        scale = np.r_[factor, factor, factor, 1.0, 1.0, 1.0]
+        yield Misreading(f"the places of the flange read as {what}, not millimetres", "unit", lambda o, f=scale: replace(o, q=f * o.q))
 
 
 def _axes(o: Observations) -> Iterator[Misreading]:
@@ -124,8 +154,7 @@ def _certified(o: Observations) -> Iterator[Misreading]:
 
 
 def _frames(o: Observations) -> Iterator[Misreading]:
-    if o.cell.measurement == "target_in_base":
-        yield Misreading("the measured points taken in the scanner's frame (measurement: artefact_in_scanner)", "frame", _other_measurement)
+    yield Misreading(_OTHER[o.cell.measurement], "frame", _other_measurement)
     if all(s.T_base_station is None for s in o.cell.stations):
         return
     yield Misreading("the declared station poses inverted", "frame", lambda o: _stations(o, se3.inverse))
@@ -178,7 +207,18 @@ def _stations(o: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Ob
 
 
 def _other_measurement(o: Observations) -> Observations:
-    return replace(o, rotation=None, cell=replace(o.cell, measurement="artefact_in_scanner"))
+    other = ARTEFACT_IN_SCANNER if o.cell.measurement == TARGET_IN_BASE else TARGET_IN_BASE
+    return replace(o, cell=replace(o.cell, measurement=other))
+
+
+def _other_flange(o: Observations, change: Callable[[np.ndarray], np.ndarray]) -> Observations:
+    return replace(o, q=flange_coordinates(change(flange_transforms(o.q))))
+
+
+def _reread(T: np.ndarray, read: str, meant: str) -> np.ndarray:
+    """T (P, 4, 4) whose numbers, read in one convention, were meant in another."""
+    numbers = to_numbers(T[:, :3, :3], read)
+    return se3.transform(to_matrices(numbers, meant), T[:, :3, 3])
 
 
 def _shifted(o: Observations, shift: int) -> Observations:

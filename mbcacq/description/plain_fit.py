@@ -59,10 +59,11 @@ def correspondences(o: Observations) -> Correspondences:
     on_flange = o.cell.measurement == "target_in_base"
     moving, fixed = (certified, o.xyz) if on_flange else (o.xyz, certified)
     pose = o.pose
-    if on_flange and o.rotation is not None:
-        axes = LEVER_MM * np.eye(3)
-        moving = np.concatenate([moving, *(moving + axis for axis in axes)])
-        fixed = np.concatenate([fixed, *(fixed + LEVER_MM * o.rotation[:, :, k] for k in range(3))])
+    if o.rotation is not None:
+        of_target, measured = (moving, fixed) if on_flange else (fixed, moving)
+        of_target = np.concatenate([of_target, *(of_target + axis for axis in LEVER_MM * np.eye(3))])
+        measured = np.concatenate([measured, *(measured + LEVER_MM * o.rotation[:, :, k] for k in range(3))])
+        moving, fixed = (of_target, measured) if on_flange else (measured, of_target)
         pose = np.tile(pose, 4)
     used = np.unique(o.station)
     poses = [o.cell.stations[s] for s in used]

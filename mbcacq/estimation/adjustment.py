@@ -122,7 +122,8 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     first = Estimate(starting.start(obs))
     held = replace(options, kinematics=False, balls=False, hold=(), release=(), terms=())
     # Kinematic errors are the noise here; their size matters little.
-    noise = Noise(np.full(3, 0.02), np.full(obs.cell.robot.n, 4e-4), 5e-4)
+    lever = obs.cell.robot.chain.lever
+    noise = Noise(np.full(3, 0.02), 4e-4 * lever.max() / lever, 5e-4)
     layout = parameters.build(obs, held)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     lineariser = Lineariser(obs, layout, held)
@@ -133,7 +134,7 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
         lineariser = Lineariser(obs, layout, held)
     solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0, COARSE_ROTATION)
     apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
-    shift = float(np.median(solution.poses.by_pose(lambda of: np.linalg.norm(of.residual_joint * noise.joint, axis=1))))
+    shift = float(np.median(solution.poses.by_pose(lambda of: np.linalg.norm(of.residual_joint * 4e-4, axis=1))))
     if apart > CONTRADICTION_MM or shift > CONTRADICTION_RAD:
         raise ContradictionError(
             f"with the nominal arm the measurements miss each other by {apart:.0f} mm, far more than an arm's errors; "
@@ -157,7 +158,7 @@ def robust_solve(
     """
     solution = solve(lineariser, start, noise, weights, tolerance=tolerance, within_linear=True, reuse=reuse)
     for _ in range(OUTLIER_ROUNDS if options.robust else 0):
-        d = outlier_distances(solution.poses, solution.linear.residual, noise, weights)
+        d = outlier_distances(solution.poses, lineariser.weighted(solution.linear.residual), noise, weights)
         fresh = reject_outliers(d, weights, lineariser.obs.pose)
         if np.array_equal(fresh.centre, weights.centre) and np.array_equal(fresh.pose, weights.pose):
             break

@@ -105,7 +105,7 @@ def workspace_information(
     """(g, g): mean square displacement in mm of measured points, over postures within the joint limits, per unit of the free parameters;
     what a rigid motion of everything would explain is taken out, since the base is wherever the stations put it."""
     rng = np.random.default_rng(seed)
-    low, high = np.clip(obs.cell.robot.limits, -np.pi, np.pi).T
+    low, high = state.chain.drawn_between(obs.cell.robot.limits)
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
     twists, T = _twists(layout, state, q)
     points = se3.apply(T[:, None], typical_points(obs)[None])  # (P, K, 3)

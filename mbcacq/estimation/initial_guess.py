@@ -18,6 +18,7 @@ from mbcacq.model.observations import Observations
 
 ROUNDS = 6
 ALIKE = 10.0  # times the median distance: without an outlier beyond it, other weights would change little
+LEVER_MM = 200.0  # of the points that stand for an orientation
 NEAR_MM = 3.0  # a given hand-eye that brings the points together this well needs no other start
 
 
@@ -41,11 +42,13 @@ def start(obs: Observations, chain: Chain | None = None) -> CellState:
 
 def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
     """T_flange_scanner (4, 4), or None where the poses do not determine it; an undetermined rotation is taken from the guess."""
-    T = T_base_flange[obs.pose]
+    pose, _, xyz = _points(obs)
+    T = T_base_flange[pose]
     R, t = T[:, :3, :3], T[:, :3, 3]
     group = _groups(obs)
-    turning = (R[:, :, :, None] * obs.xyz[:, None, None, :]).reshape(len(R), 3, 9)
-    off_origin = np.abs(obs.xyz).max(initial=0.0) > 1e-9
+    group = np.concatenate([group + k * (group.max(initial=0) + 1) for k in range(len(pose) // max(len(obs.pose), 1))])
+    turning = (R[:, :, :, None] * xyz[:, None, None, :]).reshape(len(R), 3, 9)
+    off_origin = np.abs(xyz).max(initial=0.0) > 1e-9
     columns = np.concatenate([turning, R], axis=2) if off_origin else R
     solution = _linear_l1(columns, -t, group)
     if solution is None and not off_origin:
@@ -58,7 +61,7 @@ def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, gue
         rotation = se3.nearest_rotation(rotation)
     else:
         rotation = guess[:3, :3]
-    rotated = np.einsum("mij,jk,mk->mi", R, rotation, obs.xyz)
+    rotated = np.einsum("mij,jk,mk->mi", R, rotation, xyz)
     translation = _linear_l1(R, -(t + rotated), group)
     return None if translation is None else se3.transform(rotation, translation)
 
@@ -98,15 +101,26 @@ def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray) 
     """T_base_station (S, 4, 4): given ones as given, the others by fitting the points measured there."""
     cell = obs.cell
     T_base_scanner = T_base_flange @ X
+    pose, known, measured = _points(obs)
     if cell.measurement == TARGET_IN_BASE:
-        here, there = obs.xyz, se3.apply_each(T_base_scanner, obs.pose, cell.ball_centres[obs.ball])
+        here, there = measured, se3.apply_each(T_base_scanner, pose, known)
     else:
-        here, there = cell.ball_centres[obs.ball], se3.apply_each(T_base_scanner, obs.pose, obs.xyz)
-    out = fit_rigid_transforms(here, there, obs.station[obs.pose], len(cell.stations))
+        here, there = known, se3.apply_each(T_base_scanner, pose, measured)
+    out = fit_rigid_transforms(here, there, obs.station[pose], len(cell.stations))
     for s, station in enumerate(cell.stations):
         if station.T_base_station is not None:
             out[s] = station.T_base_station
     return out
+
+
+def _points(obs: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pose (K,), place in the artefact (K, 3) and measured place (K, 3) of what was measured; an orientation counts as three points more,
+    ``LEVER_MM`` along the axes of the target."""
+    known = obs.cell.ball_centres[obs.ball]
+    if obs.rotation is None:
+        return obs.pose, known, obs.xyz
+    known = np.concatenate([known, *(known + axis for axis in LEVER_MM * np.eye(3))])
+    return np.tile(obs.pose, 4), known, np.concatenate([obs.xyz, *(obs.xyz + LEVER_MM * obs.rotation[:, :, k] for k in range(3))])
 
 
 def fit_rigid_transforms(a: np.ndarray, b: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:

@@ -13,6 +13,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.pose_columns import WIDE, PoseColumns, WideColumns
+from mbcacq.estimation.variance_components import first_noise
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -50,6 +51,20 @@ class Lineariser:
         self.free_balls = int(whole.sum()) if np.array_equal(whole, free.any(axis=1)) else 0
         number = np.where(whole, np.cumsum(whole) - 1, self.free_balls) if self.free_balls else np.zeros(len(free), int)
         self.ball = self._in_slots(number, self.free_balls)
+        self.own_weight = stated_weights(observations)
+        if self.own_weight is not None:  # then the balls of a pose have no common pattern either
+            self.free_balls = 0
+            self.ball = self._in_slots(np.zeros(len(free), int), 0)
+
+    def weighted(self, rows: np.ndarray) -> np.ndarray:
+        """Rows (M, R) or (M, R, k) with the covariances that the measurements state taken out; as they are where none does."""
+        if self.own_weight is None:
+            return rows
+        return np.einsum("mij,mj->mi", self.own_weight, rows) if rows.ndim == 2 else self.own_weight @ rows
+
+    def unweighted(self, rows: np.ndarray) -> np.ndarray:
+        """The inverse of ``weighted``, of rows (M, R)."""
+        return rows if self.own_weight is None else np.linalg.solve(self.own_weight, rows[..., None])[..., 0]
 
     def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
         """Prediction and residual (M, R) at an estimate."""
@@ -73,7 +88,7 @@ class Lineariser:
             some = self._twists(chain, prediction, rows.order[block.poses])
             for whole, part in zip((moved, of_station, jointly), some, strict=True):
                 whole[block.poses] = np.swapaxes(part, 1, 2)
-        basis, size = rows.pad(prediction.gradient), rows.depth * rows.width
+        basis, size = rows.pad(self.weighted(prediction.gradient)), rows.depth * rows.width
         by_rows = size <= 6
         if by_rows:
             # No more rows than a twist has components: the rows themselves are the shorter basis, in which effects are twists as well.
@@ -86,7 +101,9 @@ class Lineariser:
         else:
             other = self._beside(other, prediction)
         own = OwnColumns(self._turn(prediction), self.ball, self.free_balls, other)
-        return Linearization(prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(residual), by_rows, wide))
+        return Linearization(
+            prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(self.weighted(residual)), by_rows, wide)
+        )
 
     def _twists(self, chain: Chain, prediction: forward_model.Prediction, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Twists of some poses by the free parameters of arm and hand-eye (P, f, 6), by the pose's own station (P, 6, 6) and by the
@@ -102,11 +119,13 @@ class Lineariser:
     def _others(self, prediction: forward_model.Prediction) -> Iterator[np.ndarray]:
         """(P, B R, k) columns of the balls where these are written out, then of each effect."""
         rows, free = self.rows, self.layout.blocks[2].free
-        if free.any() and not self.free_balls:
+        if free.any() and self.own_weight is not None:
+            yield rows.pad(self.weighted(_shifts(self.obs, prediction, rows.width)))[..., free]
+        elif free.any() and not self.free_balls:
             every, none = np.arange(len(free) // 3), np.zeros((rows.n_poses, rows.depth * rows.width, 0))
             yield OwnColumns(self._turn(prediction), self._in_slots(every, len(every)), len(every), none).dense[..., free]
         for one in self.options.terms:
-            yield rows.pad(terms.columns(self.obs, prediction, one))
+            yield rows.pad(self.weighted(terms.columns(self.obs, prediction, one)))
 
     def _beside(self, first: np.ndarray, prediction: forward_model.Prediction) -> np.ndarray:
         """(P, B R, k): the others, ``_others``, after the first columns (P, B R, f). All of them are in memory once only."""
@@ -126,7 +145,7 @@ class Lineariser:
             start, end = end - term.size, end - term.size
             one = term.parts[0]
             if len(term.parts) == 1 and one.place in terms.PER_POSE and term.size >= WIDE:
-                unit = rows.pad(terms.unit(self.obs, prediction, one.place, one.index, one.component))
+                unit = rows.pad(self.weighted(terms.unit(self.obs, prediction, one.place, one.index, one.component)))
                 out.append(WideColumns(slice(start, start + term.size), unit, one.basis[rows.order]))
         return tuple(out)
 
@@ -152,3 +171,24 @@ class Lineariser:
         out = np.zeros((len(mount), count, 6, 6))
         out[np.arange(len(mount)), which[poses]] = mount
         return out.reshape(len(mount), 6 * count, 6)
+
+
+def _shifts(obs: Observations, prediction: forward_model.Prediction, width: int) -> np.ndarray:
+    """(M, R, 3 K): derivative of each centre's rows by the shift of each of the K balls."""
+    out = np.zeros((obs.n_centres, width, len(obs.cell.ball_ids), 3))
+    out[np.arange(obs.n_centres), :3, obs.ball] = forward_model.ball_jacobian(obs, prediction)
+    return out.reshape(obs.n_centres, width, -1)
+
+
+def stated_weights(obs: Observations) -> np.ndarray | None:
+    """(M, R, R) that give rows with the stated covariances the noise that is stated of the instrument as a whole; None where none are.
+
+    The inverse square root of each correlation matrix, so that every row stays as near to its own axis as it can.
+    """
+    if obs.covariance is None:
+        return None
+    sigma = np.sqrt(np.einsum("mii->mi", obs.covariance))
+    value, vector = np.linalg.eigh(obs.covariance / sigma[:, :, None] / sigma[:, None, :])
+    root = (vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2)
+    noise = first_noise(obs.cell).row_sigma(sigma.shape[1])
+    return noise[:, None] * root / sigma[:, None, :]

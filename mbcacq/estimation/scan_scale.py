@@ -41,7 +41,8 @@ def scan_scale(obs: Observations, used: np.ndarray, noise_mm: np.ndarray) -> Sca
     """From the centres where ``used`` (M,) bool holds; noise_mm: (3,) of one centre. None where no scan shows two balls of an artefact."""
     if obs.cell.measurement == TARGET_IN_BASE:
         return None
-    parts = [part for a in range(len(obs.cell.artefacts)) if (part := _of_artefact(obs, used, a, float(np.mean(noise_mm)))) is not None]
+    certified = [a for a, artefact in enumerate(obs.cell.artefacts) if artefact.certified]
+    parts = [part for a in certified if (part := _of_artefact(obs, used, a, float(np.mean(noise_mm)))) is not None]
     if not parts:
         return None
     ppm, scatter, certificate, count = np.array(parts).T
@@ -50,6 +51,23 @@ def scan_scale(obs: Observations, used: np.ndarray, noise_mm: np.ndarray) -> Sca
     from_certificates = float(np.sqrt(np.sum((weight * certificate) ** 2)))
     total = float(np.sqrt(np.sum(weight**2 * (scatter**2 + certificate**2))))
     return ScanScale(float(np.sum(weight * ppm)), total, from_certificates, int(count.sum()))
+
+
+def scale_in_words(obs: Observations) -> str:
+    """Whose scale the calibrated cell has, where an artefact is not certified; '' where all are."""
+    unknown = [a for a in obs.cell.artefacts if not a.certified]
+    if not unknown:
+        return ""
+    lengths = [a.known_length for a in unknown if a.known_length is not None]
+    if not lengths or obs.scale is None:
+        return "the instrument's own; no length of the artefact is certified"
+    ppm, known = 1e6 * (obs.scale - 1), lengths[0]
+    sigma = 1e6 * known.uncertainty_mm / known.length_mm
+    return (
+        f"that of the known length of balls {known.balls[0]} and {known.balls[1]} ({known.length_mm:g} mm, +- {sigma:.0f} ppm); all "
+        "that was "
+        f"measured was multiplied by 1 {ppm:+.0f} ppm, and so must be what is brought into the base with this result"
+    )
 
 
 def _of_artefact(obs: Observations, used: np.ndarray, a: int, noise: float) -> tuple[float, float, float, int] | None:

@@ -125,7 +125,7 @@ def stepped(lineariser: Lineariser, at: Solution, step: np.ndarray) -> Solution:
     rows, columns = lineariser.rows, at.linear.columns
     station_step = at.normal.station_step(step)
     residual = at.poses.residual_after(step, station_step)
-    linear = replace(at.linear, residual=rows.unpad(residual), columns=replace(columns, residual=residual))
+    linear = replace(at.linear, residual=lineariser.unweighted(rows.unpad(residual)), columns=replace(columns, residual=residual))
     prior = replace(at.prior, offset=at.prior.offset + step, station_offset=at.prior.station_offset + station_step)
     poses, normal = at.poses.with_residual(linear.columns), at.normal.after(step)
     taken = SolverStep(at, lineariser.layout, step, station_step)
@@ -148,7 +148,7 @@ def _with_residual(
     lineariser: Lineariser, at: Solution, estimate: Estimate, prediction: Prediction, residual: np.ndarray, turned: float
 ) -> Solution:
     """The system at a nearby estimate with the columns as they are."""
-    columns = replace(at.linear.columns, residual=lineariser.rows.pad(residual))
+    columns = replace(at.linear.columns, residual=lineariser.rows.pad(lineariser.weighted(residual)))
     prior = prior_rows(lineariser.obs.cell, lineariser.layout, estimate, lineariser.rows.stations)
     poses = at.poses.with_residual(columns)
     normal = at.normal.with_right_hand_side(*poses.right_hand_side(), prior)
@@ -213,7 +213,7 @@ def solve(
         prediction, residual = lineariser.residual(candidate)
         prior = prior_rows(lineariser.obs.cell, layout, candidate, lineariser.rows.stations)
         # The weights depend weakly on the estimate; a step is judged by those it was computed with.
-        cost = now.poses.chi2(lineariser.rows.pad(residual)) + prior.cost
+        cost = now.poses.chi2(lineariser.rows.pad(lineariser.weighted(residual))) + prior.cost
         if cost <= now.cost * (1 + 1e-9) + tolerance:
             if turned < reuse:
                 now = replace(_with_residual(lineariser, now, candidate, prediction, residual, turned), iterations=iteration)

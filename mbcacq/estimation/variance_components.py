@@ -45,13 +45,8 @@ class NoisePrior:
 
 def first_noise(cell: Cell) -> Noise:
     """Stated figures, or guesses: 0.02 mm a centre, and the repeatability of the data sheet turned into angles at the arm's reach."""
-    chain = cell.robot.chain
-    # The height of the first axis' foot is no lever of anything.
-    reach = max(float(np.abs(chain.a[0]) + np.sum(np.hypot(chain.a[1:], chain.d[1:]))), 1.0)
     point = np.full(3, 0.02) if cell.noise_mm is None else np.maximum(cell.noise_mm, LEAST_POINT)
-    repeatability = cell.robot.repeatability_mm or 0.06
-    # RP = mean + 3 sigma of a distance, about four times the sigma of one coordinate; half of the reach, on average, is behind a joint.
-    return Noise(point, np.full(chain.n, repeatability / 4 / (0.5 * reach)), 1e-4)
+    return Noise(point, cell.robot.chain.expected_noise(cell.robot.repeatability_mm or 0.06), cell.noise_rad or 1e-4)
 
 
 def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:
@@ -66,8 +61,10 @@ def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:
     precision = np.zeros((n + 4, n + 4))
     axis = EXACT if level == EXACT else AXIS
     precision[:3, :3] = np.linalg.inv(axis**2 * np.eye(3) + level**2)
-    precision[3:-1, 3:-1] = np.linalg.inv(single**2 * np.eye(n) + common**2)
-    precision[-1, -1] = 1 / GUESSED**2
+    lever = cell.robot.chain.lever
+    alike = lever[:, None] == lever  # joints of one kind; of poses of the flange, displacements and rotations
+    precision[3:-1, 3:-1] = np.linalg.inv(single**2 * np.eye(n) + common**2 * alike)
+    precision[-1, -1] = 1 / (STATED if cell.noise_rad and option != "estimate" else GUESSED) ** 2
     return NoisePrior(pack(noise), precision)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +76,16 @@ class Table:
     def heading(self, name: str) -> str:
         """The heading of a column, as it stands in the file."""
         return self.found[name].heading if name in self.found else name
+
+    def rows(self, keep: np.ndarray) -> Table:
+        """The rows where ``keep`` (rows,) bool holds."""
+        at = np.flatnonzero(keep).tolist()
+        columns = {heading: tuple(cells[i] for i in at) for heading, cells in self.columns.items()}
+        return replace(self, columns=columns, line=[self.line[i] for i in at], taken=set(self.taken))
+
+    def expect_decimals(self, headings: Sequence[str]) -> None:
+        """Columns that are no schema's are numbers too: where they have decimal commas, the table has."""
+        self.decimal_comma = self.decimal_comma or _has_decimal_commas(self, headings)
 
     def where(self, row: int, name: str) -> str:
         """File, line and column of a cell, for errors."""
@@ -193,7 +203,7 @@ class Table:
                 raise ConfigError(f"{where}: '{_short(cell)}' is not a finite number; remove the row or correct it")
 
 
-def read_table(path: Path | str, schema: TableSchema | None = None) -> Table:
+def read_table(path: Path | str, schema: TableSchema | None = None, *, names: Mapping[str, str] | None = None) -> Table:
     """Read a CSV file in UTF-8, UTF-16 or (from a spreadsheet) Windows-1252.
 
     Parameters
@@ -202,6 +212,8 @@ def read_table(path: Path | str, schema: TableSchema | None = None) -> Table:
         Of the file.
     schema
         Columns by their names, with units; without one the columns are named by their headings and numbers have no unit.
+    names
+        What the file calls a column -> the heading that is to be read in its place.
 
     Raises
     ------
@@ -211,9 +223,9 @@ def read_table(path: Path | str, schema: TableSchema | None = None) -> Table:
     """
     path = Path(path)
     if schema is None:
-        return _table(path, read_csv_text(path, max_bytes=MAX_BYTES))
+        return _table(path, _renamed(path, read_csv_text(path, max_bytes=MAX_BYTES), names))
     scored = (lambda headings: score(schema.columns, headings)) if schema.preamble else None
-    text = read_csv_text(path, max_bytes=schema.max_bytes, comment=schema.comment, score=scored)
+    text = _renamed(path, read_csv_text(path, max_bytes=schema.max_bytes, comment=schema.comment, score=scored), names)
     try:
         found = matched(schema.columns, text.headings)
     except HeadingError as error:
@@ -227,6 +239,15 @@ def read_table(path: Path | str, schema: TableSchema | None = None) -> Table:
     _take_units(table, schema)
     table.decimal_comma = _has_decimal_commas(table, [f.heading for n, f in found.items() if (c := table._column(n)) and c.kind != "text"])
     return table
+
+
+def _renamed(path: Path, text: CsvText, names: Mapping[str, str] | None) -> CsvText:
+    if not names:
+        return text
+    headings = [names.get(heading, heading) for heading in text.headings]
+    if twice := next((h for h in headings if headings.count(h) > 1), None):
+        raise ConfigError(f"{path}:{text.heading_line}: two columns are called {twice}, one by columns:; correct that or the heading")
+    return replace(text, headings=headings)
 
 
 def _table(path: Path, text: CsvText) -> Table:

@@ -39,11 +39,30 @@ class Chain:
 
     def with_errors(self, errors: np.ndarray) -> Chain:
         """The chain whose parameters are these plus errors (n, 5)."""
-        return Chain(self.sign, *(self.rows + errors).T)
+        return type(self)(self.sign, *(self.rows + errors).T)
+
+    @property
+    def lever(self) -> np.ndarray:
+        """(n,) mm by which a unit of each joint moves a point: half of the reach, on average, is behind a joint."""
+        # The height of the first axis' foot is no lever of anything.
+        reach = max(float(np.abs(self.a[0]) + np.sum(np.hypot(self.a[1:], self.d[1:]))), 1.0)
+        return np.full(self.n, 0.5 * reach)
+
+    def expected_noise(self, repeatability_mm: float) -> np.ndarray:
+        """(n,) sigma of each joint by the repeatability of the data sheet: RP = mean + 3 sigma of a distance, about four times the sigma of
+        one coordinate."""
+        return repeatability_mm / 4 / self.lever
+
+    def drawn_between(self, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) smallest and (n,) largest angle of postures drawn at random within limits (n, 2): no more than one turn."""
+        low, high = np.clip(limits, -np.pi, np.pi).T
+        return low, high
 
     def same_links(self, other: Chain) -> bool:
         """Whether another chain has as many axes, which turn the same way, and the same rows but for rounding."""
-        return self.n == other.n and np.allclose(self.rows, other.rows) and bool(np.all(self.sign == other.sign))
+        return (
+            type(self) is type(other) and self.n == other.n and np.allclose(self.rows, other.rows) and bool(np.all(self.sign == other.sign))
+        )
 
     def parallel_next(self, tolerance: float = 1e-6) -> np.ndarray:
         """(n,) bool: axis i+1 is nominally parallel to axis i, so that d_i is redundant and beta_i is needed."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbcacq.geometry.chain import Chain
+from mbcacq.geometry.flange_poses import FlangePoses
 
 ARTEFACT_IN_SCANNER = "artefact_in_scanner"
 TARGET_IN_BASE = "target_in_base"
@@ -40,12 +41,35 @@ class RobotModel:
     def n(self) -> int:
         return self.chain.n
 
+    @property
+    def of_flange_poses(self) -> bool:
+        """Whether only the poses of the flange are known, no joints and no links."""
+        return isinstance(self.chain, FlangePoses)
+
+
+def arm_of_flange_poses(name: str, repeatability_mm: float | None = None, coordinates: np.ndarray | None = None) -> RobotModel:
+    """An arm of which only the poses of its flange are known. coordinates: (P, 6) mm and rad of these, whose range becomes the limits."""
+    chain = FlangePoses.new()
+    at = np.zeros((1, chain.n)) if coordinates is None else coordinates
+    limits = np.stack([at.min(axis=0), at.max(axis=0)], axis=1)
+    return RobotModel(name, chain, limits, np.zeros(chain.n), np.zeros((chain.n, 3)), repeatability_mm=repeatability_mm)
+
+
+@dataclass(frozen=True)
+class KnownLength:
+    """Distance of two balls (ids) in mm, with its standard uncertainty."""
+
+    balls: tuple[int, int]
+    length_mm: float
+    uncertainty_mm: float = 0.0
+
 
 @dataclass(frozen=True)
 class Artefact:
     """A certified object. ball_ids: certificate names, unique in the cell. centres: (B, 3) mm, artefact frame; diameters: (B,) mm.
 
-    uncertainty_mm: standard uncertainty (k = 1) of one coordinate of a centre. expansion_ppm_per_K: None if unknown.
+    uncertainty_mm: standard uncertainty (k = 1) of one coordinate of a centre. expansion_ppm_per_K: None if unknown. Where it is not
+    certified, the centres are a guess (NaN: none yet), and known_length is all that is known of its scale, if anything.
     """
 
     id: str
@@ -56,6 +80,8 @@ class Artefact:
     uncertainty_mm: float = 0.001
     reference_temperature_C: float = 20.0
     expansion_ppm_per_K: float | None = None
+    certified: bool = True
+    known_length: KnownLength | None = None
 
 
 @dataclass(frozen=True)
@@ -80,6 +106,7 @@ class Cell:
 
     measurement: ARTEFACT_IN_SCANNER (a scanner on the flange) or TARGET_IN_BASE (an external instrument sees a target on
     the flange; then the one station is the instrument and T_flange_scanner holds the target's place).
+    noise_rad: sigma of a measured orientation about each axis, or None.
     simulated: what was recorded in it comes from a fake cell or a model, not from a real arm.
     room_temperature_C: range that the room keeps, lowest and highest, or None where nobody stated it.
     """
@@ -92,6 +119,7 @@ class Cell:
     noise_mm: np.ndarray | None = None
     measurement: str = ARTEFACT_IN_SCANNER
     simulated: bool = False
+    noise_rad: float | None = None
     room_temperature_C: tuple[float, float] | None = None
 
     def artefact(self, artefact_id: str) -> Artefact:

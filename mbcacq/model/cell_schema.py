@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -112,12 +112,25 @@ class RobotSpec(Strict):
 
 
 class BallSpec(Strict):
+    """centre_mm may be missing where the artefact is not certified."""
+
     id: int
-    centre_mm: Vector
+    centre_mm: Vector | None = None
     diameter_mm: float = Field(default=0.0, ge=0)
 
 
+class KnownLengthSpec(Strict):
+    """The distance of two balls of an artefact that is not certified otherwise."""
+
+    balls: tuple[int, int]
+    length_mm: float = Field(gt=0)
+    uncertainty_mm: float = Field(default=0.0, ge=0)
+
+
 class ArtefactSpec(Strict):
+    """certified: false says that the places of the balls are unknown: they are estimated, to the scale of ``known_length`` or, without it,
+    of the scanner."""
+
     id: str
     name: str = ""
     reference_temperature_C: float = 20.0
@@ -125,17 +138,32 @@ class ArtefactSpec(Strict):
     uncertainty_mm: float = Field(default=0.001, ge=0)
     balls: tuple[BallSpec, ...] = Field(min_length=1)
     certificate: str | None = None
+    certified: bool = True
+    known_length: KnownLengthSpec | None = None
+
+    @model_validator(mode="after")
+    def _has_centres(self) -> ArtefactSpec:
+        missing = [b.id for b in self.balls if b.centre_mm is None]
+        if self.certified and missing:
+            raise ValueError(f"ball {missing[0]} has no centre_mm; give it, or say certified: false")
+        if self.known_length and self.certified:
+            raise ValueError("known_length is for an artefact with certified: false; the certificate has all lengths already")
+        if self.known_length and not set(self.known_length.balls) <= {b.id for b in self.balls}:
+            raise ValueError("known_length names a ball that is not among the balls of this artefact")
+        return self
 
     def model(self) -> cell.Artefact:
         return cell.Artefact(
             id=self.id,
             name=self.name,
             ball_ids=tuple(b.id for b in self.balls),
-            centres=np.array([b.centre_mm for b in self.balls], dtype=float),
+            centres=np.array([b.centre_mm or (np.nan,) * 3 for b in self.balls], dtype=float),
             diameters=np.array([b.diameter_mm for b in self.balls]),
             uncertainty_mm=self.uncertainty_mm,
             reference_temperature_C=self.reference_temperature_C,
             expansion_ppm_per_K=self.expansion_ppm_per_K,
+            certified=self.certified,
+            known_length=cell.KnownLength(*vars(self.known_length).values()) if self.known_length else None,
         )
 
 
@@ -150,6 +178,25 @@ class ScannerSpec(Strict):
 
     name: str = ""
     noise_mm: tuple[Size, Size, Size] | None = None
+    noise_deg: float | None = Field(default=None, gt=0)
+
+
+# What people call who carries what; the first of each is how the program writes it.
+MEASUREMENTS = {
+    **dict.fromkeys(("artefact_in_scanner", "eye_in_hand", "scanner_on_flange"), cell.ARTEFACT_IN_SCANNER),
+    **dict.fromkeys(("target_in_base", "eye_to_hand", "fixed_scanner"), cell.TARGET_IN_BASE),
+}
+
+
+class FlangePosesSpec(Strict):
+    """How ``poses.csv`` gives the poses of the flange in place of joint angles. orientation: a maker (kuka, fanuc, ur ..) or a convention
+    (ZYX, xyz, vector, wxyz ..), length and angle: units, where the headings do not say."""
+
+    robot: str = "poses of the flange"
+    repeatability_mm: float | None = Field(default=None, gt=0)
+    orientation: str | None = None
+    length: Literal["mm", "m"] | None = None
+    angle: Literal["deg", "rad"] | None = None
 
 
 class CellSpec(Strict):
@@ -158,9 +205,13 @@ class CellSpec(Strict):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
     format: Literal["mbcacq-observation-set/1"]
-    measurement: Literal["artefact_in_scanner", "target_in_base"] = "artefact_in_scanner"
+    measurement: Literal["artefact_in_scanner", "target_in_base", "eye_in_hand", "eye_to_hand", "scanner_on_flange", "fixed_scanner"] = (
+        "artefact_in_scanner"
+    )
     simulated: bool = False
-    robot: RobotSpec
+    robot: RobotSpec | None = None
+    flange_poses: FlangePosesSpec | None = None
+    columns: dict[str, str] = {}
     hand_eye: PoseSpec = PoseSpec()
     artefacts: tuple[ArtefactSpec, ...] = Field(min_length=1)
     stations: tuple[StationSpec, ...] = Field(min_length=1)
@@ -168,8 +219,9 @@ class CellSpec(Strict):
     room_temperature_C: TemperatureRange | None = None
 
     def model(self) -> cell.Cell:
+        flange = self.flange_poses or FlangePosesSpec()
         return cell.Cell(
-            robot=self.robot.model(),
+            robot=self.robot.model() if self.robot else cell.arm_of_flange_poses(flange.robot, flange.repeatability_mm),
             T_flange_scanner=self.hand_eye.transform(),
             artefacts=tuple(a.model() for a in self.artefacts),
             stations=tuple(
@@ -183,7 +235,8 @@ class CellSpec(Strict):
             ),
             scanner_name=self.scanner.name,
             noise_mm=np.array(self.scanner.noise_mm) if self.scanner.noise_mm and all(self.scanner.noise_mm) else None,
-            measurement=self.measurement,
+            measurement=MEASUREMENTS[self.measurement],
+            noise_rad=np.radians(self.scanner.noise_deg) if self.scanner.noise_deg else None,
             simulated=self.simulated,
             room_temperature_C=self.room_temperature_C,
         )

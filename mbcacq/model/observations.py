@@ -22,6 +22,9 @@ class Observations:
     scanner frame (or the instrument's); n_points (M,); rms_mm (M,); rotation (M, 3, 3) orientation of a 6-dof target.
     Of several recordings of one arm taken as one: recording (P,) int, the recording of each pose; noise_scale (P, 3 + n), sigma of a
     centre's coordinates and of each joint in that recording, relative to the first one's; payload_com (P, 3) mm in the flange frame.
+    covariance (M, R, R), where each measurement states its own: of a point (R = 3, mm^2), or of a target's pose (R = 6: position and
+    rotation vector in the instrument's frame, mm^2, mm rad, rad^2).
+    scale: by which all measurements were multiplied so that a known length comes out as known; None: the instrument's scale is kept.
     extra: columns this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
     cell_yaml: the text the cell was read from, with its comments; '' if it was not read from a file.
     """
@@ -45,6 +48,8 @@ class Observations:
     n_points: np.ndarray | None = None
     rms_mm: np.ndarray | None = None
     rotation: np.ndarray | None = None
+    covariance: np.ndarray | None = None
+    scale: float | None = None
     recording: np.ndarray | None = None
     noise_scale: np.ndarray | None = None
     payload_com: np.ndarray | None = None
@@ -85,7 +90,7 @@ POSE_COLUMNS = (
     "pose_id", "station", "q", "phase", "time_s", "direction", "movement", "torque", "current", "payload_kg", "velocity",
     "recording", "noise_scale", "payload_com",
 )  # fmt: skip
-CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation")
+CENTRE_COLUMNS = ("pose", "ball", "xyz", "n_points", "rms_mm", "rotation", "covariance")
 
 
 def _take(array: np.ndarray | None, mask: np.ndarray) -> np.ndarray | None:

@@ -25,6 +25,8 @@ Implausible = tuple[Path_, str]
 
 def implausible_artefact(spec: ArtefactSpec) -> Implausible | None:
     """Where in the artefact file something cannot be meant, and the sentence about it. A diameter of 0 says that it is not known."""
+    if not spec.certified:
+        return ("certified",), f"artefact '{spec.id}' is not certified, and a plan needs to know where its balls are; measure them first"
     for index, ball in enumerate(spec.balls):
         if ball.diameter_mm and not SMALLEST_BALL_MM <= ball.diameter_mm <= LARGEST_BALL_MM:
             guess = f" ({ball.diameter_mm:g} m are {1000 * ball.diameter_mm:g} mm)" if ball.diameter_mm < SMALLEST_BALL_MM else ""

@@ -55,7 +55,10 @@ _LAZY = {
     "write_diagnosis": "rrd.diagnosis_recording",
     "write_observation_set": "datasets.observation_set",
 }
-ACCEPTED = "a run folder (with run.rrd), a recording (.rrd), or an observation-set folder (cell.yaml, poses.csv, centres.csv)"
+ACCEPTED = (
+    "a run folder (with run.rrd), a recording (.rrd), or an observation-set folder (cell.yaml, poses.csv, centres.csv), "
+    "or one table (.csv) of poses of the flange and the target"
+)
 
 
 def load_observations(path: Path | str) -> Observations:
@@ -76,6 +79,10 @@ def load_observations(path: Path | str) -> Observations:
         from mbcacq.recording.datasets.observation_set import read_observation_set
 
         return read_observation_set(path)
+    if path.is_file() and path.suffix.lower() in (".csv", ".tsv"):
+        from mbcacq.recording.datasets.loose_table import read_loose_table
+
+        return read_loose_table(path).observations
     if _is_recording(path):
         from mbcacq.recording.rrd.reader import read_observations
 

@@ -13,7 +13,7 @@ from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
 from mbcacq.calibration.joint_result import JointCalibration
-from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
+from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.errors import ConfigError
@@ -156,7 +156,7 @@ def calibration_content(
     content["verification"] = room.verify(observations, calibration, limit_mm=limit_of(Path(data))).to_dict()
     content["gaps"] = find_gaps(Path(data))
     if asked.kinematics and not options.kinematics:
-        content["scope"] = HAND_EYE_ALONE
+        content["scope"] = FLANGE_POSES_ALONE if observations.cell.robot.of_flange_poses else HAND_EYE_ALONE
     if with_map:
         content["accuracy_map"] = accuracy_map(calibration).to_dict()
     if held_out is not None:

@@ -19,13 +19,15 @@ def cell_to_yaml(cell: Cell) -> str:
 
     The one exception: an angle that no float64 in deg converts to becomes its nearest neighbour (never one that was read from a file).
     """
-    data: dict[str, Any] = {"format": FORMAT, "measurement": cell.measurement} | _simulated(cell.simulated) | {"robot": _robot(cell.robot)}
+    data: dict[str, Any] = {"format": FORMAT, "measurement": cell.measurement} | _simulated(cell.simulated) | _arm(cell.robot)
     data["hand_eye"] = _frame(cell.T_flange_scanner)
     data["artefacts"] = [_artefact(a) for a in cell.artefacts]
     data["stations"] = [_station(s) for s in cell.stations]
     scanner: dict[str, Any] = {"name": cell.scanner_name}
     if cell.noise_mm is not None:
         scanner["noise_mm"] = _list(cell.noise_mm)
+    if cell.noise_rad is not None:
+        scanner["noise_deg"] = _degrees(np.array([cell.noise_rad]))[0]
     data["scanner"] = scanner
     if cell.room_temperature_C is not None:
         data["room_temperature_C"] = _FlowList(float(T) for T in cell.room_temperature_C)
@@ -44,6 +46,14 @@ def _simulated(simulated: bool) -> dict[str, Any]:
 
 def _dump(data: dict[str, Any]) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=160)
+
+
+def _arm(robot: RobotModel) -> dict[str, Any]:
+    """The robot, or what is known of an arm of which only the poses of the flange are."""
+    if not robot.of_flange_poses:
+        return {"robot": _robot(robot)}
+    said = {} if robot.repeatability_mm is None else {"repeatability_mm": float(robot.repeatability_mm)}
+    return {"flange_poses": {"robot": robot.name, **said}}
 
 
 def _robot(robot: RobotModel) -> dict[str, Any]:
@@ -81,8 +91,14 @@ def _artefact(artefact: Artefact) -> dict[str, Any]:
     if artefact.expansion_ppm_per_K is not None:
         data["expansion_ppm_per_K"] = float(artefact.expansion_ppm_per_K)
     data["uncertainty_mm"] = float(artefact.uncertainty_mm)
+    if not artefact.certified:
+        data["certified"] = False
+    if (known := artefact.known_length) is not None:
+        data["known_length"] = _Flow(
+            {"balls": _FlowList(known.balls), "length_mm": float(known.length_mm), "uncertainty_mm": float(known.uncertainty_mm)}
+        )
     data["balls"] = [
-        _Flow({"id": int(ball), "centre_mm": _list(centre), "diameter_mm": float(diameter)})
+        _Flow({"id": int(ball), **({} if np.isnan(centre).any() else {"centre_mm": _list(centre)}), "diameter_mm": float(diameter)})
         for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
     ]
     return data

@@ -86,7 +86,7 @@ def _unknown_artefacts(spec: CellSpec) -> Iterator[Fault]:
 
 
 def _zero_gravity(spec: CellSpec) -> Iterator[Fault]:
-    if not np.any(spec.robot.base_to_gravity):
+    if spec.robot and not np.any(spec.robot.base_to_gravity):
         yield ("robot", "base_to_gravity"), "base_to_gravity is the zero vector; give the direction of gravity in the base frame"
 
 

@@ -6,6 +6,7 @@ Numbers come back bit for bit. Columns this program does not know are kept in ``
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,15 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
-from mbcacq.model.cell import Cell
+from mbcacq.model.cell import Cell, arm_of_flange_poses
 from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.bag import bag_of, observation_columns
 from mbcacq.recording.datasets.cell_yaml import read_cell
+from mbcacq.recording.datasets.columns import columns_of, flange_columns, target_columns
 from mbcacq.recording.datasets.csv_columns import CENTRES, QUATERNION, XYZ, numbered, poses_schema, rotations
 from mbcacq.recording.datasets.observation_writer import write_observation_set
+from mbcacq.recording.datasets.uncertified import with_estimated_centres
 from mbcacq.recording.datasets.wide_table import wide_centres
 
 __all__ = ["read_observation_set", "write_observation_set"]
@@ -31,15 +35,16 @@ def read_observation_set(folder: Path | str) -> Observations:
     bag = None if (folder / "poses.csv").exists() else bag_of(folder)
     if bag is not None:
         return Observations(cell=cell, **observation_columns(folder, bag, cell), cell_yaml=text)
-    table = read_table(folder / "poses.csv", poses_schema(cell.robot.n, cell.ball_ids))
+    names = columns_of(folder)
+    table = read_table(folder / "poses.csv", poses_schema(cell.robot.n, cell.ball_ids), names=names)
     separate = (folder / "centres.csv").exists()
     wide = None if separate else wide_centres(table, cell)
-    poses = _read_poses(table, cell)
+    cell, poses = _read_poses(table, cell, text)
     centres: dict[str, Any]
     if wide is not None:
         centres = wide
     elif separate:
-        centres = _read_centres(read_table(folder / "centres.csv", CENTRES), cell, poses)
+        centres = _read_centres(read_table(folder / "centres.csv", CENTRES, names=names), cell, poses)
     elif (folder / "scans").is_dir():
         from mbcacq.recording.datasets.scan_folder import centres_from_scans
 
@@ -50,14 +55,24 @@ def read_observation_set(folder: Path | str) -> Observations:
             "add one of them"
         )
     extra = {**poses.pop("extra"), **centres.pop("extra", {})}
-    return Observations(cell=cell, **poses, **centres, extra=extra, cell_yaml=text)
+    obs = Observations(cell=cell, **poses, **centres, extra=extra, cell_yaml=text)
+    return with_estimated_centres(obs, str(folder / "cell.yaml"))
 
 
-def _read_poses(table: Table, cell: Cell) -> dict[str, Any]:
+def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, Any]]:
+    """The cell, with the arm that these poses are of, and the columns of ``Observations``."""
     n = cell.robot.n
     joints = numbered("q{}_deg", n)
-    table.require(["pose", "station", *joints])
-    out: dict[str, Any] = {"pose_id": table.integer("pose"), "q": table.group(joints, angle=True)}
+    by_flange = flange_columns(table, cell, text)
+    if by_flange is None:
+        table.require(["pose", "station", *joints])
+        q = table.group(joints, angle=True)
+    else:
+        table.require(["pose", "station"])
+        q = by_flange.coordinates(table)
+        table.taken |= set(by_flange.names)
+        cell = replace(cell, robot=arm_of_flange_poses(cell.robot.name, cell.robot.repeatability_mm, q))
+    out: dict[str, Any] = {"pose_id": table.integer("pose"), "q": q}
     _refuse_repeated(table, "pose", out["pose_id"], "pose {} appears twice (first in line {}); number each pose once")
     stations = {station.id: i for i, station in enumerate(cell.stations)}
     out["station"] = _look_up(table, "station", stations, "station '{}' is not in cell.yaml (there: {})")
@@ -66,22 +81,32 @@ def _read_poses(table: Table, cell: Cell) -> dict[str, Any]:
     for column in ("time_s", "payload_kg"):
         if table.has([column]):
             out[column] = table.number(column)
+    if by_flange is None:
+        out |= _of_joints(table, n, q, out.get("time_s"))
+    out["temperatures"] = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}
+    out["extra"] = {f"poses.{name}": cells for name, cells in table.rest().items()}
+    return cell, out
+
+
+def _of_joints(table: Table, n: int, q: np.ndarray, time_s: np.ndarray | None) -> dict[str, Any]:
+    """Columns of the joints beside their angles."""
+    out: dict[str, Any] = {}
     if table.has(names := numbered("dir{}", n)):
         out["direction"] = np.stack([_direction(table, name) for name in names], axis=1)
     else:
-        out["movement"] = _movement(out["q"], out.get("time_s"))
+        out["movement"] = _movement(q, time_s)
     if table.has(names := numbered("qd{}_deg_s", n)):
         out["velocity"] = table.group(names, angle=True)
     if table.has(names := numbered("tau{}_Nm", n)):
         out["torque"] = table.group(names)
     if table.has(names := numbered("i{}_A", n)):
         out["current"] = table.group(names)
-    out["temperatures"] = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}
-    out["extra"] = {f"poses.{name}": cells for name, cells in table.rest().items()}
     return out
 
 
 def _read_centres(table: Table, cell: Cell, poses: dict[str, Any]) -> dict[str, Any]:
+    if not table.has("ball") and len(cell.ball_ids) == 1:
+        table.columns["ball"] = (str(cell.ball_ids[0]),) * len(table)
     table.require(["pose", "ball", *XYZ])
     pose_index = {pose: i for i, pose in enumerate(poses["pose_id"].tolist())}
     pose = _match(table, "pose", table.integer("pose"), pose_index, "pose {} is not in poses.csv")
@@ -111,6 +136,12 @@ def _read_centres(table: Table, cell: Cell, poses: dict[str, Any]) -> dict[str, 
         # The text is kept as well: a matrix does not remember the digits of its quaternion.
         extra = {name: np.array(table.text(name), dtype=np.str_) for name in QUATERNION}
         out["rotation"] = rotations(table)
+    elif (target := target_columns(table)) is not None and target.rotation:
+        out["rotation"] = target.transforms(table)[:, :3, :3]
+        table.taken |= set(target.rotation)
+    out["covariance"] = covariances.read(table, 6 if "rotation" in out else 3)
+    if out["covariance"] is None:
+        del out["covariance"]
     extra |= table.rest()
     order = np.argsort(pose, kind="stable")
     out = {name: values[order] for name, values in out.items()}

@@ -11,9 +11,12 @@ from mbcacq.errors import ConfigError
 from mbcacq.files import angles
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
-from mbcacq.recording.datasets import quaternions
+from mbcacq.recording.datasets import covariances, quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
 from mbcacq.recording.datasets.csv_columns import QUATERNION, XYZ, numbered, numbers, table_text
+
+# A rotation vector in rad: the numbers that are in memory, and a heading that cannot be meant otherwise.
+FLANGE_COLUMNS = ("flange_x_mm", "flange_y_mm", "flange_z_mm", "flange_rotvec_x_rad", "flange_rotvec_y_rad", "flange_rotvec_z_rad")
 
 
 def write_observation_set(observations: Observations, folder: Path | str) -> None:
@@ -44,7 +47,10 @@ def _pose_columns(obs: Observations) -> dict[str, Sequence[str]]:
     columns["station"] = station[obs.station].tolist()
     if obs.time_s is not None:
         columns["time_s"] = numbers(obs.time_s)
-    columns |= dict(zip(numbered("q{}_deg", n), map(angles.degrees_text, obs.q.T), strict=True))
+    if obs.cell.robot.of_flange_poses:
+        columns |= dict(zip(FLANGE_COLUMNS, map(numbers, obs.q.T), strict=True))
+    else:
+        columns |= dict(zip(numbered("q{}_deg", n), map(angles.degrees_text, obs.q.T), strict=True))
     for pattern, values, text in (
         ("dir{}", obs.direction, numbers),
         ("qd{}_deg_s", obs.velocity, angles.degrees_text),
@@ -68,6 +74,8 @@ def _centre_columns(obs: Observations) -> dict[str, Sequence[str]]:
             columns[name] = numbers(values)
     if obs.rotation is not None:
         columns |= _quaternion_columns(obs, obs.rotation)
+    if obs.covariance is not None:
+        columns |= covariances.columns(obs.covariance)
     skip = {*columns, *QUATERNION}
     return columns | _extra(obs, "centres.", skip)
 

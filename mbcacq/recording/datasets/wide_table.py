@@ -14,14 +14,19 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table
 from mbcacq.model.cell import Cell
+from mbcacq.recording.datasets import covariances
+from mbcacq.recording.datasets.columns import by_flange_poses, target_columns
 from mbcacq.recording.datasets.csv_columns import QUATERNION, XYZ, rotations
+from mbcacq.recording.datasets.pose_columns import PoseHeadings
 
 
 def wide_centres(table: Table, cell: Cell) -> dict[str, Any] | None:
     """Centre columns of ``Observations`` from the rows of poses.csv, which gets the columns pose and station where it lacks them; None
     where it holds no measured points. Raises ConfigError."""
     several = [ball for ball in cell.ball_ids if table.has(_names(ball))]
-    if not table.has(XYZ) and not several:
+    if not several and by_flange_poses(table, cell) and (target := target_columns(table)) is not None:
+        return _of_target(table, cell, target)
+    if not several and (by_flange_poses(table, cell) or not table.has(XYZ)):
         return None
     _complete(table, cell)
     if several:
@@ -34,6 +39,22 @@ def wide_centres(table: Table, cell: Cell) -> dict[str, Any] | None:
         out["rotation"] = rotations(table)
         extra = {f"centres.{name}": np.array(table.text(name), dtype=np.str_) for name in QUATERNION}
     return out | {"extra": extra}
+
+
+def _of_target(table: Table, cell: Cell, target: PoseHeadings) -> dict[str, Any]:
+    """A target whose pose, or place, stands beside the pose of the flange; a row that does not show it leaves its cells empty."""
+    _complete(table, cell)
+    seen = np.array([any(table.columns[name][row].strip() for name in target.names) for row in range(len(table))], dtype=bool)
+    part = table.rows(seen)
+    T = target.transforms(part)
+    table.taken |= set(target.names)
+    out: dict[str, Any] = {"pose": np.flatnonzero(seen), "ball": _balls(part, cell), "xyz": T[:, :3, 3]}
+    if target.rotation:
+        out["rotation"] = T[:, :3, :3]
+    if (covariance := covariances.read(part, 6 if target.rotation else 3)) is not None:
+        out["covariance"] = covariance
+    table.taken |= part.taken
+    return out
 
 
 def _names(ball: int) -> tuple[str, str, str]:

@@ -1,0 +1,90 @@
+"""``mbcacq data``: observation sets from the files that people have."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mbcacq.cli.terminal import echo
+
+if TYPE_CHECKING:
+    from mbcacq.recording.datasets.loose_table import TableOptions
+
+
+@click.group("data")
+def command() -> None:
+    """Make an observation set of files from other programs."""
+
+
+@command.command("new")
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The folder to write [default: NAME-set here].")
+@click.option(
+    "--flange", metavar="CONVENTION", help="Of the flange's orientation: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz."
+)
+@click.option("--target", metavar="CONVENTION", help="Of the target's orientation, likewise.")
+@click.option("--length", type=click.Choice(["mm", "m"]), help="Unit of lengths, where headings do not say [by their size].")
+@click.option("--angle", type=click.Choice(["deg", "rad"]), help="Unit of angles, where headings do not say [by their size].")
+@click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", help="The scanner or camera is on the flange.")
+@click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The scanner or camera is fixed, the target on the flange.")
+@click.option("--target-inverted", is_flag=True, help="The target's columns are the pose of the camera as the target sees it.")
+@click.option(
+    "--column", "columns", multiple=True, metavar="OURS=FILE", help="What the file calls a column, e.g. time_s=Time (repeatable)."
+)
+@click.option("--robot", metavar="ROBOT", help="The arm of joint angles: one of the tool's, or a robot file.")
+@click.option("--noise", nargs=3, type=click.FloatRange(0, min_open=True), metavar="X Y Z", help="Sigma of one measured point, mm.")
+@click.option("--force", is_flag=True, help="Replace the set if it exists.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+def new(
+    files: tuple[Path, ...],
+    out: Path | None,
+    columns: tuple[str, ...],
+    robot: str | None,
+    noise: tuple[float, float, float] | None,
+    force: bool,
+    as_json: bool,
+    **said: Any,
+) -> None:
+    """Make an observation set of FILES and say how they were understood.
+
+    One table (.csv, .txt): a row is a pose, with the flange's x, y, z and orientation (or joint angles, with --robot), and what the camera
+    saw: the target's pose, the centre of one sphere, or those of several. What headings leave open is tried on the data.
+
+    \b
+    Examples:
+      mbcacq data new poses.csv
+      mbcacq data new poses.csv --flange fanuc --eye-to-hand --out cell-3
+      mbcacq calibrate cell-3 --hand-eye-only
+    """
+    from mbcacq.recording import write_observation_set
+    from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
+    from mbcacq.workflow.load import refuse_existing
+
+    folder = out or Path(f"{files[0].stem}-set")
+    refuse_existing(folder, force, f"{folder} exists; give another --out, or --force to replace it")
+    found = read_hand_eye_files(files, options_of(columns, robot, noise, said))
+    write_observation_set(found.observations, folder)
+    if as_json:
+        obs = found.observations
+        content = {"out": str(folder), "poses": obs.n_poses, "measurements": obs.n_centres, "measurement": obs.cell.measurement}
+        echo(json.dumps({**content, "understood": list(found.sentences)}))
+        return
+    for sentence in found.sentences:
+        echo(sentence)
+    alone = " --hand-eye-only" if found.observations.cell.robot.of_flange_poses else ""
+    echo(f"observation set: {folder}; next: mbcacq calibrate {folder}{alone}")
+
+
+def options_of(columns: tuple[str, ...], robot: str | None, noise: tuple[float, float, float] | None, said: dict[str, Any]) -> TableOptions:
+    """The options of a table as the command line gives them. Raises ConfigError."""
+    from mbcacq.errors import ConfigError
+    from mbcacq.recording.datasets.loose_table import TableOptions, robot_of
+
+    named = {ours: file for ours, _, file in (text.partition("=") for text in columns)}
+    wrong = [text for text in columns if "=" not in text]
+    if wrong:
+        raise ConfigError(f"--column {wrong[0]}: give OURS=FILE, such as time_s=Time")
+    return TableOptions(columns=named, robot=robot_of(robot) if robot else None, noise_mm=noise, **said)

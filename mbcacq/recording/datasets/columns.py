@@ -1,0 +1,100 @@
+"""Which columns of a table are the pose of the flange and which that of the target, and what cell.yaml says of them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import yaml
+
+from mbcacq.errors import ConfigError
+from mbcacq.files.table import Table
+from mbcacq.model.cell import Cell
+from mbcacq.recording.datasets.csv_columns import XYZ, numbered
+from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, pose_groups, role
+from mbcacq.recording.datasets.yaml_text import read_yaml_text
+
+LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
+_JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([1-9])(_act|_actual)?$")
+STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
+
+
+def columns_of(folder: Path) -> dict[str, str]:
+    """What cell.yaml says under ``columns``: what a file calls a column, and this program's name of it."""
+    found = yaml.safe_load(read_yaml_text(folder / "cell.yaml")).get("columns") or {}
+    return {str(file): str(ours) for ours, file in found.items()}
+
+
+def by_flange_poses(table: Table, cell: Cell) -> bool:
+    """Whether a table gives no joint angles but the pose of the flange."""
+    return not any(table.has(name) for name in numbered("q{}_deg", cell.robot.n)) and flange_group(table) is not None
+
+
+def flange_group(table: Table) -> PoseHeadings | None:
+    """The columns of the flange's pose: named so, or the only whole pose without a name."""
+    found = [g for g in groups(table) if g.rotation]
+    named = [g for g in found if role(g) == "flange"]
+    return next(iter(named or [g for g in found if role(g) == ""]), None)
+
+
+def target_columns(table: Table) -> PoseHeadings | None:
+    """The columns of the target's pose or place: named so, or the first that is not the flange's."""
+    flange = flange_group(table)
+    left = [g for g in groups(table) if g != flange] if flange and not table.has([*XYZ, "ball"]) else groups(table)
+    named = [g for g in left if role(g) == "target"]
+    return next(iter(named or left), None)
+
+
+def groups(table: Table) -> list[PoseHeadings]:
+    return [g for g in pose_groups(list(table.columns)) if g.thing not in STATISTICS]
+
+
+def flange_columns(table: Table, cell: Cell, text: str) -> PoseHeadings | None:
+    """The columns of the flange's pose with convention and units, those of cell.yaml (its text) first; None where there are joint angles.
+
+    Raises ConfigError where neither joints nor a pose are given, or nothing says how an orientation is meant.
+    """
+    joints = numbered("q{}_deg", cell.robot.n)
+    some = any(table.has(name) for name in joints)
+    if some and cell.robot.of_flange_poses:
+        raise ConfigError(f"{table.path.with_name('cell.yaml')}:1: robot is missing, and poses.csv has joint angles; add the robot's links")
+    if some:
+        return None
+    found = flange_group(table)
+    if found is None or not table.has(["pose", "station"]):
+        table.require([n for n in ("pose", "station", *joints) if found is None or n not in joints])
+    if found is None:
+        raise ConfigError(
+            f"{table.path}:1: column {', '.join(joints)} is missing (the header has: {', '.join(table.columns)}); add the joint angles, or "
+            "the pose of the flange: x_mm, y_mm, z_mm and a_deg, b_deg, c_deg (KUKA), w_deg, p_deg, r_deg (FANUC), rx_rad, ry_rad, rz_rad "
+            "(UR) or qw, qx, qy, qz"
+        )
+    table.expect_decimals([name for group in groups(table) for name in group.names])
+    said = yaml.safe_load(text).get("flange_poses") or {}
+    if said.get("orientation"):
+        where = f"{table.path.with_name('cell.yaml')}: flange_poses: orientation"
+        found = replace(found, convention=named_convention(said["orientation"], where), alternatives=())
+    found = replace(
+        found, length=found.length or LENGTHS.get(said.get("length", "")), angle=found.angle or ANGLES.get(said.get("angle", ""))
+    )
+    found = found.with_units(table)
+    if found.alternatives and found.convention != "ZYX":
+        names = ", ".join(found.rotation)
+        raise ConfigError(
+            f"{table.path}:1: column {names} may be a rotation vector (UR) or angles of several orders; say which in cell.yaml, "
+            f"flange_poses: {{orientation: ur}} (or yaskawa, staubli, ZYX ..), or let mbcacq data new try them on the data"
+        )
+    return found
+
+
+def joint_columns(table: Table) -> list[str]:
+    """The columns of joint angles in the order of the axes: q1_deg .., J1 .., A1 .., joint_1 .., axis 1 ..; [] where there are none."""
+    found: dict[int, str] = {}
+    for name in table.columns:
+        part = heading(name)
+        m = _JOINT.match("_".join(filter(None, (part.thing, part.component))))
+        if m and int(m[2]) not in found:
+            found[int(m[2])] = name
+    n = len(found)
+    return [found[i + 1] for i in range(n)] if n >= LEAST_AXES and sorted(found) == list(range(1, n + 1)) else []

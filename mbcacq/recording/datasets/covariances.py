@@ -1,0 +1,61 @@
+"""Covariances that a measurement states itself, as columns beside it.
+
+``sigma_x_mm`` .. ``sigma_rz_deg`` are standard deviations; ``cov_x_x`` .. ``cov_rz_rz`` the entries on and above the diagonal (mm, rad);
+``cov_0`` .. ``cov_35`` a row-major 6 x 6 matrix in metres and radians, as ROS messages have it. Rotations are about the axes of the
+instrument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.files.table import Table
+from mbcacq.recording.datasets.csv_columns import numbers
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+LEAST = 1e-12  # of the largest eigenvalue of a correlation matrix: below it, it is singular
+
+
+def _names(size: int) -> list[str]:
+    return [f"cov_{AXES[i]}_{AXES[j]}" for i in range(size) for j in range(i, size)]
+
+
+def read(table: Table, size: int) -> np.ndarray | None:
+    """(rows, size, size) mm and rad, or None where there are no such columns. size: 3 of a point, 6 of a pose. Raises ConfigError."""
+    sigmas = [f"sigma_{a}_{'mm' if i < 3 else 'deg'}" for i, a in enumerate(AXES[:size])]
+    ros = [f"cov_{k}" for k in range(36)]
+    if any(name in table.columns for name in sigmas):
+        table.require(sigmas)
+        sigma = table.group(sigmas) * np.where(np.arange(size) < 3, 1.0, np.pi / 180)
+        C = sigma[:, :, None] ** 2 * np.eye(size)
+    elif table.has(ros):
+        unit = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
+        C = (table.group(ros).reshape(-1, 6, 6) * unit[:, None] * unit)[:, :size, :size]
+    elif any(name in table.columns for name in _names(size)):
+        table.require(_names(size))
+        i, j = np.triu_indices(size)
+        C = np.zeros((len(table), size, size))
+        C[:, i, j] = C[:, j, i] = table.group(_names(size))
+    else:
+        return None
+    _refuse_singular(table, C)
+    return C
+
+
+def columns(C: np.ndarray) -> dict[str, Sequence[str]]:
+    """Columns of covariances (M, size, size)."""
+    i, j = np.triu_indices(C.shape[1])
+    return dict(zip(_names(C.shape[1]), (numbers(C[:, a, b]) for a, b in zip(i, j, strict=True)), strict=True))
+
+
+def _refuse_singular(table: Table, C: np.ndarray) -> None:
+    sigma = np.sqrt(np.maximum(np.einsum("mii->mi", C), 0.0))
+    positive = (sigma > 0).all(axis=1)
+    correlation = C / np.where(sigma > 0, sigma, 1.0)[:, :, None] / np.where(sigma > 0, sigma, 1.0)[:, None, :]
+    good = positive & (np.linalg.eigvalsh(correlation)[:, 0] > LEAST)
+    if not good.all():
+        row = int(np.argmin(good))
+        raise ConfigError(f"{table.path}:{table.line[row]}: the covariance is not positive definite; correct it, or leave its columns out")

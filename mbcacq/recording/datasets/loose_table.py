@@ -1,0 +1,315 @@
+"""One wide table without cell.yaml, as most hand-eye data are: a row has the pose of the flange and what was seen of the target.
+
+Headings say what is what; where they allow more than one reading, each is tried on the data, and one is taken only where it alone fits.
+Beside the observations come sentences that say how the table was understood.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from mbcacq.description.plain_fit import residual_mm
+from mbcacq.errors import ConfigError
+from mbcacq.files.table import Table, read_table
+from mbcacq.geometry import se3
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, RobotModel, Station, arm_of_flange_poses
+from mbcacq.model.observations import Observations
+from mbcacq.recording.datasets import covariances
+from mbcacq.recording.datasets.columns import flange_group, groups, joint_columns
+from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, role
+from mbcacq.recording.datasets.uncertified import with_estimated_centres
+
+SUFFIXES = (".csv", ".txt", ".tsv")
+CLEARLY = 3.0  # times the misfit of the best reading, below which another is as likely
+NEVER_MM = 1e-3  # misfits below are rounding
+LEAST_POSES = 4
+MEASUREMENTS = {
+    ARTEFACT_IN_SCANNER: "scanner on the flange (eye in hand)",
+    TARGET_IN_BASE: "scanner fixed, target on the flange (eye to hand)",
+}
+_BALL = re.compile(r"^([xyz])_?(\d+)$")
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """What is said of a table beside its headings; None: by the headings, or by the data.
+
+    flange, target: conventions of orientations (makers' names or words of ``mbcacq.geometry.orientations``). length ('mm', 'm') and angle
+    ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. target_inverted: the camera's pose in the target stands in place
+    of the target's in the camera. columns: names of this program -> names in the file. robot: of
+    joint angles. noise_mm: (3,) of one point.
+    """
+
+    flange: str | None = None
+    target: str | None = None
+    length: str | None = None
+    angle: str | None = None
+    measurement: str | None = None
+    target_inverted: bool = False
+    columns: Mapping[str, str] = field(default_factory=dict)
+    robot: RobotModel | None = None
+    noise_mm: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class UnderstoodTable:
+    """observations, and how the table was read: one sentence for each choice."""
+
+    observations: Observations
+    sentences: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TableReading:
+    """One way to read a table. flange: columns of its pose, None of joint angles; targets: those of the target, or of its balls."""
+
+    flange: PoseHeadings | None
+    targets: tuple[PoseHeadings, ...]
+    measurement: str
+    inverted: bool = False
+
+    def differs(self, other: TableReading) -> str:
+        """In words, what sets this reading apart from another."""
+        parts = []
+        if self.flange and other.flange and self.flange.convention != other.flange.convention:
+            parts.append(f"the flange's {self.flange.described()}")
+        if self.targets[0].convention != other.targets[0].convention:
+            parts.append(f"the target's {self.targets[0].described()}")
+        if self.inverted != other.inverted:
+            parts.append("the camera's pose as the target sees it" if self.inverted else "the target's pose as the camera sees it")
+        if self.measurement != other.measurement:
+            parts.append(MEASUREMENTS[self.measurement])
+        return " and ".join(parts)
+
+
+def read_loose_table(path: Path, options: TableOptions | None = None) -> UnderstoodTable:
+    """Read a table of at least ``LEAST_POSES`` rows. Raises ConfigError naming what is missing, or what the data cannot decide."""
+    options = options or TableOptions()
+    table = read_table(path, names={file: ours for ours, file in options.columns.items()})
+    if len(table) < LEAST_POSES:
+        raise ConfigError(f"{path}: {len(table)} rows; a hand-eye calibration needs at least {LEAST_POSES} poses, better 15 and more")
+    return understood(table, options)
+
+
+def understood(table: Table, options: TableOptions) -> UnderstoodTable:
+    """The most likely reading of a table; see ``read_loose_table``."""
+    readings = list(_readings(table, options))
+    made = [(reading, _observations(table, reading, options)) for reading in readings]
+    scored = sorted(((_misfit(obs), i) for i, (_, obs) in enumerate(made)), key=lambda pair: pair)
+    (best, i), *others = scored
+    reading, obs = made[i]
+    if not np.isfinite(best) and others:
+        raise ConfigError(
+            f"{table.path}: no reading of the columns fits the poses; check that flange and target belong together, row by row"
+        )
+    close = [made[j][0] for misfit, j in others if misfit < CLEARLY * max(best, NEVER_MM)]
+    if close:
+        asked = "; or ".join(dict.fromkeys(filter(None, (other.differs(reading) for other in close))))
+        raise ConfigError(
+            f"{table.path}: the data fit {reading.differs(close[0])} (residual {best:.3g} mm) no better than {asked}; say which it is: "
+            "--flange, --target, --eye-in-hand or --eye-to-hand of mbcacq data new, and turn more between the poses next time"
+        )
+    return UnderstoodTable(obs, tuple(_sentences(obs, reading, options, best, [(made[j][0], misfit) for misfit, j in others])))
+
+
+def _sentences(
+    obs: Observations, reading: TableReading, options: TableOptions, best: float, others: Sequence[tuple[TableReading, float]]
+) -> Iterator[str]:
+    if reading.flange is not None:
+        yield f"flange: {reading.flange.described()}"
+    else:
+        yield f"joint angles of {obs.cell.robot.name}"
+    first = reading.targets[0]
+    what = "target" if first.rotation else "sphere" if len(reading.targets) == 1 else "ball"
+    for k, target in enumerate(reading.targets):
+        yield f"{what}{f' {obs.cell.ball_ids[k]}' if len(reading.targets) > 1 else ''}: {target.described()}"
+    if len(reading.targets) > 1:
+        yield "the balls are of an artefact without certificate: their places are estimated, to the scale of the instrument"
+    if reading.inverted:
+        yield "the target's columns are the pose of the camera as the target sees it"
+    if obs.covariance is not None:
+        yield "each measurement has a covariance of its own"
+    stations = len(np.unique(obs.station))
+    yield f"{MEASUREMENTS[reading.measurement]}; {obs.n_poses} poses at {stations} station(s), which fit within {best:.3g} mm"
+    if first.rotation and options.measurement is None:
+        other = next(words for key, words in MEASUREMENTS.items() if key != reading.measurement)
+        yield f"the same data with the camera's pose as the target sees it (--target-inverted) would be: {other}"
+    if others:
+        nearest, misfit = others[0]
+        yield f"next best reading: {nearest.differs(reading)}: {'no fit' if not np.isfinite(misfit) else f'{misfit:.3g} mm'}"
+
+
+def _misfit(obs: Observations) -> float:
+    try:
+        return residual_mm(obs)
+    except (ValueError, np.linalg.LinAlgError):
+        return float("inf")
+
+
+def _readings(table: Table, options: TableOptions) -> Iterator[TableReading]:
+    flange = None if joint_columns(table) and options.robot else flange_group(table)
+    if flange is None and options.robot is None:
+        raise ConfigError(_no_flange(table))
+    targets = _targets(table, flange)
+    if not targets:
+        raise ConfigError(
+            f"{table.path}:1: no column says what was seen (the header has: {', '.join(table.columns)}); name the columns of the "
+            "target's pose "
+            "target_x_mm .. target_qz, of one sphere sphere_x_mm, sphere_y_mm, sphere_z_mm, of several x1_mm, y1_mm, z1_mm, x2_mm .."
+        )
+    conventions = [_conventions(flange, options.flange, "--flange"), _conventions(targets[0], options.target, "--target")]
+    measurements = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
+    # Of unknown measurement, an inverted target is the same equation as the other measurement: the headings are believed.
+    both = options.measurement and targets[0].rotation and not options.target_inverted
+    inverted = (False, True) if both else (options.target_inverted,)
+    for (of_flange, of_target), (measurement, inverse) in product(product(*conventions), product(measurements, inverted)):
+        hand = None if flange is None else _in_units(replace(flange, convention=of_flange, alternatives=()), table, options)
+        seen = (replace(targets[0], convention=of_target, alternatives=()), *targets[1:])
+        yield TableReading(hand, tuple(_in_units(t, table, options) for t in seen), measurement, inverse)
+
+
+def _no_flange(table: Table) -> str:
+    found = ", ".join(table.columns)
+    if joint_columns(table):
+        return (
+            f"{table.path}: the table has joint angles and no pose of the flange; name the arm: mbcacq data new {table.path.name} "
+            "--robot ROBOT, "
+            "or write a cell.yaml"
+        )
+    return (
+        f"{table.path}:1: no columns give the pose of the flange (the header has: {found}); name them flange_x_mm, flange_y_mm, "
+        "flange_z_mm "
+        "and a_deg, b_deg, c_deg (KUKA), w_deg, p_deg, r_deg (FANUC), rx_rad, ry_rad, rz_rad (UR), qw, qx, qy, qz, or r11 .. r33"
+    )
+
+
+def _conventions(group: PoseHeadings | None, said: str | None, option: str) -> tuple[str, ...]:
+    if group is None or not group.rotation:
+        return ("",)
+    if said is None:
+        return (group.convention, *group.alternatives)
+    found = named_convention(said, option)
+    return (found,)
+
+
+def _in_units(group: PoseHeadings, table: Table, options: TableOptions) -> PoseHeadings:
+    length = group.length or LENGTHS.get(options.length or "")
+    angle = group.angle or ANGLES.get(options.angle or "")
+    return replace(group, length=length, angle=angle).with_units(table)
+
+
+def _targets(table: Table, flange: PoseHeadings | None) -> tuple[PoseHeadings, ...]:
+    """The pose of a target, or the places of its balls."""
+    left = [g for g in groups(table) if g != flange and role(g) != "flange"]
+    poses = [g for g in left if g.rotation]
+    if poses:
+        named = [g for g in poses if role(g) == "target"]
+        return ((named or poses)[0],)
+    return (*left, *_numbered(table))
+
+
+def _numbered(table: Table) -> list[PoseHeadings]:
+    """Balls whose coordinates are x1, y1, z1, x2 .."""
+    parts: dict[int, dict[str, tuple[str, str]]] = {}
+    for name in table.columns:
+        part = heading(name)
+        if found := _BALL.match(part.component):
+            parts.setdefault(int(found[2]), {})[found[1]] = name, part.unit
+    whole = {ball: of for ball, of in sorted(parts.items()) if len(of) == len("xyz")}
+    return [PoseHeadings(str(ball), tuple(of[c][0] for c in "xyz"), length=LENGTHS.get(of["x"][1])) for ball, of in whole.items()]
+
+
+def _observations(table: Table, reading: TableReading, options: TableOptions) -> Observations:
+    balls = _ball_ids(reading.targets)
+    pose, ball, xyz, rotation, covariance = [], [], [], [], []
+    for number, target in enumerate(reading.targets):
+        seen = np.array([all(table.columns[n][row].strip() for n in target.names) for row in range(len(table))], dtype=bool)
+        part = table.rows(seen)
+        T = target.transforms(part)
+        T = se3.inverse(T) if reading.inverted else T
+        pose.append(np.flatnonzero(seen))
+        ball.append(np.full(len(part), number))
+        xyz.append(T[:, :3, 3])
+        rotation.append(T[:, :3, :3])
+        stated = covariances.read(part, 6 if target.rotation else 3) if len(reading.targets) == 1 else None
+        covariance += [] if stated is None else [stated]
+    at = np.concatenate(pose)
+    order = np.argsort(at, kind="stable")
+    certified = len(balls) == 1
+    centres = np.zeros((1, 3)) if certified else np.full((len(balls), 3), np.nan)
+    artefact = Artefact("target", "", balls, centres, np.zeros(len(balls)), 0.0 if certified else 1.0, certified=certified)
+    names = _station_names(table)
+    index = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    robot, q = _arm(table, reading, options)
+    cell = Cell(
+        robot,
+        np.eye(4),
+        (artefact,),
+        tuple(Station(name, "target") for name in index),
+        noise_mm=None if options.noise_mm is None else np.array(options.noise_mm),
+        measurement=reading.measurement,
+    )
+    obs = Observations(
+        cell=cell,
+        pose_id=np.arange(1, len(table) + 1),
+        station=np.array([index[name] for name in names]),
+        q=q,
+        pose=at[order],
+        ball=np.concatenate(ball)[order],
+        xyz=np.concatenate(xyz)[order],
+        rotation=np.concatenate(rotation)[order] if reading.targets[0].rotation else None,
+        covariance=np.concatenate(covariance)[order] if covariance else None,
+        time_s=table.number("time_s") if table.has(["time_s"]) else None,
+    )
+    return with_estimated_centres(_with_stated_noise(obs), str(table.path))
+
+
+def _with_stated_noise(obs: Observations) -> Observations:
+    """The noise of the instrument as a whole, where each measurement states its own: rms of these."""
+    if obs.covariance is None:
+        return obs
+    sigma = np.sqrt(np.einsum("mii->mi", obs.covariance).mean(axis=0))
+    turn = float(np.sqrt(np.mean(sigma[3:] ** 2))) if len(sigma) > len("xyz") else None
+    return replace(obs, cell=replace(obs.cell, noise_mm=sigma[:3], noise_rad=turn))
+
+
+def _ball_ids(targets: Sequence[PoseHeadings]) -> tuple[int, ...]:
+    """Numbers of the balls: those in the headings where all have one and no two the same, else 1, 2, 3 .."""
+    if len(targets) == 1:
+        return (1,)
+    found = [re.search(r"(\d+)$", t.thing) for t in targets]
+    ids = [int(m[1]) for m in found if m]
+    return tuple(ids) if len(set(ids)) == len(targets) else tuple(range(1, len(targets) + 1))
+
+
+def _station_names(table: Table) -> list[str]:
+    return [name.strip() for name in table.text("station")] if table.has(["station"]) else ["s1"] * len(table)
+
+
+def _arm(table: Table, reading: TableReading, options: TableOptions) -> tuple[RobotModel, np.ndarray]:
+    if reading.flange is not None:
+        q = reading.flange.coordinates(table)
+        return arm_of_flange_poses("arm of flange poses", None, q), q
+    assert options.robot is not None, "refused before"
+    columns = joint_columns(table)
+    if len(columns) != options.robot.n:
+        raise ConfigError(f"{table.path}:1: {len(columns)} columns of joint angles, and {options.robot.name} has {options.robot.n} axes")
+    rad = any(heading(name).unit.startswith("rad") for name in columns) or options.angle == "rad"
+    return options.robot, table.group(columns) if rad else table.group(columns, angle=True)
+
+
+def robot_of(name: str) -> RobotModel:
+    """The arm of the tool's of that name, or of a robot file. Raises ConfigError."""
+    from mbcacq.model.cell_schema import RobotSpec
+    from mbcacq.model.shipped import named_file
+    from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
+
+    path = named_file("robots", name)
+    data, node = load_yaml(read_yaml_text(path), str(path))
+    return validate(RobotSpec, data, node, str(path)).model()

@@ -1,0 +1,268 @@
+"""Columns that hold poses, found by their headings: whose pose it is, which numbers its orientation has, and in which units.
+
+A heading is a word of the thing (``flange``, ``target``), if any, the component (``x``, ``qw``, ``A``, ``r11``) and a unit, if any:
+``x_mm``, ``X [mm]``, ``flange.position.x``, ``robot_rx (rad)``, ``T_cam_board_r11``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from mbcacq.errors import ConfigError
+from mbcacq.files.table import Table
+from mbcacq.geometry import orientations, se3
+from mbcacq.geometry.flange_poses import flange_coordinates
+
+LENGTHS = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "in": 25.4, "inch": 25.4}
+ANGLES = {"deg": np.pi / 180, "°": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180, "rad": 1.0, "radian": 1.0, "radians": 1.0}
+FLANGE_WORDS = ("flange", "robot", "tcp", "tool", "tool0", "ee", "eef", "gripper", "hand", "arm", "effector", "base2gripper", "end", "bt")
+TARGET_WORDS = (
+    "target", "board", "marker", "tag", "apriltag", "charuco", "checkerboard", "chessboard", "object", "cal", "calib", "pattern",
+    "artefact",
+    "cam", "camera", "sensor", "scanner", "sphere", "ball", "tracker", "measured", "eye", "instrument",
+)  # fmt: skip
+FILLERS = {
+    "pos",
+    "position",
+    "trans",
+    "translation",
+    "pose",
+    "orient",
+    "orientation",
+    "rot",
+    "rotation",
+    "quat",
+    "quaternion",
+    "t",
+    "r",
+    "p",
+}
+TURNING = {"orient", "orientation", "rot", "rotation", "quat", "quaternion", "q"}
+EULERS = {
+    ("a", "b", "c"): ("ZYX", "xyz"),  # KUKA first; Mitsubishi writes A, B, C for turns about x, y, z
+    ("w", "p", "r"): ("xyz",),
+    ("u", "v", "w"): ("ZYX",),
+    ("o", "a", "t"): ("ZYZ",),
+    ("rx", "ry", "rz"): ("vector", "xyz", "XYZ", "ZYX"),
+    ("roll", "pitch", "yaw"): ("xyz",),
+}  # fmt: skip
+VECTORS = ("rvec", "rotvec", "axisangle", "rodrigues")
+METRES_BELOW, MILLIMETRES_ABOVE = 10.0, 50.0  # largest coordinate of a whole recording
+RADIANS_BELOW = 6.3  # largest angle of a whole recording; a calibration turns by more than 6 deg
+_UNIT = re.compile(r"^(.*?)[\s_.]*[\[(<]?\s*(mm|cm|um|µm|μm|m|inch|in|degrees|degree|deg|°|radians|radian|rad)\s*[\])>]?$", re.IGNORECASE)
+_SPLIT = re.compile(r"[\s_.\-/:]+")
+_MATRIX = re.compile(r"^([a-z]*?)([0-4])([0-4])$")
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A column's name taken apart. thing: words before the component, '' for none; component: in small letters; unit: '' for none."""
+
+    name: str
+    thing: str
+    component: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class PoseHeadings:
+    """A pose, or a point where ``rotation`` is empty. thing: whose. translation, rotation: names of the columns; convention: of the
+    orientation (``orientations``), '' for a point; alternatives: others that the headings allow. length: mm of a unit; angle: rad of a
+    unit;
+    None where headings do not say."""
+
+    thing: str
+    translation: tuple[str, ...]
+    rotation: tuple[str, ...] = ()
+    convention: str = ""
+    alternatives: tuple[str, ...] = ()
+    length: float | None = None
+    angle: float | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*self.translation, *self.rotation)
+
+    def with_units(self, table: Table) -> PoseHeadings:
+        """With units by the size of the numbers where headings do not say. Raises ConfigError where the numbers do not say either."""
+        length, angle = self.length, self.angle
+        if length is None:
+            length = _length_by_size(table, self.translation)
+        if angle is None:
+            largest = np.abs(table.group(self.rotation)).max(initial=0.0) if self._turns else 0.0
+            angle = 1.0 if largest < RADIANS_BELOW else np.pi / 180
+        return replace(self, length=length, angle=angle)
+
+    @property
+    def _turns(self) -> bool:
+        return bool(self.rotation) and self.convention not in ("matrix", *orientations.QUATERNIONS)
+
+    def transforms(self, table: Table) -> np.ndarray:
+        """T (rows, 4, 4) in mm. Raises ConfigError naming file, line and column."""
+        known = self.with_units(table)
+        xyz = table.group(known.translation) * known.length
+        if not self.rotation:
+            return se3.transform(np.eye(3), xyz)
+        # Decimals of degrees come back bit for bit.
+        exact = self._turns and known.angle == np.pi / 180
+        values = table.group(known.rotation, angle=True) if exact else table.group(known.rotation) * (known.angle if self._turns else 1.0)
+        try:
+            return se3.transform(orientations.to_matrices(values, self.convention), xyz)
+        except ValueError as error:
+            row = _first_fault(values, self.convention)
+            raise ConfigError(f"{table.where(row, self.rotation[0])}: {error}; correct the orientation, or its convention") from None
+
+    def coordinates(self, table: Table) -> np.ndarray:
+        """(rows, 6) mm and rotation vectors in rad; numbers that are these already come back bit for bit."""
+        if self.convention == "vector" and self.length == self.angle == 1.0:
+            return table.group(self.names)
+        return flange_coordinates(self.transforms(table))
+
+    def described(self) -> str:
+        """In words, for people."""
+        unit = {1.0: "mm", 1e3: "m", 10.0: "cm", 1e-3: "um", 25.4: "inches"}.get(self.length or 0.0, "")
+        text = f"{', '.join(self.translation)} in {unit}"
+        if not self.rotation:
+            return text
+        turning = f" in {'rad' if self.angle == 1.0 else 'deg'}" if self._turns else ""
+        return f"{text}; {', '.join(self.rotation)}{turning} as {orientations.in_words(self.convention)}"
+
+
+def named_convention(word: str, what: str = "the convention") -> str:
+    """The convention that a maker's name or a convention's word says. Raises ConfigError."""
+    word = word.strip()
+    found = orientations.MAKERS.get(word.lower(), word)
+    if not orientations.is_convention(found):
+        known = ", ".join(orientations.MAKERS)
+        raise ConfigError(
+            f"{what} '{word}' is not known; give a maker ({known}), three axes (ZYX turning along, xyz fixed), vector, wxyz, xyzw or matrix"
+        )
+    return found
+
+
+def heading(name: str) -> Heading:
+    """A column's name taken apart."""
+    text, unit = name.strip(), ""
+    if (found := _UNIT.match(text)) and found[1] and (found[1][-1:] in " _.[(<" or _separated(text, found[1]) or found[2] == "°"):
+        text, unit = found[1].strip(" _.[(<"), found[2].lower()
+    words = [w for w in _SPLIT.split(text.replace("->", " ")) if w]
+    words = [*words[:-1], *_apart(words[-1])] if words else [""]
+    *before, last = [w.lower() for w in words]
+    before = [w for w in before if w]
+    if last in ("x", "y", "z", "w") and before and set(before) & TURNING:
+        last = ("q" if set(before) & {"quat", "quaternion", "orientation", "orient", "q", "rotation", "rot"} else "r") + last
+        before = [w for w in before if w != "q"]
+    if last in ("x", "y", "z") and before and before[-1] in VECTORS:
+        last, before = "v" + last, before[:-1]
+    last = {"tx": "x", "ty": "y", "tz": "z", "px": "x", "py": "y", "pz": "z", "posx": "x", "posy": "y", "posz": "z", "rw": "qw"}.get(
+        last, last
+    )
+    return Heading(name, "_".join(w for w in before if w not in FILLERS), last, unit)
+
+
+def _separated(text: str, before: str) -> bool:
+    """Whether the unit stands apart from what is before it, in brackets or behind a space, a point or an underscore."""
+    return text[len(before) : len(before) + 1] in tuple(" _.[(<")
+
+
+def _apart(word: str) -> list[str]:
+    """'robotX' as robot, X; other words whole."""
+    found = re.match(r"^([a-z]{3,})([XYZ]|[RQ][xyzwXYZW])$", word)
+    return [found[1], found[2]] if found else [word]
+
+
+def pose_groups(names: Sequence[str]) -> list[PoseHeadings]:
+    """The poses and points of a header, in the order of their first columns, each column in one of them."""
+    by_thing: dict[str, dict[str, Heading]] = {}
+    for name in names:
+        part = heading(name)
+        by_thing.setdefault(part.thing, {}).setdefault(part.component, part)
+    found = [group for thing, parts in by_thing.items() if (group := _group(thing, parts))]
+    return sorted(found, key=lambda group: min(list(names).index(n) for n in group.names))
+
+
+def _group(thing: str, parts: dict[str, Heading]) -> PoseHeadings | None:
+    whole = _of_matrix(thing, parts)
+    if whole is not None:
+        return whole
+    if not all(c in parts for c in "xyz"):
+        return None
+    xyz = tuple(parts[c] for c in "xyz")
+    rotation, conventions = _rotation(parts)
+    names = tuple(parts[c].name for c in rotation)
+    angle = next((ANGLES[parts[c].unit] for c in rotation if parts[c].unit in ANGLES), None)
+    return PoseHeadings(
+        thing, tuple(p.name for p in xyz), names, conventions[0] if conventions else "", conventions[1:], _length_of(xyz), angle
+    )
+
+
+def _length_of(parts: Sequence[Heading]) -> float | None:
+    return next((LENGTHS[p.unit] for p in parts if p.unit in LENGTHS), None)
+
+
+def _rotation(parts: dict[str, Heading]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Components of the orientation and the conventions they may be in; empty where there is none."""
+    for quaternion in (("qw", "qx", "qy", "qz"), ("q1", "q2", "q3", "q4"), ("q0", "q1", "q2", "q3")):
+        if all(c in parts for c in quaternion) and not {"q5", "q6"} & set(parts):
+            return quaternion, ("wxyz",)
+    if all(c in parts for c in ("vx", "vy", "vz")):
+        return ("vx", "vy", "vz"), ("vector",)
+    for euler, conventions in EULERS.items():
+        if all(c in parts for c in euler):
+            return euler, conventions
+    matrix = _matrix_components(parts)
+    return (matrix, ("matrix",)) if matrix else ((), ())
+
+
+def _matrix_components(parts: dict[str, Heading]) -> tuple[str, ...]:
+    """Nine components r11 .. r33, or r00 .. r22."""
+    for letter, first in product(("r", "m", "t", ""), (1, 0)):
+        nine = tuple(f"{letter}{i + first}{j + first}" for i in range(3) for j in range(3))
+        if all(c in parts for c in nine):
+            return nine
+    return ()
+
+
+def _of_matrix(thing: str, parts: dict[str, Heading]) -> PoseHeadings | None:
+    """A 4 x 4 matrix: t11 .. t34, or t00 .. t23, of any letter."""
+    letters = {m[1] for c in parts if (m := _MATRIX.match(c))}
+    for letter, first in product(sorted(letters), (1, 0)):
+        column = tuple(f"{letter}{i + first}{3 + first}" for i in range(3))
+        nine = tuple(f"{letter}{i + first}{j + first}" for i in range(3) for j in range(3))
+        if all(c in parts for c in (*column, *nine)):
+            xyz = [parts[c] for c in column]
+            return PoseHeadings(thing, tuple(p.name for p in xyz), tuple(parts[c].name for c in nine), "matrix", (), _length_of(xyz))
+    return None
+
+
+def role(group: PoseHeadings) -> str:
+    """'flange', 'target' or '' by the words of the thing; of two, the one named last is what the pose is of (base2gripper, T_cam_board)."""
+    words = re.split(r"[_2]|to", group.thing)
+    known = [("flange" if w in FLANGE_WORDS else "target") for w in words if w in FLANGE_WORDS or w in TARGET_WORDS]
+    return known[-1] if known else ""
+
+
+def _length_by_size(table: Table, names: Sequence[str]) -> float:
+    largest = float(np.abs(table.group(names)).max(initial=0.0))
+    if largest < METRES_BELOW:
+        return 1e3
+    if largest > MILLIMETRES_ABOVE:
+        return 1.0
+    raise ConfigError(
+        f"{table.path}:1: column {names[0]}: the largest coordinate is {largest:.4g}, which may be metres or millimetres; "
+        f"write the unit into the heading ({names[0]}_mm or {names[0]}_m)"
+    )
+
+
+def _first_fault(values: np.ndarray, convention: str) -> int:
+    for row in range(len(values)):
+        try:
+            orientations.to_matrices(values[row : row + 1], convention)
+        except ValueError:
+            return row
+    return 0

@@ -1,0 +1,213 @@
+"""Tables of flange and target poses as controllers, cameras and other programs write them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+import mbcacq
+from mbcacq.cli.data import command
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import orientations, se3
+from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
+from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table
+
+X = se3.transform(Rotation.from_euler("ZYX", [-90, 2, 178], degrees=True).as_matrix(), np.array([40.0, -20, 110]))
+Z = se3.transform(Rotation.from_euler("ZYX", [20, 5, 3], degrees=True).as_matrix(), np.array([700.0, 50, 20]))
+ALONE = mbcacq.CalibrationOptions(kinematics=False)
+
+
+def poses(n=20, seed=1):
+    rng = np.random.default_rng(seed)
+    down = Rotation.from_euler("x", 180, degrees=True).as_matrix()
+    F = se3.transform(down @ se3.rotation_exp(0.35 * rng.normal(size=(n, 3))), np.array([650.0, 0, 450]) + 80 * rng.normal(size=(n, 3)))
+    return F, se3.inverse(F @ X) @ Z
+
+
+def rotations(F):
+    return Rotation.from_matrix(F[:, :3, :3])
+
+
+def write(path, header, *columns, separator=","):
+    rows = np.column_stack(columns)
+    text = "\n".join(separator.join(f"{v:.7f}" for v in row) for row in rows)
+    Path(path).write_text(f"{header}\n{text}\n")
+    return Path(path)
+
+
+WRITTEN = {
+    "kuka": ("X,Y,Z,A,B,C", lambda F: (F[:, :3, 3], rotations(F).as_euler("ZYX", degrees=True))),
+    "fanuc": ("X [mm],Y [mm],Z [mm],W [deg],P [deg],R [deg]", lambda F: (F[:, :3, 3], rotations(F).as_euler("xyz", degrees=True))),
+    "ur": ("robot_x,robot_y,robot_z,robot_rx,robot_ry,robot_rz", lambda F: (F[:, :3, 3] / 1e3, rotations(F).as_rotvec())),
+    "yaskawa": (
+        "tcp_x_mm,tcp_y_mm,tcp_z_mm,tcp_rx_deg,tcp_ry_deg,tcp_rz_deg",
+        lambda F: (F[:, :3, 3], rotations(F).as_euler("xyz", degrees=True)),
+    ),
+    "staubli": (
+        "flange_x,flange_y,flange_z,flange_rx,flange_ry,flange_rz",
+        lambda F: (F[:, :3, 3], rotations(F).as_euler("XYZ", degrees=True)),
+    ),
+    "abb": ("x,y,z,q1,q2,q3,q4", lambda F: (F[:, :3, 3], np.roll(rotations(F).as_quat(), 1, axis=1))),
+    "ros": (
+        "pose.position.x,pose.position.y,pose.position.z,pose.orientation.x,pose.orientation.y,pose.orientation.z,pose.orientation.w",
+        lambda F: (F[:, :3, 3] / 1e3, rotations(F).as_quat()),
+    ),
+    "kawasaki": ("X,Y,Z,O,A,T", lambda F: (F[:, :3, 3], rotations(F).as_euler("ZYZ", degrees=True))),
+    "matrix": (",".join(f"T_base_flange_{i}{j}" for i in range(4) for j in range(4)), lambda F: (F.reshape(-1, 16),)),
+}
+
+
+@pytest.mark.parametrize("maker", WRITTEN)
+def test_the_flange_is_read_as_each_maker_writes_it(maker, tmp_path):
+    F, C = poses()
+    header, columns = WRITTEN[maker]
+    path = write(tmp_path / "a.csv", f"{header},sphere_x_mm,sphere_y_mm,sphere_z_mm", *columns(F), C[:, :3, 3])
+    obs = read_loose_table(path).observations
+    np.testing.assert_allclose(obs.cell.robot.chain.flange(obs.q), F, atol=2e-4)
+    found = mbcacq.calibrate(path, ALONE)
+    np.testing.assert_allclose(found.state.T_flange_scanner, X, atol=5e-3)
+
+
+@pytest.mark.parametrize("maker", orientations.MAKERS)
+def test_numbers_and_matrices_agree_in_every_convention(maker):
+    word = orientations.MAKERS[maker]
+    R = poses()[0][:, :3, :3]
+    if word in orientations.QUATERNIONS:
+        numbers = rotations(poses()[0]).as_quat()
+        numbers = numbers if word == "xyzw" else np.roll(numbers, 1, axis=1)
+    else:
+        numbers = orientations.to_numbers(R, word)
+    np.testing.assert_allclose(orientations.to_matrices(numbers, word), R, atol=1e-12)
+
+
+def test_fanuc_turns_about_fixed_axes_and_kuka_about_its_own():
+    """W P R = 90 90 0 turns z to x by way of -y; A B C = 90 90 0 turns x down, then z to y."""
+    turn = np.radians([[90.0, 90.0, 0.0]])
+    np.testing.assert_allclose(
+        orientations.to_matrices(turn, orientations.MAKERS["fanuc"])[0], [[0, 1, 0], [0, 0, -1], [-1, 0, 0]], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        orientations.to_matrices(turn, orientations.MAKERS["kuka"])[0], [[0, -1, 0], [0, 0, 1], [-1, 0, 0]], atol=1e-12
+    )
+
+
+def test_what_headings_leave_open_is_decided_by_the_data_and_said(tmp_path):
+    F, C = poses()
+    header, columns = WRITTEN["staubli"]
+    path = write(tmp_path / "a.csv", f"{header},target_x,target_y,target_z,target_rx,target_ry,target_rz", *columns(F), C[:, :3, 3],
+                 rotations(C).as_rotvec())  # fmt: skip
+    said = " / ".join(read_loose_table(path).sentences)
+    for words in ("axes turning along (staubli)", "in rad as rotation vector", "eye in hand"):
+        assert words in said
+
+
+def test_what_the_data_cannot_decide_is_asked(tmp_path):
+    """Turned about one axis alone, Euler angles of different orders are the same numbers."""
+    F, _ = poses()
+    F[:, :3, :3] = Rotation.from_euler("z", np.linspace(-60, 60, len(F))[:, None], degrees=True).as_matrix()
+    C = se3.inverse(F @ X) @ Z
+    header, columns = WRITTEN["staubli"]
+    path = write(tmp_path / "a.csv", f"{header},ball_x_mm,ball_y_mm,ball_z_mm", *columns(F), C[:, :3, 3])
+    with pytest.raises(ConfigError, match="say which it is: --flange"):
+        read_loose_table(path, TableOptions(measurement="artefact_in_scanner"))
+
+
+def test_lengths_that_may_be_metres_or_millimetres_are_asked_about(tmp_path):
+    F, C = poses()
+    F[:, :3, 3] *= 0.03
+    path = write(
+        tmp_path / "a.csv",
+        "x,y,z,a,b,c,ball_x_mm,ball_y_mm,ball_z_mm",
+        F[:, :3, 3],
+        rotations(F).as_euler("ZYX", degrees=True),
+        C[:, :3, 3],
+    )
+    with pytest.raises(ConfigError, match=r"a\.csv:1: column x: .* metres or millimetres"):
+        read_loose_table(path)
+
+
+def test_an_observation_set_takes_the_columns_of_a_controller(tmp_path):
+    F, C = poses()
+    folder = tmp_path / "set"
+    folder.mkdir()
+    write(folder / "poses.csv", "Nr,X,Y,Z,Rx,Ry,Rz,Cam X,Cam Y,Cam Z", np.arange(1, len(F) + 1), *WRITTEN["staubli"][1](F), C[:, :3, 3])
+    cell = (
+        "format: mbcacq-observation-set/1\nartefacts: [{id: a, balls: [{id: 1, centre_mm: [0, 0, 0]}]}]\nstations: [{id: 1, artefact: a}]\n"
+    )
+    (folder / "cell.yaml").write_text(cell)
+    with pytest.raises(ConfigError, match=r"may be a rotation vector.*flange_poses: \{orientation: ur\}"):
+        mbcacq.load_observations(folder)
+    (folder / "cell.yaml").write_text(cell + "flange_poses: {orientation: staubli}\ncolumns: {pose: Nr}\n")
+    obs = mbcacq.load_observations(folder)
+    np.testing.assert_allclose(obs.cell.robot.chain.flange(obs.q), F, atol=2e-4)
+    np.testing.assert_allclose(obs.xyz, C[:, :3, 3], atol=1e-6)
+
+
+def test_data_new_writes_a_set_and_says_how_it_understood_the_table(tmp_path):
+    F, C = poses()
+    path = write(tmp_path / "a.csv", "X,Y,Z,A,B,C,x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm,x3_mm,y3_mm,z3_mm", *WRITTEN["kuka"][1](F),
+                 *(se3.apply(C, np.array(b)) for b in ([0.0, 0, 0], [60.0, 0, 0], [0.0, 50, 10])))  # fmt: skip
+    done = CliRunner().invoke(command, ["new", str(path), "--out", str(tmp_path / "set"), "--json"])
+    content = json.loads(done.stdout)
+    assert content["poses"] == len(F)
+    assert content["measurement"] == "artefact_in_scanner"
+    assert any("without certificate" in sentence for sentence in content["understood"])
+    found = mbcacq.calibrate(tmp_path / "set", ALONE)
+    np.testing.assert_allclose(found.state.T_flange_scanner, X, atol=5e-3)
+    assert "a.csv" not in CliRunner().invoke(command, ["new", str(path), "--out", str(tmp_path / "set")]).stdout  # not replaced
+    assert CliRunner().invoke(command, ["new", str(path), "--out", str(tmp_path / "set"), "--force"]).exit_code == 0
+
+
+def test_samples_of_moveit_and_easy_handeye(tmp_path):
+    F, C = poses()
+    metres = np.array([1e-3, 1e-3, 1e-3, 1.0])
+
+    def flat(T):
+        return (T * np.array([1, 1, 1, 1.0]) * np.where(np.arange(4) == 3, metres[:, None], 1.0)).reshape(-1).tolist()
+
+    (tmp_path / "moveit.yaml").write_text(
+        json.dumps([{"effector_wrt_world": flat(f), "object_wrt_sensor": flat(c)} for f, c in zip(F, C, strict=True)])
+    )
+
+    def transform(T):
+        q = Rotation.from_matrix(T[:3, :3]).as_quat()
+        return {
+            "translation": dict(zip("xyz", (T[:3, 3] / 1e3).tolist(), strict=True)),
+            "rotation": dict(zip("xyzw", q.tolist(), strict=True)),
+        }
+
+    (tmp_path / "easy.samples").write_text("")
+    (tmp_path / "easy.yaml").write_text(
+        json.dumps({"samples": [{"robot": transform(f), "tracking": transform(c)} for f, c in zip(F, C, strict=True)]})
+    )
+    for name in ("moveit", "easy"):
+        obs = read_hand_eye_files([tmp_path / f"{name}.yaml"], TableOptions(measurement="artefact_in_scanner")).observations
+        np.testing.assert_allclose(mbcacq.calibrate(obs, ALONE).state.T_flange_scanner, X, atol=5e-3)
+    with pytest.raises(ConfigError, match="say --eye-in-hand or --eye-to-hand"):
+        read_hand_eye_files([tmp_path / "easy.yaml"], TableOptions())
+
+
+def test_two_files_with_times_and_a_folder_of_matrices(tmp_path):
+    F, C = poses()
+    time = 0.5 * np.arange(len(F))
+    head = "t, x, y, z, q_x, q_y, q_z, q_w"
+    hand = write(tmp_path / "poses_B_H.csv", head, time, F[:, :3, 3] / 1e3, rotations(F).as_quat())
+    keep = np.arange(len(F)) % 4 > 0
+    inverse = se3.inverse(C[keep])  # the eye as the world sees it
+    eye = write(tmp_path / "poses_W_E.csv", head, time[keep] + 0.003, inverse[:, :3, 3] / 1e3, rotations(inverse).as_quat())
+    obs = read_hand_eye_files([hand, eye], TableOptions(measurement="artefact_in_scanner")).observations
+    assert obs.n_poses == keep.sum()
+    np.testing.assert_allclose(mbcacq.calibrate(obs, ALONE).state.T_flange_scanner, X, atol=5e-3)
+    folder = tmp_path / "matrices"
+    folder.mkdir()
+    for k, (f, c) in enumerate(zip(F, C, strict=True)):
+        data = ", ".join(f"{v:.9g}" for v in f.ravel())
+        (folder / f"pos{k:02d}.yaml").write_text(
+            f"%YAML:1.0\n---\nPoseState: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: d\n   data: [ {data} ]\n"
+        )
+        np.savetxt(folder / f"target{k:02d}.txt", c)
+    obs = read_hand_eye_files([folder], TableOptions()).observations
+    np.testing.assert_allclose(mbcacq.calibrate(obs, ALONE).state.T_flange_scanner, X, atol=5e-3)
