@@ -37,6 +37,8 @@ from mbcacq.diagnosis.result import Diagnosis  # noqa: E402
 from mbcacq.diagnosis.search.effect_set import EffectSet  # noqa: E402
 from mbcacq.effects import catalogue  # noqa: E402
 from mbcacq.effects.context import Context  # noqa: E402
+from mbcacq.effects.covariates import Covariates  # noqa: E402
+from mbcacq.effects.described import parts_of  # noqa: E402
 from mbcacq.estimation import forward_model  # noqa: E402
 from mbcacq.estimation.forward_model import CellState, Displacements  # noqa: E402
 from mbcacq.estimation.terms import accumulate, term  # noqa: E402
@@ -107,7 +109,7 @@ def tracked_again(plan: Observations, seed: int, effects: list) -> Observations:
     state = CellState(chain, mount, TRACKER[None], np.zeros((1, 3)))
     candidates = catalogue.candidates(Context(plan, state, forward_model.predict(plan, state)))[0]
     chosen = [next(c for c in candidates if c.name == name and c.where == tuple(where)) for name, where, *_ in effects]
-    moved = accumulate(plan, [term(c.name, c.build(None)) for c in chosen], [np.array(e[2]) for e in effects])
+    moved = accumulate(plan, [term(c.name, parts_of(c, Covariates(plan))) for c in chosen], [np.array(e[2]) for e in effects])
     moved = simulated.add(moved, Displacements(joint=rng.normal(0, simulated.JOINT_NOISE, plan.q.shape)))
     seen = forward_model.predict(plan, state, moved)
     rotation = None if seen.rotation is None else se3.rotation_exp(rng.normal(0, TRACKER_RAD, (plan.n_poses, 3))) @ seen.rotation

@@ -48,7 +48,6 @@ class GroupSizeOptions:
 
 
 OPTIONS = GroupSizeOptions()
-PERIODIC = "gear_transmission_error"  # the effect that a group of a joint's own orders describes as well
 Fit = Callable[[Observations, CalibrationOptions], Calibration]
 
 
@@ -87,7 +86,7 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     if pattern is None:
         return _beside(alone, with_groups(stage, noise, parametric, unmodelled))
     # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
-    apart = parametric.select(lambda t: t.name != PERIODIC or joint_of(t) not in pattern.joints)
+    apart = parametric.select(lambda t: not t.periodic_in_own_angle or joint_of(t) not in pattern.joints)
     if len(apart.terms) < len(parametric.terms):
         fitted = fit(obs, replace(options, terms=apart.at(obs))) if apart else alone
     patterned = with_pattern(obs, unmodelled, pattern)
@@ -106,7 +105,7 @@ def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmo
     own = [t for t in unmodelled.terms if own_joint(t) is not None and t.k == 2 * groups.OPTIONS.own_order]
     if known or fitted.observations.n_poses < groups.OPTIONS.many_poses or len(own) < LEAST_JOINTS:
         return None
-    others = parametric.select(lambda t: t.name != PERIODIC)
+    others = parametric.select(lambda t: not t.periodic_in_own_angle)
     bare = replace(fitted, coefficients=tuple(np.zeros(t.k) for t in others.terms))
     stage = _Stage.first(bare, options, others, unmodelled, np.ones(fitted.observations.n_poses, bool))
     # Linearised where the groups have taken their share: an arm that was fitted without them is bent by them.

@@ -37,7 +37,7 @@ def gain_at(projected: CandidateScoring, candidate: Candidate, hyper: float | No
 
 
 def gains(projected: CandidateScoring, candidate: Candidate, values: np.ndarray) -> np.ndarray:
-    """(H,) of a separable candidate at values (H,) of its hyper-parameter."""
+    """(H,) of a candidate with components at values (H,) of its hyper-parameter."""
     return gains_of_blocks(*projected.normal_matrices(candidate, values), prior_weight(candidate))
 
 
@@ -56,7 +56,7 @@ def best_hyper(projected: CandidateScoring, candidate: Candidate) -> CandidateGa
     hyper = candidate.hyper
     if hyper is None:
         return gain_at(projected, candidate)
-    if not candidate.separable:
+    if not candidate.components:
         return max((gain_at(projected, candidate, v) for v in hyper.values), key=lambda s: s.gain)
     coarse = gains(projected, candidate, hyper.values)
     value, gain = float(hyper.values[np.argmax(coarse)]), float(coarse.max())

@@ -17,8 +17,9 @@ from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.validation import folds, predictive_score
-from mbcacq.effects.effect import Candidate
-from mbcacq.effects.pose import payload
+from mbcacq.effects.catalogue import declaration
+from mbcacq.effects.declaration import Coupling, Where
+from mbcacq.effects.effect import MOMENT, Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import pack
@@ -71,9 +72,8 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
 
 def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
     """The catalogue's candidates that are the injected effect; of several variants the one that fits best for its size."""
-    if effect["name"] == "payload":
-        stiffness = {i: float(c) for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
-        return [(c, None) for c in payload.correction_for(setup.context, stiffness)]
+    if (coupling := declaration(effect["name"]).coupling) is not None:
+        return [(c, None) for c in coupling.candidates(setup.context, carriers(coupling, effect))]
     chosen = []
     screen = CandidateScoring.of(setup.linear, setup.noise)
     for group in location_sets(effect):
@@ -82,7 +82,7 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
         for candidate in fitting:
             for hyper in true_hypers(setup, candidate, effect):
                 scored.append((hyper, gain_at(screen, candidate, hyper) if hyper is not None else best_hyper(screen, candidate)))
-        if effect["name"] == "gear_transmission_error":
+        if any(c.periodic for c in fitting):
             chosen += [(s.candidate, h) for h, s in scored]
         elif scored:
             best = max((s for _, s in scored), key=lambda s: s.gain - 3 * s.k)
@@ -90,18 +90,24 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
     return chosen
 
 
+def carriers(coupling: Coupling, effect: dict[str, Any]) -> dict[Where, float]:
+    """Of an injected effect that shows only through another one: location -> true coefficient of that other one."""
+    return {(f"A{i + 1}",): float(c) for i, c in enumerate(effect[coupling.parameter]) if c > 0}
+
+
 def elastic(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
-    """The elastic joints through which alone a wrong payload shows: they are no part of what it adds."""
-    if effect["name"] != "payload":
+    """What an injected effect alone shows through (a wrong payload through elastic joints): it is no part of what the effect adds."""
+    coupling = declaration(effect["name"]).coupling
+    if coupling is None:
         return []
-    joints = {f"A{i + 1}" for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0}
-    return [(c, None) for c in setup.candidates if c.name == "joint_compliance" and c.where[0] in joints]
+    where = carriers(coupling, effect)
+    return [(c, None) for c in setup.candidates if c.name == coupling.through and c.where in where]
 
 
 def location_sets(effect: dict[str, Any]) -> list[set[str]]:
     """Locations of the candidates: several joints of one effect are one candidate each, a coupling is one of two joints."""
     where = effect["where"]
-    return [set(where)] if effect["name"] == "wrist_coupling" else [{w} for w in where]
+    return [set(where)] if declaration(effect["name"]).between_locations else [{w} for w in where]
 
 
 def true_hypers(setup: DiagnosisProblem, candidate: Candidate, effect: dict[str, Any]) -> list[float | None]:
@@ -110,7 +116,7 @@ def true_hypers(setup: DiagnosisProblem, candidate: Candidate, effect: dict[str,
     value = effect.get(candidate.hyper.name)
     if value is None:
         return [None]
-    if candidate.hyper.name == "at_pose":
+    if candidate.hyper.kind == MOMENT:
         here = np.flatnonzero(setup.linear.obs.pose_id == int(value))
         return [float(setup.context.order[here[0]])] if len(here) else [None]
     return [float(v) for v in np.atleast_1d(value)]

@@ -17,6 +17,7 @@ from mbcacq.challenge.score import Score, score
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.result import plain
+from mbcacq.effects.catalogue import declaration
 from mbcacq.files.atomic_write import write_file
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 
@@ -99,10 +100,9 @@ class Challenger:
 
 
 def with_observable_locations(effect: dict[str, Any]) -> dict[str, Any]:
-    """A wrong payload moves the elastic joints: that is where it is first observable."""
-    if effect["name"] != "payload":
-        return effect
-    return {**effect, "observable_at": [f"A{i + 1}" for i, c in enumerate(effect["compliance_rad_per_Nm"]) if c > 0]}
+    """An effect that shows only through another one (a wrong payload moves the elastic joints) is observable where that one acts."""
+    coupling = declaration(effect["name"]).coupling
+    return effect if coupling is None else {**effect, "observable_at": [where[0] for where in oracle.carriers(coupling, effect)]}
 
 
 _challenger: Challenger | None = None

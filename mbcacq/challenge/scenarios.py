@@ -8,31 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.effects.catalogue import declaration, effects
 from mbcacq.errors import ConfigError
 
-CATALOGUED = (
-    "joint_compliance",
-    "base_compliance",
-    "mount_compliance",
-    "gear_transmission_error",
-    "backlash",
-    "joint_scale",
-    "wrist_coupling",
-    "joint_step",
-    "thermal_growth",
-    "mount_shift",
-    "scanner_scale",
-    "scanner_distortion",
-    "scanner_warmup",
-    "ball_shift",
-    "artefact_expansion",
-    "station_drift",
-    "lost_motion",
-    "hysteresis",
-    "gravity_compensator",
-    "incidence_bias",
-    "payload",
-)
 OUTSIDE = (
     "axis_wobble",
     "cable_drag",
@@ -45,20 +23,21 @@ OUTSIDE = (
     "taut_hose",
 )
 NONE, TWO = "none", "two"
-# What goes with an effect and is no false name: a wrong tool, a soft gearbox and a balancer show through elastic joints.
-COMPANIONS: Mapping[str, tuple[str, ...]] = {
-    "payload": ("joint_compliance",),
-    "lost_motion": ("joint_compliance",),
-    "gravity_compensator": ("joint_compliance",),
-}
 WEAKEST, STRONGEST = 0.05, 10.0  # by how much of the noise the effect raises chi2 per degree of freedom
 
-# Columns that a recording may lack, and the effects that need them.
-NEEDS: Mapping[str, tuple[str, ...]] = {
-    "time_s": ("scanner_warmup", "station_drift", "thermal_growth", "floor_heave"),
-    "temperature": ("thermal_growth", "floor_heave"),
-    "direction": ("backlash", "hysteresis", "short_memory"),
-}
+# Columns that a recording may lack, and what is injected from outside the catalogue that needs them.
+OUTSIDE_NEEDS: Mapping[str, tuple[str, ...]] = {"time_s": ("floor_heave",), "temperature": ("floor_heave",), "direction": ("short_memory",)}
+
+
+def catalogued() -> tuple[str, ...]:
+    """The effects of the catalogue that are injected, by the numbers that they declare."""
+    numbers = {name: challenge.number for name in effects() if (challenge := declaration(name).challenge) is not None}
+    return tuple(sorted(numbers, key=lambda name: numbers[name]))
+
+
+def needing(column: str) -> set[str]:
+    """Effects that cannot be told from others without a column of the recording."""
+    return {name for name in catalogued() if column in declaration(name).needs} | set(OUTSIDE_NEEDS[column])
 
 
 @dataclass(frozen=True)
@@ -86,11 +65,12 @@ def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, mis
     """``count`` scenarios, the kinds in turn (so that each occurs equally often), all else at random from ``seed``."""
     rng = np.random.default_rng([seed, 20])
     order = [kinds[i % len(kinds)] for i in range(count)]
+    alone = [name for name in catalogued() if declaration(name).coupling is None]  # the others change what a second effect shows
     out = []
     for number, kind in enumerate(order):
         cell, effect = (int(v) for v in rng.integers(1, 2**31 - 1, 2))
         excess = float(np.exp(rng.uniform(np.log(WEAKEST), np.log(STRONGEST))))
-        pair = tuple(str(v) for v in rng.choice(CATALOGUED[:-1], 2, replace=False))
+        pair = tuple(str(v) for v in rng.choice(alone, 2, replace=False))
         names = {NONE: (), TWO: pair}.get(kind, (kind,))
         out.append(Scenario(number, kind, cell, names, effect, excess, outliers, tuple(missing)))
     return out
@@ -101,16 +81,17 @@ def kinds(text: str, missing: Sequence[str] = ()) -> list[str]:
 
     Raises ConfigError for a name that is none of these.
     """
-    groups = {"catalogue": CATALOGUED, "outside": OUTSIDE, "mixed": (*CATALOGUED, *OUTSIDE, NONE)}
+    known = catalogued()
+    groups = {"catalogue": known, "outside": OUTSIDE, "mixed": (*known, *OUTSIDE, NONE)}
     out: list[str] = []
     for word in text.split(","):
-        if word.strip() not in groups and word.strip() not in (*CATALOGUED, *OUTSIDE, NONE, TWO):
+        if word.strip() not in groups and word.strip() not in (*known, *OUTSIDE, NONE, TWO):
             raise ConfigError(
                 f"there is no effect '{word.strip()}' to inject (known: {', '.join(groups)}, none, two, "
-                f"{', '.join((*CATALOGUED, *OUTSIDE))}); correct --effects"
+                f"{', '.join((*known, *OUTSIDE))}); correct --effects"
             )
         out += groups.get(word.strip(), (word.strip(),))
-    impossible = {name for column in missing for name in NEEDS[column]}
+    impossible = {name for column in missing for name in needing(column)}
     left = [k for k in dict.fromkeys(out) if k not in impossible]
     if not left:
         raise ConfigError(f"without {' and '.join(missing)} none of the effects '{text}' can be identified; inject others")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.challenge.scenarios import COMPANIONS
+from mbcacq.effects.catalogue import declaration
 
 WITHIN = 3.0  # stated standard deviations within which a parameter counts as right
 ORDER_TOLERANCE = 0.1  # periods a turn within which a reported order is the injected one
@@ -58,7 +58,7 @@ def score(
     """
     effects, verdict = diagnosis["effects"], diagnosis["verdict"]
     names = {t["name"] for t in truth}
-    companions = {c for name in names for c in COMPANIONS.get(name, ())} - names
+    companions = {c for name in names for c in companions_of(name)} - names
     claimed = [e for e in effects if e["name"] not in ("unknown", *companions)]
     extra = [e["name"] for e in claimed if e["name"] not in names]
     first = list(takewhile(lambda e: e["name"] in names, (e for e in effects if e["name"] not in companions)))
@@ -106,6 +106,12 @@ def held_out_improvement(diagnosis: dict[str, Any]) -> float:
     return 1.0 - fit["after_chi2_dof"] / fit["before_chi2_dof"] if fit["before_chi2_dof"] else 0.0
 
 
+def companions_of(name: str) -> tuple[str, ...]:
+    """Effects that are no false names next to this one."""
+    challenge = declaration(name).challenge
+    return () if challenge is None else challenge.companions
+
+
 def errors_in_sigmas(truth: list[dict[str, Any]], claimed: list[dict[str, Any]]) -> dict[str, float]:
     """``name.parameter`` -> error of each parameter of the injected effects that are reported at their location."""
     sigmas: dict[str, float] = {}
@@ -124,12 +130,12 @@ def label(effect: dict[str, Any]) -> str:
 def at_location(reported: dict[str, Any], truth: dict[str, Any]) -> bool:
     """Whether an effect is reported at no location but those injected; a coupling needs both of its joints."""
     there, true = set(reported["where"]), set(truth["where"])
-    return there == true if truth["name"] == "wrist_coupling" else bool(there) and there <= true
+    return there == true if declaration(truth["name"]).between_locations else bool(there) and there <= true
 
 
 def parameter_errors(truth: dict[str, Any], reported: dict[str, dict[str, Any]]) -> dict[str, float]:
     """Largest error of each parameter in units of its stated standard deviation; those reported without one are left out."""
-    if truth["name"] == "gear_transmission_error":
+    if "order" in truth:
         return _orders(truth, reported)
     out = {}
     for key, entry in reported.items():

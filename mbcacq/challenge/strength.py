@@ -11,14 +11,12 @@ import numpy as np
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import Injected, observe
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.effects.catalogue import declaration
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.plan import LoadedPlan, PlannedPose
 
 LARGEST_STRENGTH = 30.0  # times its plain size: beyond this an effect that the plan cannot see stays weak
-# A tool cannot be any weight, and shows only on a soft arm.
-STRENGTH_LIMITS = {"payload": 1.5}
-FIXED_OPTIONS: dict[str, dict[str, float]] = {"payload": {"compliance_rad_per_Nm": 6e-6}}
 TRUE_JOINT = 5e-6  # rad, the fake cell's default
 
 
@@ -55,8 +53,10 @@ class Gauge:
         """The effects of an scenario, each as strong as is wanted, as a plan's ``fake: hidden`` takes them."""
         out = []
         for i, name in enumerate(scenario.names):
-            one = {"name": name, "strength": 1.0, "seed": scenario.effect_seed + i, **FIXED_OPTIONS.get(name, {})}
+            challenge = declaration(name).challenge
+            one = {"name": name, "strength": 1.0, "seed": scenario.effect_seed + i, **(challenge.options if challenge else {})}
             gain = max(self.gain(scenario, [one]), 1e-9)
+            most = (challenge.strongest if challenge else None) or LARGEST_STRENGTH
             wanted = scenario.excess * self.screen.dof
-            out.append({**one, "strength": float(min(np.sqrt(wanted / gain), STRENGTH_LIMITS.get(name, LARGEST_STRENGTH)))})
+            out.append({**one, "strength": float(min(np.sqrt(wanted / gain), most))})
         return out

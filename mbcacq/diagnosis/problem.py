@@ -15,7 +15,9 @@ from mbcacq.diagnosis.result import GeometryAlone
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, ParameterEstimate, Parameters, Part
+from mbcacq.effects.covariates import RECORDING
+from mbcacq.effects.effect import MOMENT, Candidate, ParameterEstimate, Parameters
+from mbcacq.effects.functions import Column, DescribedPart, Function, Product
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
@@ -23,7 +25,6 @@ from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.several_recordings import adjust_together
-from mbcacq.estimation.terms import PER_POSE
 from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
 
@@ -94,17 +95,16 @@ def differing(candidates: Sequence[Candidate], obs: Observations) -> list[Candid
     """Of several recordings: each effect of one coefficient on the arm once more, with a coefficient of its own in every recording."""
     if obs.recording is None:
         return []
-    alike = [c for c in candidates if c.k == 1 and c.hyper is None and not c.separable and c.where[0].startswith(ON_THE_ARM)]
+    alike = [c for c in candidates if c.k == 1 and c.hyper is None and c.where[0].startswith(ON_THE_ARM)]
     return [of_each_recording(c, obs) for c in alike]
 
 
 def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
     """The candidate with one coefficient for each recording."""
     count = obs.n_recordings
-    here = (obs.recording[:, None] == np.arange(count)).astype(float)  # pyright: ignore[reportOptionalSubscript] -- there are several
-
-    def build(hyper: float | None) -> list[Part]:
-        return [replace(p, basis=p.basis * (here if p.place in PER_POSE else here[obs.pose])) for p in candidate.build(hyper)]
+    here = [Function(RECORDING, "is", (float(r),)) for r in range(count)]
+    written = [p for p in candidate.parts() if isinstance(p, DescribedPart)]
+    parts = [replace(p, columns=tuple(_times(p.columns[0], one) for one in here)) for p in written]
 
     def report(c: np.ndarray, v: np.ndarray, hyper: float | None) -> Parameters:
         each = [candidate.report(c[r : r + 1], v[r : r + 1, r : r + 1], hyper) for r in range(count)]
@@ -114,7 +114,11 @@ def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
         }
 
     typical = np.repeat(candidate.typical, count)
-    return replace(candidate, build=build, report=report, typical=typical, positive=False, variant=EACH_RECORDING, described=None)
+    return replace(candidate, described=parts, report=report, typical=typical, positive=False, variant=EACH_RECORDING)
+
+
+def _times(column: Column, function: Function) -> Column:
+    return tuple(Product(p.factor, (function, *p.functions)) for p in column)
 
 
 def _first(value: float | tuple[float, ...]) -> float:
@@ -154,7 +158,7 @@ def transferred(source: DiagnosisProblem, target: DiagnosisProblem, model: Effec
     by_key = {c.key: c for c in target.candidates}
     effects = []
     for candidate, hyper in model.effects:
-        if candidate.hyper is not None and candidate.hyper.name == "at_pose" and hyper is not None:
+        if candidate.hyper is not None and candidate.hyper.kind == MOMENT and hyper is not None:
             hyper = same_moment(source, target, hyper)
         if candidate.key in by_key:
             effects.append((by_key[candidate.key], hyper))

@@ -8,15 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.coupled_effects import coupled
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, first_order
 from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
-from mbcacq.diagnosis.evidence.payload_coupling import coupled
 from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.estimation.linear_problem import LinearProblem
 
@@ -47,9 +48,11 @@ def part_of(hypothesis: Hypothesis, chosen: Callable[[Member], bool]) -> tuple[l
 def random_effects(best: Hypothesis) -> RandomEffectsModel:
     """The unmodelled effects of a hypothesis."""
     members, values, covariance = part_of(best, lambda m: m in best.unmodelled)
+    linear = best.point.linear
+    moved = [tuple(candidate_parts(linear, m.candidate)) for m in members]
     groups = tuple(
-        RandomEffect(m.candidate.where[0], m.candidate.depends_on, tuple(m.candidate.build(None)), m.size * m.candidate.typical)
-        for m in members
+        RandomEffect(m.candidate.where[0], m.candidate.depends_on, parts, m.size * m.candidate.typical)
+        for m, parts in zip(members, moved, strict=True)
     )
     return RandomEffectsModel(groups, values, covariance)
 

@@ -19,6 +19,7 @@ from types import MappingProxyType, ModuleType
 
 from mbcacq.effects import pose
 from mbcacq.effects.context import Context
+from mbcacq.effects.declaration import NOTHING_PARTICULAR, Coupling, Declaration
 from mbcacq.effects.effect import Candidate, Missing
 from mbcacq.errors import ConfigError
 
@@ -93,6 +94,16 @@ def _of_another_package(point: EntryPoint) -> ModuleType:
     if not _is_effect(module):
         raise ConfigError(f"the effect '{point.name}': {point.value} is no module with NAME and candidates(context)")
     return module
+
+
+def declaration(name: str) -> Declaration:
+    """What is particular about an effect, by its name; nothing for one that is not in the catalogue."""
+    return getattr(effects().get(name), "DECLARED", NOTHING_PARTICULAR)
+
+
+def couplings() -> tuple[Coupling, ...]:
+    """Of all effects that show only through another one."""
+    return tuple(c for name in effects() if (c := declaration(name).coupling) is not None)
 
 
 def candidates(context: Context) -> tuple[list[Candidate], dict[str, str]]:

@@ -15,14 +15,14 @@ import numpy as np
 
 from mbcacq.effects.artefact_normals import artefact_normals
 from mbcacq.effects.effect import Missing
+from mbcacq.effects.functions import INCIDENCE
 from mbcacq.geometry import gravity
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
-INCIDENCE = ("incidence_x", "incidence_y", "incidence_z")
-OF_CENTRES = ("x", "y", "z", "ball", *INCIDENCE)
+RECORDING = "recording"  # number of the recording, of several of one arm
 LEAN = ("lean_x", "lean_y", "lean_z")
-OF_RECORDING = ("time", "pose", "station")  # they have no meaning in another recording
+OF_RECORDING = ("time", "pose", "station", RECORDING)  # they have no meaning in another recording
 _INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|gravity_torque_)([1-9][0-9]*)$")
 _MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
 _PAYLOAD_TORQUE = re.compile(r"^payload_torque_([1-9][0-9]*)_(mass|x|y|z)$")
@@ -167,6 +167,7 @@ class Covariates:
             "station": lambda: obs.station.astype(float),
             "ball": lambda: np.array(obs.cell.ball_ids, dtype=float)[obs.ball],
             "payload_kg": lambda: self.payload_mass,
+            RECORDING: lambda: self._recording,
         }
         if name in plain:
             return plain[name]()
@@ -184,6 +185,12 @@ class Covariates:
         if found is None:
             raise Missing(f"no {name} recorded")
         return found
+
+    @property
+    def _recording(self) -> np.ndarray:
+        if self.obs.recording is None:
+            raise Missing("there is one recording only")
+        return self.obs.recording.astype(float)
 
     def _of_joint(self, name: str) -> np.ndarray | None:
         """What is recorded or computed of one joint; None for another name. Raises Missing where it is not recorded."""

@@ -1,34 +1,48 @@
-"""The one form of every effect at standstill: locations of the cell that move, functions that say by how much, and a report.
+"""The one form of every effect at standstill: locations of the cell that move, by functions of covariates, and a report.
 
 A candidate displaces one or several locations of the cell. Its columns are the products (component of a location) x (function of
-the pose or of the centre), each with a coefficient to be estimated; the functions may depend on one hyper-parameter (an order, a
-time constant, the moment of a step), for which the values to try are given.
+the pose or of the centre), each with a coefficient to be estimated. The functions are written down by name
+(``mbcacq.effects.functions``), so that the same description is searched, kept in a file, and evaluated at any other pose. They may depend
+on one hyper-parameter (an order, a time constant, the moment of a step), for which the values to try are given.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from mbcacq.effects.functions import DescribedPart
+from mbcacq.effects.functions import OF_CENTRES, ZERO, Column, DescribedPart
 from mbcacq.estimation.terms import Part
 from mbcacq.quantities import K, measured, split_unit
 
 __all__ = [
+    "BREAKPOINT",
     "Candidate",
     "DescribedPart",
+    "FADING",
     "Hyperparameter",
+    "MOMENT",
     "Missing",
+    "ORDER",
     "ParameterEstimate",
     "Parameters",
     "Part",
     "number",
     "parameter_in_words",
+    "plain_effect",
     "scalar_report",
     "vector",
 ]
+
+# What a hyper-parameter is; the search knows how each of these is refined, how uncertain it is and what it is confused with.
+MOMENT = "moment"  # rank in time of the first pose after a change
+ORDER = "order"  # periods a turn of the angle that the effect depends on
+BREAKPOINT = "breakpoint"  # value of a covariate at which something changes
+FADING = "fading"  # time constant of something that fades
 
 
 class Missing(Exception):
@@ -40,7 +54,8 @@ class Hyperparameter:
     """A bounded parameter in which an effect is not linear.
 
     values: to try first, (H,). independent: the number of statistically independent choices among all values. refine: whether the best
-    of the values is a start for a continuous search. preferred: values that are more probable beforehand than all others.
+    of the values is a start for a continuous search. preferred: values that are more probable beforehand than all others. kind: MOMENT,
+    ORDER, BREAKPOINT or FADING, empty for any other.
     """
 
     name: str
@@ -48,6 +63,7 @@ class Hyperparameter:
     independent: float
     refine: bool = True
     preferred: tuple[float, ...] = ()
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,38 +90,46 @@ def parameter_in_words(name: str, estimate: ParameterEstimate) -> str:
 
 Parameters = Mapping[str, ParameterEstimate]
 Report = Callable[[np.ndarray, np.ndarray, float | None], Parameters]
+Written = DescribedPart | Part
+Described = Sequence[Written] | Callable[[Any], Sequence[Written]]
 
 
 @dataclass(frozen=True)
 class Candidate:
     """One effect at one location, ready to be tested.
 
-    build(value of the hyper-parameter or None) -> parts. report(coefficients (k,), covariance (k, k), value of the hyper-parameter) ->
-    parameters by name.
-    typical: (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable
-    each size of it is.
-    separable: the (place, index, component) of its components, where every component is multiplied by the same
-    functions(values (H,)) -> (H, P, f); coefficients are then ordered component by component.
-    positive: the first coefficient can only be positive.
-    several: one location may have the effect several times, each with its own value of the hyper-parameter (several orders).
-    variant: tells candidates of one effect at one location apart, of which at most one is selected.
-    described: the same parts as ``build`` gives, written down as functions of covariates, so that the effect can be kept and evaluated at
-    any other pose; None for an effect that cannot be kept.
+    Attributes
+    ----------
+    name, where, depends_on
+        Name of the effect, its locations, and the covariate that it is reported to depend on.
+    described
+        The parts that move, as functions of covariates; with a hyper-parameter, a function of its value that returns them. It is also
+        called with an array (H, 1) of values, and then passes these on to its functions as they are.
+    report
+        (coefficients (k,), covariance (k, k), value of the hyper-parameter) -> parameters by name.
+    typical
+        (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable each size
+        of it is.
+    hyper
+        The hyper-parameter, if there is one.
+    positive
+        The first coefficient can only be positive.
+    several
+        One location may have the effect several times, each with its own value of the hyper-parameter (several orders).
+    variant
+        Tells candidates of one effect at one location apart, of which at most one is selected.
     """
 
     name: str
     where: tuple[str, ...]
     depends_on: str
-    build: Callable[[float | None], list[Part]]
+    described: Described = field(compare=False)
     report: Report
     typical: np.ndarray
     hyper: Hyperparameter | None = None
-    separable: tuple[tuple[str, int, int], ...] = ()
-    functions: Callable[[np.ndarray], np.ndarray] | None = None
     positive: bool = False
     several: bool = False
     variant: str = ""
-    described: Callable[[float | None], list[DescribedPart]] | None = None
 
     @property
     def k(self) -> int:
@@ -116,6 +140,41 @@ class Candidate:
     def key(self) -> str:
         """Identifies the candidate among all of a recording."""
         return f"{self.name}:{'+'.join(self.where)}:{self.depends_on}:{self.variant}"
+
+    def parts(self, hyper: Any = None) -> tuple[Written, ...]:
+        """The parts at a value of the hyper-parameter, or at an array (H, 1) of values."""
+        return tuple(self.described(hyper) if callable(self.described) else self.described)
+
+    @cached_property
+    def components(self) -> tuple[tuple[str, int, int], ...]:
+        """The (place, index, component) of its parts if all are multiplied by the same functions of the pose, so that all values of the
+        hyper-parameter can be scanned at once; coefficients are then ordered component by component. Empty for other effects.
+        """
+        if self.hyper is None:
+            return ()
+        parts = [p for p in self.parts(float(self.hyper.values[0])) if isinstance(p, DescribedPart)]
+        f = self.k // max(len(parts), 1)
+        if not parts or f * len(parts) != self.k or any(p.covariates & set(OF_CENTRES) for p in parts):
+            return ()
+        own = parts[0].columns[:f]
+        alike = all(p.columns == _placed(own, j, len(parts)) for j, p in enumerate(parts))
+        return tuple((p.place, p.index, p.component) for p in parts) if alike else ()
+
+    def functions(self, values: np.ndarray) -> tuple[Column, ...]:
+        """Of an effect with ``components``: the functions by which each is multiplied, at values (H,) of the hyper-parameter."""
+        (first, *_) = self.parts(values[:, None])
+        assert isinstance(first, DescribedPart), "only effects that are written down have components"
+        return first.columns[: self.k // len(self.components)]
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the hyper-parameter is the order of a periodic function."""
+        return self.hyper is not None and self.hyper.kind == ORDER
+
+
+def _placed(own: tuple[Column, ...], j: int, count: int) -> tuple[Column, ...]:
+    """The columns of component j of ``count``, which are zero for the coefficients of all others."""
+    return (ZERO,) * (j * len(own)) + own + (ZERO,) * ((count - 1 - j) * len(own))
 
 
 def number(value: float, std: float) -> ParameterEstimate:
@@ -131,3 +190,26 @@ def vector(values: np.ndarray, covariance: np.ndarray) -> ParameterEstimate:
 def scalar_report(name: str, scale: float = 1.0) -> Report:
     """The report of an effect with a single coefficient, which ``scale`` converts to the unit that the name ends with."""
     return lambda c, v, _: {name: number(scale * c[0], abs(scale) * np.sqrt(v[0, 0]))}
+
+
+def plain_effect(
+    name: str, where: Sequence[str], depends_on: str, described: Described, parameters: Mapping[str, float], **fields: Any
+) -> Candidate:
+    """An effect whose coefficients are its parameters.
+
+    Parameters
+    ----------
+    name, where, depends_on, described
+        As of ``Candidate``.
+    parameters
+        Of each coefficient the name under which it is reported, which ends with its unit, and its typical size in a real cell.
+    fields
+        Further fields of ``Candidate`` (``hyper``, ``positive``, ``several``, ``variant``).
+    """
+    names = tuple(parameters)
+
+    def report(c: np.ndarray, v: np.ndarray, hyper: float | None) -> Parameters:
+        std = np.sqrt(np.diag(v))
+        return {one: number(c[j], std[j]) for j, one in enumerate(names)}
+
+    return Candidate(name, tuple(where), depends_on, described, report, np.array(list(parameters.values()), dtype=float), **fields)

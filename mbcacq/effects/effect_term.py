@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.effects.covariates import OF_CENTRES, OF_RECORDING, Covariates
+from mbcacq.effects.covariates import OF_RECORDING, Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.functions import DescribedPart, column_from_json, column_to_json
+from mbcacq.effects.functions import OF_CENTRES, DescribedPart, column_from_json, column_to_json
 from mbcacq.estimation.terms import PLACES, Part, Term, term
 from mbcacq.model.observations import Observations
 
@@ -133,6 +133,13 @@ class EffectTerm:
     def covariates(self) -> frozenset[str]:
         """Names of everything that it is a function of."""
         return frozenset().union(*(part.covariates for part in self.parts))
+
+    @property
+    def periodic_in_own_angle(self) -> bool:
+        """Whether it turns one joint by sines and cosines of that joint's own angle, as a group of the joint's own orders does."""
+        own = {("joint", p.index) for p in self.parts} if all(p.place == "joint" for p in self.parts) else set()
+        kinds = {f.kind for p in self.parts for column in p.columns for product in column for f in product.functions}
+        return self.name != UNKNOWN and len(own) == 1 and kinds <= {"sin", "cos"} and self.covariates == {f"q{self.parts[0].index + 1}"}
 
     @property
     def bound_to_recording(self) -> bool:

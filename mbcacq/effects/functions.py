@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 Values = Callable[[str], np.ndarray]  # name of a covariate -> its values, one a row
+INCIDENCE = ("incidence_x", "incidence_y", "incidence_z")
+OF_CENTRES = ("x", "y", "z", "ball", *INCIDENCE)  # covariates with a value for each centre; all others have one for each pose
 
 # Name of a function -> its value for a covariate x and its numbers.
 FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
@@ -33,11 +35,13 @@ FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
 
 @dataclass(frozen=True)
 class Function:
-    """One function of one covariate. kind: a name of FUNCTIONS; numbers: its parameters, in their order."""
+    """One function of one covariate. kind: a name of FUNCTIONS; numbers: its parameters, in their order. A number may be an array (H, 1):
+    the function then stands for H functions at once.
+    """
 
     covariate: str
     kind: str = "power"
-    numbers: tuple[float, ...] = (1.0,)
+    numbers: tuple[Any, ...] = (1.0,)
 
     def __call__(self, values: Values) -> np.ndarray:
         return FUNCTIONS[self.kind](values(self.covariate), *self.numbers)
@@ -45,9 +49,9 @@ class Function:
 
 @dataclass(frozen=True)
 class Product:
-    """factor times the functions; a constant where there is none."""
+    """factor times the functions; a constant where there is none. The factor may be an array (H, 1), as the numbers of a function may."""
 
-    factor: float
+    factor: Any
     functions: tuple[Function, ...] = ()
 
 
@@ -75,19 +79,23 @@ def linear(covariate: str, factor: float = 1.0) -> Column:
     return (Product(factor, (Function(covariate),)),)
 
 
-def sine(covariate: str, order: float) -> Column:
+def sine(covariate: str, order: Any) -> Column:
     """sin(order * covariate)."""
-    return (Product(1.0, (Function(covariate, "sin", (float(order),)),)),)
+    return (Product(1.0, (Function(covariate, "sin", (_number(order),)),)),)
 
 
-def cosine(covariate: str, order: float) -> Column:
+def cosine(covariate: str, order: Any) -> Column:
     """cos(order * covariate)."""
-    return (Product(1.0, (Function(covariate, "cos", (float(order),)),)),)
+    return (Product(1.0, (Function(covariate, "cos", (_number(order),)),)),)
 
 
-def of(covariate: str, kind: str, *numbers: float, factor: float = 1.0) -> Column:
+def of(covariate: str, kind: str, *numbers: Any, factor: float = 1.0) -> Column:
     """factor * kind(covariate; numbers)."""
-    return (Product(factor, (Function(covariate, kind, tuple(float(v) for v in numbers)),)),)
+    return (Product(factor, (Function(covariate, kind, tuple(_number(v) for v in numbers)),)),)
+
+
+def _number(value: Any) -> Any:
+    return float(value) if np.ndim(value) == 0 else value
 
 
 def monomial(factor: float = 1.0, **powers: int) -> Product:
@@ -111,15 +119,17 @@ def scaled(column: Column, factor: float) -> Column:
 
 
 def evaluate(columns: tuple[Column, ...], values: Values, rows: int) -> np.ndarray:
-    """(rows, k) values of the columns."""
-    out = np.zeros((rows, len(columns)))
-    for j, column in enumerate(columns):
+    """(rows, k) values of the columns; (H, rows, k) of columns whose numbers or factors are arrays (H, 1)."""
+    out = []
+    for column in columns:
+        total = np.zeros(rows)
         for product in column:
-            value = np.full(rows, product.factor)
+            value = product.factor * np.ones(rows)
             for function in product.functions:
                 value = value * function(values)
-            out[:, j] += value
-    return out
+            total = total + value
+        out.append(total)
+    return np.stack(np.broadcast_arrays(*out), axis=-1) if out else np.zeros((rows, 0))
 
 
 def column_to_json(column: Column) -> list[dict[str, Any]]:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.effects.covariates import INCIDENCE, Covariates
+from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, is_angle, learnt_ranges
-from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, of_second_degree, sine
+from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Function, Product, cosine, linear, of, of_second_degree, sine
 
 COMMON_PATTERN, DEVIATION = "common pattern", "deviation"
 
@@ -83,8 +83,7 @@ def everywhere(here: Covariates) -> list[EffectTerm]:
 
 def process(here: Covariates, candidate: Candidate, sigma: np.ndarray) -> EffectTerm:
     """A Gaussian process that was found, with its prior sigma (k,). Its covariates are held at the end of their learnt range."""
-    assert candidate.described is not None, "a process is written down"
-    parts = candidate.described(None)
+    parts = [p for p in candidate.parts() if isinstance(p, DescribedPart)]
     units = [next(unit_of(p) for p in parts if p.columns[j]) for j in range(candidate.k)]
     covariates = tuple(sorted(frozenset().union(*(p.covariates for p in parts))))
     return _term(here, (candidate.where, candidate.depends_on), parts, sigma, units, covariates, candidate.variant)

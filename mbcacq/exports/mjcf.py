@@ -7,7 +7,7 @@ of them. What is proportional to a joint angle is a hinge that a constraint ties
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -51,7 +51,9 @@ def _express(term: EffectTerm, out: ExpressedEffects, weighed: bool) -> bool:
     """Whether a term could be entered. weighed: the masses of the links are known, without which nothing winds up."""
     c = term.coefficients
     causes = {(p.place, p.index, p.component): _cause(p.columns[0]) for p in term.parts if len(p.columns) == 1}
-    if term.name == "payload" and len(c) == 4:
+    if len(c) == 4 and all(
+        cause is not None and cause.startswith("payload_torque_") for p in term.parts for cause in map(_scaled_cause, p.columns)
+    ):
         return _express_payload(c, out)
     if len(causes) != len(term.parts) or len(c) != 1:
         return False
@@ -76,6 +78,11 @@ def _express_payload(c: np.ndarray, out: ExpressedEffects) -> bool:
     if heavier > 0:
         out.payload = heavier, (mass * com + c[1:4]) / heavier
     return heavier > 0
+
+
+def _scaled_cause(column: Column) -> str | None:
+    """The covariate to which a column is proportional, None for other functions."""
+    return _cause((replace(column[0], factor=1.0),)) if len(column) == 1 else None
 
 
 def _cause(column: Column) -> str | None:

@@ -36,11 +36,8 @@ MODULE = '''"""Draft of an effect, proposed by mbcacq diagnose --propose.
 Rename it, replace the formula by the physics that it reminds of, and state typical sizes: thirty times as much is disbelieved.
 """
 
-import numpy as np
-
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
-from mbcacq.effects.effect import Candidate, number
+from mbcacq.effects.effect import Candidate, plain_effect
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "{name}"
@@ -59,18 +56,11 @@ PARTS = [
 ]
 
 
-def report(coefficients, covariance, hyper):
-    """The coefficients by their names."""
-    std = np.sqrt(np.diag(covariance))
-    return {{name: number(value, s) for name, value, s in zip(PARAMETERS, coefficients, std, strict=True)}}
-
-
 def candidates(context: Context) -> list[Candidate]:
     """One candidate. A recording without one of the covariates does not have it."""
     for name in {covariates!r}:
         context.value(name)
-    typical = np.array(list(PARAMETERS.values()))
-    return [Candidate(NAME, WHERE, DEPENDS_ON, built(context, PARTS), report, typical, described=lambda _: list(PARTS))]
+    return [plain_effect(NAME, WHERE, DEPENDS_ON, PARTS, PARAMETERS)]
 '''
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
+from mbcacq.effects.described import parts_of
 from mbcacq.effects.effect import Candidate, scalar_report
 from mbcacq.estimation import forward_model, initial_guess
 from mbcacq.estimation.forward_model import CellState, Displacements
@@ -189,7 +190,7 @@ def observe(
         candidate = next(
             c for c in catalogue.candidates(context)[0] if c.name == name and c.where == tuple(where) and c.k == len(coefficients)
         )
-        terms.append(term(name, candidate.build(hyper)))
+        terms.append(term(name, parts_of(candidate, context, hyper)))
         values.append(np.asarray(coefficients, dtype=float))
     moved = add(moved, accumulate(obs, terms, values))
     moved = add(moved, Displacements(joint=rng.normal(0, joint_noise, obs.q.shape)))

@@ -25,7 +25,7 @@ def test_evidence_of_a_batch_equals_that_of_each_candidate_alone(setup, effects)
 
     together = {s.candidate.key: s.log_evidence for s in evidence_of_candidates(here, setup.candidates)}
 
-    single = [c for c in setup.candidates if not c.separable and c.hyper is None]
+    single = [c for c in setup.candidates if not c.components and c.hyper is None]
     assert len(single) > 40
     apart = [evidence_of_one(here, c).log_evidence for c in single]
     np.testing.assert_allclose([together[c.key] for c in single], apart, rtol=1e-7, atol=1e-7)

@@ -8,7 +8,9 @@ import simulated
 
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
+from mbcacq.effects.described import functions_of, parts_of
 from mbcacq.estimation import forward_model
+from mbcacq.estimation.terms import PER_POSE
 
 CONTRACT = {
     "joint_compliance",
@@ -41,20 +43,23 @@ def test_every_effect_of_the_contract_has_a_file():
     assert set(catalogue.effects()) == CONTRACT
 
 
-def test_scans_multiply_the_same_functions_as_built_columns(plan):
+def test_all_values_of_a_hyper_parameter_at_once_are_the_same_as_one_by_one(plan):
     obs = simulated.observe(plan, 31)
     state = simulated.nominal_state(obs)
     context = Context(obs, state, forward_model.predict(obs, state))
-    scanned = [c for c in catalogue.candidates(context)[0] if c.separable]
-    assert scanned
+    scanned = [c for c in catalogue.candidates(context)[0] if c.components]
+    assert len({c.name for c in scanned}) >= 7
     for candidate in scanned:
-        value = float(candidate.hyper.values[len(candidate.hyper.values) // 2])
-        functions = candidate.functions(np.array([value]))[0]
-        parts = candidate.build(value)
-        total = sum(np.abs(p.basis).sum() for p in parts if p.place != "point")
-        expected = np.abs(functions).sum() * len(candidate.separable)
-        if total:
-            assert np.isclose(total, expected)
+        values = candidate.hyper.values[1::5][:4]
+        together = functions_of(candidate, context, values)
+        for functions, value in zip(together, values, strict=True):
+            parts = parts_of(candidate, context, float(value))
+            at = {(p.place, p.index, p.component): p.basis for p in parts}
+            for j, component in enumerate(candidate.components):
+                own = slice(j * functions.shape[1], (j + 1) * functions.shape[1])
+                whole = np.zeros((len(at[component]), candidate.k))
+                whole[:, own] = functions if component[0] in PER_POSE else functions[obs.pose]
+                np.testing.assert_allclose(at[component], whole, atol=1e-15, err_msg=candidate.key)
 
 
 def test_gravity_moment_about_a_joint_axis_is_its_torque(plan):

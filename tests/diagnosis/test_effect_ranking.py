@@ -6,7 +6,7 @@ import simulated
 from scipy.stats import chi2
 
 from mbcacq.diagnosis import diagnose, model_fit
-from mbcacq.effects.pose import steps
+from mbcacq.effects import steps
 from mbcacq.estimation.forward_model import Displacements
 
 

@@ -16,6 +16,7 @@ from mbcacq.diagnosis.output.kept_model import kept_group, partly_covered, term_
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import parts_of
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import ConfigError
@@ -51,13 +52,13 @@ def fitted(recording, model):
     return calibrate_with_effects(recording, OPTIONS, model)
 
 
-def test_what_an_effect_writes_down_is_what_it_builds(context):
+def test_an_effect_that_was_kept_in_a_file_displaces_the_same(context):
     for candidate in catalogue.candidates(context)[0]:
         value = None if candidate.hyper is None else float(candidate.hyper.values[len(candidate.hyper.values) // 3])
         kept = term_of(context, candidate, value, np.zeros(candidate.k), np.zeros(candidate.k))
         again = EffectModel.from_dict(json.loads(json.dumps(EffectModel(context.obs.cell.robot, (kept,)).to_dict()))).terms[0]
         written = again.parts_at(Covariates(context.obs), LearntRecording.of(context.obs))
-        for one, other in zip(candidate.build(value), written, strict=True):
+        for one, other in zip(parts_of(candidate, context, value), written, strict=True):
             assert (one.place, one.index, one.component) == (other.place, other.index, other.component)
             np.testing.assert_allclose(other.basis, one.basis, atol=1e-12 * max(np.abs(one.basis).max(), 1e-30), err_msg=candidate.key)
 

@@ -18,6 +18,7 @@ from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.output.exclusion_limits import coefficient_limit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
+from mbcacq.diagnosis.search.effect_columns import candidate_columns
 
 SIZES = np.array([0.3, 1.0, 3.0])
 
@@ -105,7 +106,7 @@ def test_the_gradient_with_an_effect_is_that_of_its_integrated_likelihood(small)
     prior = setup.prior_noise
     point = NoisePoint(setup.linear, prior, prior.centre)
     effect = next(c for c in setup.candidates if c.name == "joint_compliance" and c.where == ("A3",))
-    columns = beside_geometry(setup.linear, setup.linear.columns(effect.build(None)) * effect.typical)
+    columns = beside_geometry(setup.linear, candidate_columns(setup.linear, effect) * effect.typical)
 
     def log_likelihood(theta):
         there = replace(point, theta=theta).with_effects(columns)
@@ -123,7 +124,7 @@ def test_stations_may_be_eliminated_or_projected_out(small):
     point = NoisePoint(setup.linear, setup.prior_noise, setup.prior_noise.centre)
     for name, where in (("backlash", ("A2",)), ("joint_compliance", ("A3",)), ("scanner_scale", ("scanner",))):
         effect = next(c for c in setup.candidates if c.name == name and c.where == where)
-        eliminated = point.with_effects(beside_geometry(setup.linear, setup.linear.columns(effect.build(None)) * effect.typical))
+        eliminated = point.with_effects(beside_geometry(setup.linear, candidate_columns(setup.linear, effect) * effect.typical))
         _, S, b = point.projected.candidate_products(effect, None)
         assert eliminated.A == pytest.approx(S * np.outer(effect.typical, effect.typical), rel=1e-6)
         assert eliminated.a == pytest.approx(b * effect.typical, rel=1e-5, abs=1e-6)

@@ -9,7 +9,7 @@ import simulated
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.evidence_fit import compared
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.output.effects_table import data_sheet_stiffnesses
+from mbcacq.diagnosis.output.effects_table import parameters_of_branches
 from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.variance_components import pack
@@ -44,7 +44,7 @@ def test_as_many_branches_are_found_as_the_gearbox_has(plan, branches):
     problem = replace(problem, candidates=gears)
     fit = compared(problem, problem.linear.restricted(np.ones(len(observed.xyz), dtype=bool)), pack(problem.noise), staged=True)
     found = model_of(problem, fit, reported_hypothesis(fit), fit.linear)
-    stated = data_sheet_stiffnesses(found, "A3")
+    stated = parameters_of_branches(found, "lost_motion", "A3")
 
     assert set(found.model.names) == {"joint_compliance", "lost_motion"}
     assert {candidate.where for candidate, _ in found.model.effects} == {("A3",)}

@@ -11,7 +11,7 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
-from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
+from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
 from mbcacq.effects.pose import payload
@@ -84,7 +84,7 @@ def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):
 
     expected = gravity.gravity_torque(arm.chain, arm.chain.frames(plan.q), none, np.zeros((s.n, 3)), mass, com, arm.gravity)
 
-    np.testing.assert_allclose(payload.unit_torques(s) @ np.r_[mass, mass * com], expected, atol=1e-9)
+    np.testing.assert_allclose(s.payload_torque @ np.r_[mass, mass * com], expected, atol=1e-9)
 
 
 def test_without_elasticity_or_masses_nothing_shows_a_payload(plan):
@@ -117,9 +117,9 @@ def test_a_payload_that_stands_for_elastic_joints_needs_odds_of_twenty_to_one(od
     reported = reported_hypothesis(fit)
 
     assert reported.labels == frozenset(wrong_tool if claimed else elastic)
-    assert payload_instead(fit, reported) == (None if claimed else pytest.approx(1.0))
+    assert [(c.name, odds) for c, odds in coupled_instead(fit, reported)] == ([] if claimed else [("payload", pytest.approx(1.0))])
 
 
 def test_a_payload_that_elasticity_excludes_is_not_spoken_of():
     fit = compared((50.0, ["joint_compliance:A2", "joint_compliance:A3"]), (40.0, ["joint_compliance:A2", "payload:mount"]))
-    assert payload_instead(fit, reported_hypothesis(fit)) is None
+    assert coupled_instead(fit, reported_hypothesis(fit)) == []

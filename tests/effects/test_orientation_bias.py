@@ -7,6 +7,7 @@ from independent_cell import pose, rotation
 
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.effects.context import Context
+from mbcacq.effects.described import parts_of
 from mbcacq.effects.pose import orientation_bias
 from mbcacq.estimation import forward_model, terms
 from mbcacq.estimation.forward_model import CellState
@@ -60,7 +61,7 @@ def test_parameters_are_the_turns_about_the_targets_axes(variant):
     here = context(obs)
     candidate = next(c for c in orientation_bias.candidates(here) if c.variant == variant)
 
-    X = terms.columns(obs, here.prediction, terms.term(candidate.name, candidate.build(None)))
+    X = terms.columns(obs, here.prediction, terms.term(candidate.name, parts_of(candidate, here)))
     moved = forward_model.residual(obs, here.prediction)
     found = np.linalg.lstsq(X.reshape(-1, candidate.k), moved.ravel())[0]
 
@@ -79,7 +80,7 @@ def test_a_prediction_with_the_effect_is_what_is_measured():
     here = context(obs)
     candidate = next(c for c in orientation_bias.candidates(here) if c.variant == "linear")
 
-    moved = terms.accumulate(obs, [terms.term(candidate.name, candidate.build(None))], [LINEAR.ravel()])
+    moved = terms.accumulate(obs, [terms.term(candidate.name, parts_of(candidate, here))], [LINEAR.ravel()])
     left = forward_model.residual(obs, forward_model.predict(obs, here.state, moved))
 
     np.testing.assert_allclose(left, 0.0, atol=1e-8)

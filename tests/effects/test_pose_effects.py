@@ -8,6 +8,7 @@ from independent_cell import World
 
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
+from mbcacq.effects.described import parts_of
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.pose import lost_motion, payload
 from mbcacq.estimation import terms
@@ -26,13 +27,17 @@ def the_context(case: Case, world: World, context: Context) -> Context:
 
 def the_candidate(case: Case, context: Context) -> Candidate:
     """The one candidate of the catalogue that is meant."""
-    every = payload.correction_for(context, SOFT, complete=True) if case.name == payload.NAME else catalogue.candidates(context)[0]
+    every = (
+        payload.correction_for(context, {(f"A{i + 1}",): c for i, c in SOFT.items()}, complete=True)
+        if case.name == payload.NAME
+        else catalogue.candidates(context)[0]
+    )
     fitting = [c for c in every if c.name == case.name and c.where == case.where and c.depends_on in (case.depends_on or c.depends_on,)]
     return next(c for c in fitting if c.variant == case.variant or case.name == payload.NAME)
 
 
 def columns(candidate: Candidate, hyper: float | None, context: Context) -> np.ndarray:
-    return terms.columns(context.obs, context.prediction, terms.term(candidate.name, candidate.build(hyper)))
+    return terms.columns(context.obs, context.prediction, terms.term(candidate.name, parts_of(candidate, context, hyper)))
 
 
 def fitted(case: Case, candidate: Candidate, world: World, context: Context) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.hypothesis import (
     UNMODELLED,
     Hypothesis,
@@ -24,9 +25,10 @@ from mbcacq.diagnosis.evidence.hypothesis import (
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
+from mbcacq.effects.declaration import Coupling
 from mbcacq.effects.effect import Candidate
-from mbcacq.effects.pose import joint_compliance, payload
 
 
 @dataclass
@@ -34,7 +36,7 @@ class EvidenceSearch:
     """The candidates of a recording, and every hypothesis that was estimated, by the keys of its effects.
 
     alternatives: whether sets with another effect in the place of one of the best set's are compared as well. narrow: one set is followed
-    instead of a beam. staged: so, and elastic joints first, since every arm has them and what they explain is not to be given to slow
+    instead of a beam. staged: so, and first the effects that every arm has (elastic joints), so that what they explain is not given to slow
     periodic errors, then the rest of the catalogue, and no unmodelled ones.
     """
 
@@ -59,7 +61,7 @@ class EvidenceSearch:
             self.known[best.key] = best
             best = self.relieved(best)
         if self.staged:
-            self.climbed(best, [c for c in self.candidates if c.name == joint_compliance.NAME])
+            self.climbed(best, [c for c in self.candidates if catalogue.declaration(c.name).every_arm])
             best = self.ranked()[0]
         best = self.climbed(best, self.candidates)
         passes = 1 if self.staged else OPTIONS.passes
@@ -126,16 +128,20 @@ class EvidenceSearch:
         return sorted(possible, key=lambda one: -one[0])
 
     def dependent(self, node: Hypothesis) -> list[Candidate]:
-        """Candidates that depend on the coefficients of a set: a wrong payload shows through elastic joints."""
-        if not any(m.candidate.name == "joint_compliance" for m in node.members):
+        """Candidates that depend on the coefficients of a set: a wrong payload, say, shows through elastic joints."""
+        names = {m.candidate.name for m in node.members}
+        possible = [c for c in catalogue.couplings() if c.through in names]
+        if not possible:
             return []
-        found = coefficients(node)
-        elastic = {
-            int(m.candidate.where[0][1:]) - 1: float(f"{found.mean[p.start]:.2g}")
-            for m, p in zip(node.members, found.slices, strict=True)
-            if m.candidate.name == "joint_compliance"
-        }
-        return payload.correction_for(self.context, elastic)
+        found, out = coefficients(node), list[Candidate]()
+        for coupling in possible:
+            there = {
+                m.candidate.where: float(f"{found.mean[p.start]:.2g}")
+                for m, p in zip(node.members, found.slices, strict=True)
+                if m.candidate.name == coupling.through
+            }
+            out += coupling.candidates(self.context, there)
+        return out
 
     def weighted(self, scored: ScoredEffect, present: Sequence[Candidate]) -> tuple[float, Member]:
         return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member.of(scored)
@@ -148,7 +154,7 @@ class EvidenceSearch:
         other, and left out where they add nothing: the first were found while the others still disturbed.
         """
         members, point, key = best.members, best.point, best.members[-1].candidate.key
-        if not members[-1].candidate.separable or sum(m.candidate.key == key for m in members) < 2:
+        if not members[-1].candidate.components or sum(m.candidate.key == key for m in members) < 2:
             return best
         for _ in range(OPTIONS.rounds):
             before = [m.key for m in members]
@@ -163,18 +169,22 @@ class EvidenceSearch:
         return max(best, found, key=lambda h: h.log_posterior)
 
     def relieved(self, best: Hypothesis) -> Hypothesis:
-        """A set with a wrong payload, or the one with the elasticity of further joints in its place where that is more probable: a payload
-        shows through all elastic joints, so it may stand for no more than these. Every arm is elastic: to say so is no less probable
-        beforehand than to say that the payload is wrong.
+        """A set with a coupled effect, or the one with the other effect at further locations in its place if that is more probable.
+
+        A wrong payload shows through all elastic joints, so it may stand for no more than their elasticity. Every arm is elastic, so
+        that is no less probable beforehand than a wrong payload.
         """
-        rest = tuple(m for m in best.members if m.candidate.name != payload.NAME)
-        if len(rest) == len(best.members):
-            return best
-        loaded = {(f"A{i + 1}",) for i in payload.loaded_joints(self.context)}
-        elastic = [c for c in self.candidates if c.name == joint_compliance.NAME and c.where in loaded]
+        for coupling in couplings_of(best.members):
+            best = self.relieved_of(best, coupling)
+        return best
+
+    def relieved_of(self, best: Hypothesis, coupling: Coupling) -> Hypothesis:
+        rest = tuple(m for m in best.members if m.candidate.name != coupling.name)
+        where = set(coupling.locations(self.context))
+        carriers = [c for c in self.candidates if c.name == coupling.through and c.where in where]
         while True:
             present, node = [m.candidate for m in rest], conditioned(best.point, rest)
-            further = [c for c in elastic if self.allowed(c, present)]
+            further = [c for c in carriers if self.allowed(c, present)]
             log, member = max(
                 (self.weighted(evidence_of_one(node, c), present) for c in further), key=lambda one: one[0], default=(0.0, None)
             )

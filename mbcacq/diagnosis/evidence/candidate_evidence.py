@@ -30,7 +30,7 @@ class ScoredEffect:
 def evidence_of_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[ScoredEffect]:
     """All candidates beyond geometry and what the problem is conditioned on."""
     out = fixed_candidates(projected, candidates)
-    return out + [scanned_candidate(projected, c) for c in candidates if c.separable]
+    return out + [scanned_candidate(projected, c) for c in candidates if c.components]
 
 
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[ScoredEffect]:
@@ -88,7 +88,7 @@ def log_weights(candidate: Candidate, values: np.ndarray) -> np.ndarray:
 
 
 def log_factors(projected: CandidateScoring, candidate: Candidate, values: np.ndarray) -> np.ndarray:
-    """(H,) log Bayes factors of a separable candidate at values of its hyper-parameter."""
+    """(H,) log Bayes factors of a candidate with components at values of its hyper-parameter."""
     S, b = projected.normal_matrices(candidate, values)
     t = candidate.typical
     return log_bayes_factors(S * np.outer(t, t), b * t, SIZES, candidate.positive)
@@ -97,7 +97,7 @@ def log_factors(projected: CandidateScoring, candidate: Candidate, values: np.nd
 def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:
     """A candidate whose hyper-parameter is scanned over its grid, and between the values of the grid about the best one."""
     hyper = candidate.hyper
-    assert hyper is not None, "a separable candidate has a hyper-parameter"
+    assert hyper is not None, "a candidate with components has a hyper-parameter"
     logs = log_factors(projected, candidate, hyper.values)
     coarse = averaged(candidate, hyper.values, logs)
     if not hyper.refine or logs.max() < OPTIONS.resolved:

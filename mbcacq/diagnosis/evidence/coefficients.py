@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.search.effect_columns import candidate_columns, candidate_parts
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.terms import term
 
@@ -45,7 +46,7 @@ def solution(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
     point, members = hypothesis.point, hypothesis.members
     linear = point.linear
     columns, sigma = linear.nuisance()
-    columns = np.concatenate([columns, *(linear.columns(m.candidate.build(m.hyper)) for m in members)], axis=2)
+    columns = np.concatenate([columns, *(candidate_columns(linear, m.candidate, m.hyper) for m in members)], axis=2)
     sigma = np.r_[sigma, prior_sigma(members)]
     Z = point.projected.whiten(columns) * sigma
     values = sigma * np.linalg.solve(Z.T @ Z + np.eye(len(sigma)), Z.T @ point.projected.r0)
@@ -60,14 +61,14 @@ def relinearized(linear: LinearProblem, hypothesis: Hypothesis) -> LinearProblem
     members = hypothesis.members
     if not members:
         return linear
-    effects = [term(m.candidate.name, m.candidate.build(m.hyper), sigma=m.size * m.candidate.typical) for m in members]
+    effects = [term(m.candidate.name, candidate_parts(linear, m.candidate, m.hyper), sigma=m.size * m.candidate.typical) for m in members]
     return linear.adjusted(effects, hypothesis.point.noise)
 
 
 def displacements(hypothesis: Hypothesis) -> list[np.ndarray]:
     """(M, R) of each effect, by the mean of its coefficients."""
     linear, found = hypothesis.point.linear, coefficients(hypothesis)
-    return [linear.columns(m.candidate.build(m.hyper)) @ found.mean[p] for m, p in zip(hypothesis.members, found.slices, strict=True)]
+    return [candidate_columns(linear, m.candidate, m.hyper) @ found.mean[p] for m, p in zip(hypothesis.members, found.slices, strict=True)]
 
 
 def with_discrepancy(linear: LinearProblem, displaced: list[np.ndarray], share: float) -> LinearProblem:

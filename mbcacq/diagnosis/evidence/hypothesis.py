@@ -14,10 +14,12 @@ from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect
 from mbcacq.diagnosis.evidence.noise_model import LARGEST_STEP, NoisePoint
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 
-UNMODELLED = "unknown"
+UNMODELLED = UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ def at_noise(
 def columns_of(linear: LinearProblem, member: Member) -> np.ndarray:
     """(M, R, k) of an effect, for coefficients in typical sizes."""
     candidate = member.candidate
-    columns = linear.computed_once(("columns", candidate.key, member.hyper), lambda: linear.columns(candidate.build(member.hyper)))
+    columns = linear.computed_once(("columns", candidate.key, member.hyper), lambda: candidate_columns(linear, candidate, member.hyper))
     return columns * candidate.typical
 
 

@@ -12,8 +12,7 @@ from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.effects.effect import Candidate, ParameterEstimate, Parameters
-from mbcacq.effects.pose import lost_motion, steps, warm_up
+from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, Candidate, ParameterEstimate, Parameters
 
 SLOWER = 5.0  # times the longest time constant that is sought: what fades more slowly is a straight line in any recording
 
@@ -21,15 +20,15 @@ SLOWER = 5.0  # times the longest time constant that is sought: what fades more 
 def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate:
     """The candidate of a member, which reports its moment, torque or time constant with the standard deviation over all others."""
     candidate = member.candidate
-    if candidate.hyper is None or not candidate.separable or member.hyper is None:
+    if candidate.hyper is None or not candidate.components or member.hyper is None:
         return candidate
-    name = candidate.hyper.name
-    if name == steps.NAME:
+    name, kind = candidate.hyper.name, candidate.hyper.kind
+    if kind == MOMENT:
         between = 1 / np.sqrt(12)  # it happened anywhere between two poses
         std = float(np.hypot(between, spread(hypothesis, member, candidate.hyper.values)))
-    elif name == lost_motion.BREAKPOINT:
+    elif kind == BREAKPOINT:
         std = spread(hypothesis, member, member.hyper * np.geomspace(1 / 3, 3, OPTIONS.fine))
-    elif name == warm_up.TIME_CONSTANT:
+    elif kind == FADING:
         return with_uncertain_fading(hypothesis, member)
     else:
         return candidate
@@ -48,6 +47,7 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
     candidate, found = member.candidate, member.hyper
     assert candidate.hyper is not None, "only asked of effects with a time constant"
     assert found is not None, "only asked of effects with a time constant"
+    name = candidate.hyper.name
     values = np.geomspace(candidate.hyper.values.min(), SLOWER * candidate.hyper.values.max(), OPTIONS.fine)
     probability = likelihood(hypothesis, member, values)
     std = float(np.sqrt(probability @ (values - found) ** 2))
@@ -58,7 +58,7 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
 
     def report(c: np.ndarray, v: np.ndarray, tau: float | None) -> Parameters:
         whole = candidate.report(c, v + along, tau)
-        return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == warm_up.TIME_CONSTANT else p for k, p in whole.items()}
+        return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == name else p for k, p in whole.items()}
 
     return replace(candidate, report=report)
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
-
-PAYLOAD, COMPLIANCE = "payload:", "joint_compliance:"
+from mbcacq.effects.declaration import Coupling
 
 
 @dataclass(frozen=True)
@@ -26,33 +26,43 @@ class RankedAlternative:
 
 
 def reported_hypothesis(fit: EvidenceFit) -> Hypothesis:
-    """The smallest part of the most probable set that is not excluded: a further effect needs odds of twenty to one. So does a wrong
-    payload, against the elasticity of the joints through which it shows.
+    """The smallest subset of the most probable set whose posterior odds against that set exceed 1 : 20. An effect that shows only through
+    another one needs the same odds against sets with that other one alone.
     """
     best = fit.best
     least = best.log_posterior + np.log(OPTIONS.undecided)
     parts = [h for h in fit.hypotheses if h.members and is_part(h, best) and h.log_posterior > least]
-    return min(parts, key=lambda h: (with_payload(h), len(h.members), -h.log_posterior), default=best)
+    return min(parts, key=lambda h: (is_coupled(h), len(h.members), -h.log_posterior), default=best)
 
 
 def is_part(one: Hypothesis, other: Hypothesis) -> bool:
-    """Whether a set is part of another, or has nothing but elastic joints in the place of its payload."""
-    if with_payload(one) or not with_payload(other):
+    """Whether a set is part of another, or differs by nothing but more of the effects through which the coupled effects of the other
+    show.
+    """
+    if is_coupled(one) or not is_coupled(other):
         return set(one.key) <= set(other.key)
-    return {m.key for m in one.members if not m.label.startswith(COMPLIANCE)} <= set(other.key)
+    through = {c.through for c in couplings_of(other.members)}
+    return {m.key for m in one.members if m.candidate.name not in through} <= set(other.key)
 
 
-def with_payload(hypothesis: Hypothesis) -> bool:
-    return any(m.label.startswith(PAYLOAD) for m in hypothesis.members)
+def is_coupled(hypothesis: Hypothesis) -> bool:
+    """Whether a set has an effect that shows only through another one."""
+    return bool(couplings_of(hypothesis.members))
 
 
-def payload_instead(fit: EvidenceFit, reported: Hypothesis) -> float | None:
-    """Odds of the most probable set with a wrong payload against the reported one without, where these do not exclude it."""
-    if with_payload(reported):
-        return None
-    others = [h.log_posterior - reported.log_posterior for h in fit.hypotheses if with_payload(h) and is_part(reported, h)]
-    best = max(others, default=-np.inf)
-    return float(np.exp(min(best, 0.0))) if best > np.log(OPTIONS.undecided) else None
+def coupled_instead(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[Coupling, float]]:
+    """Effects that show only through another one and that the reported set, which has none, does not exclude: their couplings, with the
+    odds of the most probable set that has one.
+    """
+    if is_coupled(reported):
+        return []
+    best: dict[str, tuple[Coupling, float]] = {}
+    for h in fit.hypotheses:
+        odds = h.log_posterior - reported.log_posterior
+        if odds > np.log(OPTIONS.undecided) and is_coupled(h) and is_part(reported, h):
+            for c in couplings_of(h.members):
+                best[c.name] = max((c, float(np.exp(min(odds, 0.0)))), best.get(c.name, (c, 0.0)), key=lambda one: one[1])
+    return list(best.values())
 
 
 def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[RankedAlternative]:
@@ -78,13 +88,13 @@ def undecided(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
     least = reported.log_posterior + np.log(OPTIONS.undecided)
     out: dict[frozenset[str], Hypothesis] = {}
     for h in fit.hypotheses:
-        if h.members and h.log_posterior > least and not nested(h.labels, reported.labels):
+        if h.members and h.log_posterior > least and not nested(h, reported):
             out.setdefault(h.labels, h)
     return list(out.values())
 
 
-def nested(one: frozenset[str], other: frozenset[str]) -> bool:
-    """Whether one set is part of the other. A wrong payload contains the compliance of every loaded joint."""
-    if any(label.startswith(PAYLOAD) for label in one | other):
-        one, other = (frozenset(label for label in labels if not label.startswith(COMPLIANCE)) for labels in (one, other))
-    return one <= other or one >= other
+def nested(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether one set is part of the other. A coupled effect contains the other effect at every location at which that matters."""
+    through = {c.through for c in couplings_of((*one.members, *other.members))}
+    a, b = (frozenset(m.label for m in h.members if m.candidate.name not in through) for h in (one, other))
+    return a <= b or a >= b

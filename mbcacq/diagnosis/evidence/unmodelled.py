@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +15,8 @@ from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapEvidence
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.effects.described import built
-from mbcacq.effects.effect import Candidate, Part
+from mbcacq.effects.described import can_be_kept
+from mbcacq.effects.effect import Candidate, Written
 
 
 @dataclass
@@ -46,7 +46,7 @@ class UnmodelledEffects:
             best = found.best_at(at)
             block = found.blocks[best]
             parts, weight = block.location.parts(block.rows, block.shape.values), np.tile(block.shape.weight, len(block.rows))
-            candidate = _candidate(at, block.shape.depends_on, lambda _, p=parts: p, weight, f"{best}")
+            candidate = _candidate(at, block.shape.depends_on, parts, weight, f"{best}")
             out.append((log, relative_to_best_determined(projected, candidate, log - float(found.log_bayes_factor[best]))))
         return out
 
@@ -80,12 +80,12 @@ class UnmodelledEffects:
         columns, sigma = process.functions(gaussian_process.MOST_FUNCTIONS)
         parts = location.described(rows, columns)
         sigma, label = np.tile(sigma, len(rows)), f"{process.label} at {rows}"
-        candidate = replace(_candidate(at, process.depends_on, built(context, parts), sigma, label), described=lambda _: parts)
+        candidate = _candidate(at, process.depends_on, parts, sigma, label)
         return relative_to_best_determined(projected, candidate, average - float(logs.max()))
 
     def processes(self, best: Hypothesis) -> list[Member]:
         """The Gaussian process at each location of the unmodelled effects of a set: the one that it has, or would be the most probable."""
-        found = {m.label: m for m in best.unmodelled if m.candidate.described is not None}
+        found = {m.label: m for m in best.unmodelled if can_be_kept(m.candidate)}
         for member in best.unmodelled:
             if member.label not in found:
                 others = [m for m in best.members if m.label != member.label]
@@ -94,9 +94,9 @@ class UnmodelledEffects:
         return list(found.values())
 
 
-def _candidate(at: str, depends_on: str, build: Callable[[float | None], list[Part]], weight: np.ndarray, variant: str) -> Candidate:
+def _candidate(at: str, depends_on: str, parts: Sequence[Written], weight: np.ndarray, variant: str) -> Candidate:
     """An unmodelled effect, which has no parameters to report."""
-    return Candidate(UNMODELLED, (at,), depends_on, build, lambda c, v, h: {}, weight, several=True, variant=variant)
+    return Candidate(UNMODELLED, (at,), depends_on, parts, lambda c, v, h: {}, weight, several=True, variant=variant)
 
 
 def relative_to_best_determined(projected: CandidateScoring, candidate: Candidate, log_mass: float = 0.0) -> Member:

@@ -24,7 +24,7 @@ from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built, evaluated
+from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, scaled
 
@@ -76,12 +76,11 @@ def candidate(context: Context, placed: Sequence[PlacedTerm], typical: np.ndarra
         NAME,
         (first.location.name,),
         first.term.covariates[0],
-        built(context, parts),
+        parts,
         lambda c, v, h: {},
         typical,
         several=True,
         variant=" + ".join(f"{p.label}{list(p.term.columns)}" for p in placed),
-        described=lambda _: parts,
     )
 
 

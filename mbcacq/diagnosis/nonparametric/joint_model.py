@@ -11,6 +11,7 @@ from scipy.linalg import solve_triangular
 from mbcacq.calibration.with_effects import OPTIONS as GROUPS
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel, slices_of
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_sigma, prior_weight
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -115,7 +116,7 @@ class JointModel:
 
 def effect_columns(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:
     """Parametric effects: columns (M, R, k) and prior sigma (k,)."""
-    blocks = [linear.columns(candidate.build(hyper)) for candidate, hyper in model.effects]
+    blocks = [candidate_columns(linear, candidate, hyper) for candidate, hyper in model.effects]
     nothing = np.zeros((*linear.residual.shape, 0))
     return np.concatenate([nothing, *blocks], axis=2), np.concatenate([np.zeros(0), *(prior_sigma(c) for c, _ in model.effects)])
 

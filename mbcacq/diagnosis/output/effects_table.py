@@ -17,9 +17,9 @@ from mbcacq.diagnosis.result import TOGETHER, EffectFound, MismatchEntry, NotSep
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
-from mbcacq.effects.effect import ParameterEstimate, Parameters
+from mbcacq.effects import catalogue
+from mbcacq.effects.effect import BREAKPOINT, ParameterEstimate, Parameters
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.effects.pose import joint_compliance, lost_motion, payload
 from mbcacq.estimation.random_effect_sizes import joined
 from mbcacq.model.observations import Observations
 
@@ -29,14 +29,14 @@ SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 
 
 def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
-    """The effects gathered by name (several joints of one effect make one entry), largest contribution first; a wrong payload comes
-    before the elasticity through which it shows, which every arm has.
+    """The effects gathered by name (several joints of one effect make one entry), largest contribution first. An effect that
+    shows only through another one (a wrong payload through elastic joints) stands in front of all others.
     """
     model = full.model
     grouped: dict[str, list[int]] = {}
     for j, (candidate, _) in enumerate(model.effects):
         name = candidate.name
-        several = candidate.where[0].startswith(ONE_ENTRY) and name != "wrist_coupling"
+        several = candidate.where[0].startswith(ONE_ENTRY) and not catalogue.declaration(name).between_locations
         grouped.setdefault(name if several else f"{name}:{'+'.join(candidate.where)}", []).append(j)
     out = []
     for members in grouped.values():
@@ -50,7 +50,7 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
             held_out_gain=proof.gain(first.name),
             depends_on=first.depends_on,
         )
-        out.append((first.name == payload.NAME, gain, effect))
+        out.append((catalogue.declaration(first.name).coupling is not None, gain, effect))
     return [effect for *_, effect in sorted(out, key=lambda item: (-item[0], -item[1]))]
 
 
@@ -70,30 +70,35 @@ def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, Parameter
             old = out.get(name)
             out[name] = new if old is None else ParameterEstimate(_joined(old.value, new.value), _joined(old.std, new.std))
     found = (full.model.effects[j][0] for j in members)
-    for joint in dict.fromkeys(c.where[0] for c in found if c.name == lost_motion.NAME):
-        out |= data_sheet_stiffnesses(full, joint)
+    for name, joint in dict.fromkeys((c.name, c.where[0]) for c in found if catalogue.declaration(c.name).refines is not None):
+        out |= parameters_of_branches(full, name, joint)
     return out
 
 
-def data_sheet_stiffnesses(full: ModelFit, joint: str) -> Parameters:
-    """K1, K2 .. of the gearbox of a joint with lost motion; none where no compliance was found there."""
+def parameters_of_branches(full: ModelFit, name: str, at: str) -> Parameters:
+    """Parameters of an effect that is a further branch of another one, together with that one: K1, K2 .. of a gearbox, say. None where
+    the other one was not found at the location.
+    """
+    refinement = catalogue.declaration(name).refines
+    assert refinement is not None, "only asked of an effect that refines another one"
     model, slices = full.model, full.model.slices()
-    here = [(c.name, hyper, own.start) for (c, hyper), own in zip(model.effects, slices, strict=True) if c.where == (joint,)]
-    linear = [row for name, _, row in here if name == joint_compliance.NAME]
-    soft = sorted((float(at), row) for name, at, row in here if name == lost_motion.NAME and at)
-    if not linear or not soft:
+    here = [(c.name, hyper, own.start) for (c, hyper), own in zip(model.effects, slices, strict=True) if c.where == (at,)]
+    last = [row for other, _, row in here if other == refinement.of]
+    further = sorted((float(breakpoint), row) for other, breakpoint, row in here if other == name and breakpoint)
+    if not last or not further:
         return {}
-    rows, scale = [linear[0], *(row for _, row in soft)], np.array([1.0, *(1.0 / at for at, _ in soft)])
+    rows = [last[0], *(row for _, row in further)]
+    scale = np.array([1.0, *(refinement.excess(breakpoint) for breakpoint, _ in further)])
     covariance = covariance_with_free_breakpoints(full)[np.ix_(rows, rows)] * np.outer(scale, scale)
-    return lost_motion.stiffnesses(joint, model.coefficients[rows] * scale, covariance)
+    return refinement.report(at, model.coefficients[rows] * scale, covariance)
 
 
 def covariance_with_free_breakpoints(full: ModelFit) -> np.ndarray:
-    """(k, k) of the coefficients, the torques at which gearboxes become stiff unknown as well (to first order)."""
+    """(k, k) of the coefficients, with the breakpoints of all effects unknown as well (to first order)."""
     model, projected = full.model, full.geometry_only
     blocks = [projected.block(c, hyper) for c, hyper in model.effects]
     for (c, at), own in zip(model.effects, model.slices(), strict=True):
-        if c.name == lost_motion.NAME and at:
+        if c.hyper is not None and c.hyper.kind == BREAKPOINT and at:
             turned = projected.block(c, (1 + STEP) * at) - projected.block(c, (1 - STEP) * at)
             blocks.append(turned @ model.coefficients[own][:, None] / (2 * STEP))
     X, k = np.concatenate(blocks, axis=1), len(model.coefficients)

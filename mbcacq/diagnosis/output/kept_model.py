@@ -10,13 +10,14 @@ from mbcacq.diagnosis.model_fit import ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import EffectFound
 from mbcacq.diagnosis.search.projected_solve import prior_sigma
-from mbcacq.effects import unmodelled
+from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import can_be_kept
 from mbcacq.effects.effect import Candidate, Missing
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of, learnt_ranges
 from mbcacq.effects.functions import DescribedPart
-from mbcacq.effects.pose import gear_transmission_error, joint_compliance, orientation_bias
+from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
 
 
 def kept_model(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound]) -> EffectModel:
@@ -26,7 +27,7 @@ def kept_model(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFou
     names = {e.name for e in reported}
     terms: list[EffectTerm] = []
     for (candidate, hyper), own in zip(full.model.effects, full.model.slices(), strict=True):
-        if candidate.name in names and candidate.described is not None:
+        if candidate.name in names and can_be_kept(candidate, hyper):
             variance = np.diag(full.model.covariance[own, own])
             terms.append(term_of(here, candidate, hyper, full.model.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
     if UNKNOWN in names:
@@ -36,8 +37,7 @@ def kept_model(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFou
 
 def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coefficients: np.ndarray, std: np.ndarray) -> EffectTerm:
     """A candidate at its hyper-parameter as a term."""
-    assert candidate.described is not None, "only effects that are written down can be kept"
-    parts = tuple(candidate.described(hyper))
+    parts = tuple(p for p in candidate.parts(hyper) if isinstance(p, DescribedPart))
     values = {candidate.hyper.name: float(hyper)} if candidate.hyper is not None and hyper is not None else {}
     key = key_of(candidate.name, candidate.where, candidate.depends_on, candidate.variant, values)
     k = candidate.k
@@ -62,10 +62,9 @@ def partly_covered(here: Covariates, candidate: Candidate, hyper: float | None) 
     """The angle of a periodic error of which the recording shows less than a period: within its range it is a smooth function as
     good as any, beyond it nothing says that the error repeats.
     """
-    if candidate.name != gear_transmission_error.NAME or hyper is None:
+    if not candidate.periodic or hyper is None:
         return ()
-    covered = gear_transmission_error.periods_covered(here.value(candidate.depends_on), hyper)
-    return (candidate.depends_on,) if covered < gear_transmission_error.LEAST_PERIODS else ()
+    return (candidate.depends_on,) if periods_covered(here.value(candidate.depends_on), hyper) < LEAST_PERIODS else ()
 
 
 def groups(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound], named: list[EffectTerm]) -> list[EffectTerm]:
@@ -75,11 +74,8 @@ def groups(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound],
     here = Covariates(full.geometry_only.linear.obs)
     if full.everywhere:
         # A second description of one error takes it away from the first.
-        elastic = {t.where for t in named if t.name == joint_compliance.NAME}
-        turned = any(t.name == orientation_bias.NAME for t in named)
-        every = unmodelled.carried(unmodelled.everywhere(here))
-        every = [g for g in every if not (g.units[0] == "rad/Nm" and g.where in elastic and g.where[0][0] == "A")]
-        return [g for g in every if not (turned and g.where == ("target",))]
+        described = {(t.where, t.depends_on) for t in named if catalogue.declaration(t.name).same_as_group}
+        return [g for g in unmodelled.carried(unmodelled.everywhere(here)) if (g.where, g.depends_on) not in described]
     found = [kept_group(here, at, e.depends_on) for e in reported for at in e.where]
     described = UnmodelledEffects(setup.design_blocks).processes(reported_hypothesis(full.evidence))
     return [*(unmodelled.process(here, m.candidate, m.size * m.candidate.typical) for m in described), *filter(None, found)]

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.result import Advice
+from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
@@ -17,8 +18,6 @@ from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.observations import Observations
 
 TRIED, GIVEN = 400, 6  # postures that are tried, and poses that one piece of advice gives
-# Effects that act by the order or time of the poses, which no posture makes visible.
-OVER_TIME = ("joint_step", "mount_shift", "station_drift", "scanner_warmup", "thermal_growth")
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Elsewhere:
     def displacement(self, effect: SizedEffect) -> np.ndarray | None:
         """(P, 3) mm: what an effect of the recording would do at these postures; None where it cannot be built there."""
         candidate = self.candidates.get(effect.candidate.key)
-        return None if candidate is None else self.linear.columns(candidate.build(effect.hyper))[:, :3] @ effect.coefficients
+        return None if candidate is None else candidate_columns(self.linear, candidate, effect.hyper)[:, :3] @ effect.coefficients
 
 
 def elsewhere(context: Context) -> Elsewhere:
@@ -90,7 +89,7 @@ def separating(context: Context, there: Elsewhere, pairs: Sequence[tuple[SizedEf
     out = []
     for pair in pairs:
         names = [e.candidate.name for e in pair]
-        if set(names) & set(OVER_TIME):
+        if any(catalogue.declaration(name).acts_in_time for name in names):
             reason = f"{' and '.join(names)} differ in time: measure the first station again, at the same postures, at the end"
             out.append(Advice(reason, first_poses(context)))
             continue

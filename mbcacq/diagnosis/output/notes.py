@@ -8,17 +8,18 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
-from mbcacq.diagnosis.evidence.posterior import payload_instead, reported_hypothesis
+from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
-from mbcacq.diagnosis.output.next_measurements import OVER_TIME
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import EffectFound, MismatchEntry
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
+from mbcacq.effects import catalogue
+from mbcacq.effects.effect import FADING
 from mbcacq.effects.in_words import odds_in_words
-from mbcacq.effects.pose import gear_transmission_error, warm_up
+from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
@@ -54,14 +55,12 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
     if not effects:
         return []
     reported = reported_hypothesis(full.evidence)
-    tool = payload_instead(full.evidence, reported)
-    weigh = f"a payload other than declared explains as much as elastic joints ({odds_in_words(tool)}): weigh the tool" if tool else ""
     return [
         *partial_periods(setup, full),
         *aliased(setup, reported),
         *unfinished_warm_ups(setup, effects),
         *confounded_pauses(setup.linear.obs, effects),
-        *([weigh] if weigh else []),
+        *(c.advice.format(odds=odds_in_words(odds)) for c, odds in coupled_instead(full.evidence, reported)),
     ]
 
 
@@ -125,7 +124,7 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     for candidate, hyper in full.model.effects:
         for name in partly_covered(setup.context, candidate, hyper):
             values = setup.context.value(name)
-            share = gear_transmission_error.periods_covered(values, hyper or 0.0)
+            share = periods_covered(values, hyper or 0.0)
             low, high = np.degrees([values.min(), values.max()])
             out.append(
                 f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period, so that it is a "
@@ -138,7 +137,7 @@ def aliased(setup: DiagnosisProblem, reported: Hypothesis) -> list[str]:
     """A sentence for each reported order of a gear's error that others equal: between few angles, many orders look alike."""
     out = []
     for member in reported.members:
-        others = equal_orders(setup, reported, member) if member.candidate.name == gear_transmission_error.NAME else []
+        others = equal_orders(setup, reported, member) if member.candidate.periodic else []
         if others:
             named = ", ".join(f"{order:.4g} ({odds_in_words(odds)})" for order, odds in others)
             at = member.candidate.where[0]
@@ -152,7 +151,7 @@ def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) 
     Orders closer than one period over the joint's travel are no others: they are its own uncertainty.
     """
     candidate, own = member.candidate, float(member.hyper or 0.0)
-    assert candidate.hyper is not None, "the error of a gear has an order"
+    assert candidate.hyper is not None, "a periodic effect has an order"
     node = conditioned(reported.point, tuple(m for m in reported.members if m is not member))
     grid = np.sort(candidate.hyper.values)
     weight = dict(zip(grid, log_weights(candidate, grid), strict=True))
@@ -174,8 +173,9 @@ def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) 
 def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
     """Sentences on what fades with time so slowly that the recording shows only how it begins."""
     out = []
+    names = {c.hyper.name for c in setup.candidates if c.hyper is not None and c.hyper.kind == FADING}
     for effect in effects:
-        constants = [p for name, p in effect.parameters.items() if name.rpartition(".")[2] == warm_up.TIME_CONSTANT]
+        constants = [p for name, p in effect.parameters.items() if name.rpartition(".")[2] in names]
         if any(np.max(p.std) > 0.5 * np.ptp(setup.context.time) for p in constants):
             out.append(
                 f"{effect.name} at {effect.where[0]}: the recording is too short for its time constant, and determines its size only "
@@ -198,7 +198,7 @@ def confounded_pauses(obs: Observations, effects: Sequence[EffectFound]) -> list
                 f"there is {pause}: the change at pose {near[0]:.0f} may be a displacement, thermal growth or a new mastering meanwhile, "
                 "which these data cannot tell apart"
             )
-        elif any(e.name in OVER_TIME for e in effects):
+        elif any(catalogue.declaration(e.name).acts_in_time for e in effects):
             out.append(f"there is {pause}")
     return out
 

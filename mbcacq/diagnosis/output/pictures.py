@@ -20,6 +20,7 @@ from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, MismatchEntry, plain
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.effect_term import UNKNOWN
@@ -145,9 +146,16 @@ def drawn_effects(full: ModelFit) -> Iterator[DrawnEffect]:
     """Parametric effects, and unmodelled ones by location and covariate."""
     model, rest = full.model, full.random_effects
     for (candidate, hyper), p in zip(model.effects, model.slices(), strict=True):
-        order = hyper if candidate.hyper is not None and candidate.hyper.name == "order" else None
+        order = hyper if candidate.periodic else None
         found = model.coefficients[p], model.covariance[p, p]
-        yield DrawnEffect(candidate.name, "+".join(candidate.where), candidate.depends_on, candidate.build(hyper), *found, order)
+        yield DrawnEffect(
+            candidate.name,
+            "+".join(candidate.where),
+            candidate.depends_on,
+            candidate_parts(full.geometry_only.linear, candidate, hyper),
+            *found,
+            order,
+        )
     if rest is not None:
         for group, p in zip(rest.groups, rest.slices(), strict=True):
             yield DrawnEffect(UNKNOWN, group.location, group.depends_on, group.parts, rest.coefficients[p], rest.covariance[p, p])

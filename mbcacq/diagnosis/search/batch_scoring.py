@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.whitening import CentreWhitening
@@ -20,8 +21,8 @@ class FixedBlocks:
     """
 
     def __init__(self, candidates: list[Candidate], linear: LinearProblem):
-        self.entries = [(c, h) for c in candidates if not c.separable for h in (c.hyper.values if c.hyper else (None,))]
-        each = [linear.columns(c.build(h)) for c, h in self.entries]
+        self.entries = [(c, h) for c in candidates if not c.components for h in (c.hyper.values if c.hyper else (None,))]
+        each = [candidate_columns(linear, c, h) for c, h in self.entries]
         self.columns = np.concatenate(each, axis=2) if each else np.zeros((*linear.residual.shape, 0))
         widths = np.array([e.shape[2] for e in each], dtype=int)
         starts = np.cumsum(widths) - widths

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
+from mbcacq.diagnosis.search.effect_columns import candidate_columns, scanned_functions
 from mbcacq.diagnosis.search.projection import ridge_projection
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -118,7 +119,7 @@ class CandidateScoring:
         """Whitened columns X (rows, k), X'X and X'r with geometry alone projected out."""
         key, kept = (candidate.key, hyper), self.store.candidates
         if key not in kept:
-            X = self.whiten(self.linear.columns(candidate.build(hyper)))
+            X = self.whiten(candidate_columns(self.linear, candidate, hyper))
             absorbed = self.absorbed(X)
             kept[key] = X, X.T @ X - absorbed.T @ absorbed, X.T @ self.beyond_geometry()
             if len(kept) > MOST_KEPT:
@@ -202,8 +203,8 @@ class CandidateScoring:
         return kept[components]
 
     def normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Normal matrices (H, k, k) and right-hand sides (H, k) of a separable candidate beyond all that is projected out."""
-        assert candidate.hyper is not None, "a separable candidate has a hyper-parameter"
+        """Normal matrices (H, k, k) and right-hand sides (H, k) of a candidate with components beyond all that is projected out."""
+        assert candidate.hyper is not None, "a candidate with components has a hyper-parameter"
         key = candidate.key if values is candidate.hyper.values else None
         flat, S, b = self._normal_matrices(candidate, values, key)
         if self.conditioned.shape[1]:
@@ -213,7 +214,7 @@ class CandidateScoring:
 
     def _absorbed(self, candidate: Candidate, flat: np.ndarray, H: int) -> np.ndarray:
         """(H, k, a): products of a candidate's columns with the basis of what the problem is conditioned on."""
-        components = candidate.separable
+        components = candidate.components
         c, products = len(components), self.conditioned_pose_products(components)
         f = len(flat) // H
         absorbed = (flat @ products.reshape(len(products), -1)).reshape(H, f, c, -1)
@@ -223,10 +224,9 @@ class CandidateScoring:
         """Functions (H f, P), normal matrices (H, k, k) and right-hand sides (H, k), geometry projected out; kept under ``key``."""
         if key is not None and key in self.store.scans:
             return self.store.scans[key]
-        assert candidate.functions is not None, "a separable candidate has functions"
-        b, A, C = self.pose_products(candidate.separable)
+        b, A, C = self.pose_products(candidate.components)
         P, c = b.shape
-        F = candidate.functions(values)
+        F = scanned_functions(self.linear, candidate, values)
         H, _, f = F.shape
         flat = np.ascontiguousarray(np.swapaxes(F, 1, 2)).reshape(H * f, P)
         xr = (flat @ b).reshape(H, f, c).transpose(0, 2, 1).reshape(H, c * f)

@@ -13,9 +13,10 @@ import numpy as np
 
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
+from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
-from mbcacq.effects.pose import steps
+from mbcacq.effects import steps
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.posterior import Posterior
@@ -77,7 +78,7 @@ class HeldOutPrediction:
         for j in chosen:
             candidate, hyper = joint.model.effects[j]
             for moment in steps.indistinguishable_moments(candidate, hyper, linear.obs, self.train):
-                changed = linear.columns(candidate.build(moment)) - joint.known[:, :, joint.effects[j]]
+                changed = candidate_columns(linear, candidate, moment) - joint.known[:, :, joint.effects[j]]
                 others = self._with_change(joint.effects[j], changed).of_columns(index)
                 best = min(best, self._scored(posterior, others, left - changed @ solution[joint.effects[j]]), key=lambda one: one.chi2)
         return best

@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, number
 from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "artefact_expansion"
+DECLARED = Declaration(challenge=Challenge(number=15))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -24,15 +25,7 @@ def candidates(context: Context) -> list[Candidate]:
         grown = [tuple(one for k in mine for one in of("ball", "is", cell.ball_ids[k], factor=1e-6 * from_mean[k, c])) for c in range(3)]
         parts = [DescribedPart("ball", 0, c, (grown[c],)) for c in range(3)]
         out.append(
-            Candidate(
-                NAME,
-                (artefact.id,),
-                "x",
-                built(context, parts),
-                lambda c, v, _: {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))},
-                np.array([100.0]),
-                described=lambda _, d=parts: d,
-            )
+            Candidate(NAME, (artefact.id,), "x", parts, lambda c, v, _: {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))}, np.array([100.0]))
         )
     if not out:
         raise Missing("no artefact with two balls seen")

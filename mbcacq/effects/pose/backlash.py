@@ -3,13 +3,15 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built, evaluated
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, number
 from mbcacq.effects.functions import DescribedPart, linear, of
 
 NAME = "backlash"
+DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=5))
 FEWEST, LEAST = 4, 0.005  # poses, and share of them, at which the torque must have the rarer sign
 TRANSITIONS = np.array([0.0, 0.03, 0.1, 0.3, 1.0])  # N m over which the teeth change sides: tanh(torque / transition); 0: at once
+AT_ONCE = 1e-9  # N m, over which a hyperbolic tangent is the sign of any torque
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -35,7 +37,7 @@ def by_direction(context: Context, i: int) -> Candidate:
     """By the direction of the last motion of joint i: -1, 0 or 1."""
     cause = f"direction_{i + 1}"
     parts = [DescribedPart("joint", i, 0, (linear(cause),))]
-    return Candidate(NAME, (f"A{i + 1}",), cause, built(context, parts), report_of(i), np.array([3e-5]), described=lambda _: parts)
+    return Candidate(NAME, (f"A{i + 1}",), cause, parts, report_of(i), np.array([3e-5]))
 
 
 def under_load(context: Context, i: int) -> Candidate:
@@ -43,12 +45,10 @@ def under_load(context: Context, i: int) -> Candidate:
     values, cause = TRANSITIONS[TRANSITIONS < 0.05 * np.ptp(context.gravity_torque[:, i])], f"gravity_torque_{i + 1}"
 
     def described(transition):
-        return [DescribedPart("joint", i, 0, (of(cause, "tanh", transition) if transition else of(cause, "sign"),))]
+        return [DescribedPart("joint", i, 0, (of(cause, "tanh", np.maximum(transition, AT_ONCE)),))]
 
     hyper = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
-    return Candidate(
-        NAME, (f"A{i + 1}",), cause, lambda h: evaluated(context, described(h)), report_of(i), np.array([3e-5]), hyper, described=described
-    )
+    return Candidate(NAME, (f"A{i + 1}",), cause, described, report_of(i), np.array([3e-5]), hyper)
 
 
 def report_of(i: int) -> Report:

@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, of
 
 NAME = "ball_shift"
+DECLARED = Declaration(challenge=Challenge(number=14))
 TYPICAL = 0.02  # mm: a ball that was knocked, or a certificate that aged
 
 
@@ -24,15 +25,5 @@ def candidates(context: Context) -> list[Candidate]:
             continue  # a few balls only make a length, which is artefact_expansion
         this = of("ball", "is", ball)
         parts = [DescribedPart("ball", 0, c, (ZERO,) * c + (this,) + (ZERO,) * (2 - c)) for c in range(3)]
-        out.append(
-            Candidate(
-                NAME,
-                (f"ball{ball}",),
-                "x",
-                built(context, parts),
-                lambda c, v, _: {"shift_mm": vector(c, v)},
-                np.full(3, TYPICAL),
-                described=lambda _, d=parts: d,
-            )
-        )
+        out.append(Candidate(NAME, (f"ball{ball}",), "x", parts, lambda c, v, _: {"shift_mm": vector(c, v)}, np.full(3, TYPICAL)))
     return out

@@ -3,7 +3,6 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
 from mbcacq.effects.effect import Candidate, Missing, scalar_report
 from mbcacq.effects.functions import DescribedPart, linear
 
@@ -17,4 +16,4 @@ def candidates(context: Context) -> list[Candidate]:
     fastest = int(np.argmax(np.abs(np.nan_to_num(context.obs.velocity)).max(axis=0))) + 1
     parts = [DescribedPart("joint", i, 0, (linear(f"qd{i + 1}"),)) for i in range(context.n)]
     report, typical = scalar_report("latency_s"), np.array([2e-3])
-    return [Candidate(NAME, ("scanner",), f"qd{fastest}", built(context, parts), report, typical, described=lambda _: parts)]
+    return [Candidate(NAME, ("scanner",), f"qd{fastest}", parts, report, typical)]

@@ -4,18 +4,18 @@ That an error is periodic is only claimed where the travel covers a period, or h
 construction. Slower errors are unmodelled functions of the angle, which hold where the angle was.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Hyperparameter, Part, Report, number
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import ORDER, Candidate, Hyperparameter, Report, number
 from mbcacq.effects.functions import DescribedPart, cosine, sine
+from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
 
 NAME = "gear_transmission_error"
+DECLARED = Declaration(challenge=Challenge(number=4))
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0  # periods a turn of the joint
-LEAST_PERIODS = 1.0  # of an order that is only found, which the travel must cover for the claim that the error is periodic
-LEAST_OF_PREFERRED = 0.5  # and of one that the gear has by its construction
+LEAST_OF_PREFERRED = 0.5  # periods of an order that the gear has by its construction
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -36,48 +36,22 @@ def candidates(context: Context) -> list[Candidate]:
         if not len(orders) + len(preferred):
             continue
         hyper = Hyperparameter(
-            "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred
+            "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred, kind=ORDER
         )
-
-        functions = harmonics(q, hyper.values)
 
         out.append(
             Candidate(
                 NAME,
                 (f"A{i + 1}",),
                 f"q{i + 1}",
-                lambda h, i=i, f=functions: [Part("joint", i, 0, f(np.array([h]))[0])],
+                lambda order, i=i: [DescribedPart("joint", i, 0, (sine(f"q{i + 1}", order), cosine(f"q{i + 1}", order)))],
                 report_of(f"A{i + 1}", q),
                 np.array([3e-5, 3e-5]),
                 hyper,
-                (("joint", i, 0),),
-                functions,
                 several=True,
-                described=lambda h, i=i: [DescribedPart("joint", i, 0, (sine(f"q{i + 1}", h or 1.0), cosine(f"q{i + 1}", h or 1.0)))],
             )
         )
     return out
-
-
-def periods_covered(q: np.ndarray, order: float) -> float:
-    """Periods of an order that the travel of a joint q (P,) rad covers."""
-    return float(order * np.ptp(q) / (2 * np.pi))
-
-
-def harmonics(q: np.ndarray, grid: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Orders (H,) -> sine and cosine of order times angle (H, P, 2). Those of the grid are kept, which is scanned many times."""
-    kept = []
-
-    def functions(values: np.ndarray) -> np.ndarray:
-        if values is grid and kept:
-            return kept[0]
-        phase = values[:, None] * q
-        out = np.stack([np.sin(phase), np.cos(phase)], axis=-1)
-        if values is grid:
-            kept.append(out)
-        return out
-
-    return functions
 
 
 def report_of(joint: str, q: np.ndarray) -> Report:

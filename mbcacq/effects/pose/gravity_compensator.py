@@ -9,12 +9,13 @@ near that of the upright link.
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import evaluated
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 from mbcacq.geometry.gravity import upright_angle
 
 NAME = "gravity_compensator"
+DECLARED = Declaration(challenge=Challenge(number=19, companions=("joint_compliance",)))
 LEVER_RATIOS = np.array([0.15, 0.25, 0.4])  # k / D of built balancers
 TYPICAL = 1e-4  # rad: half a wind-up of 0.2 mrad, as of 1 kN m at 2e-7 rad/(N m)
 UPRIGHT_SIGMA = np.radians(10.0)
@@ -36,10 +37,10 @@ def candidates(context: Context) -> list[Candidate]:
 
     def described(ratio):
         def lever(shift: float) -> Function:
-            return Function("q2", "lever", (upright + shift, float(ratio)))
+            return Function("q2", "lever", (upright + shift, ratio))
 
         constant = (Product(1.0, (lever(0.0),)),)
-        growing = (Product(1.0, (lever(0.0), Function("q2", "stretch", (upright, float(ratio))))),)
+        growing = (Product(1.0, (lever(0.0), Function("q2", "stretch", (upright, ratio)))),)
         turned = (Product(0.5 / STEP, (lever(STEP),)), Product(-0.5 / STEP, (lever(-STEP),)))
         return [DescribedPart("joint", 1, 0, (constant, growing, turned))]
 
@@ -55,4 +56,4 @@ def candidates(context: Context) -> list[Candidate]:
 
     typical = np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA])
     hyper = Hyperparameter("lever_ratio", LEVER_RATIOS, 2.0, refine=False)
-    return [Candidate(NAME, ("A2",), "q2", lambda h: evaluated(context, described(h)), report, typical, hyper, described=described)]
+    return [Candidate(NAME, ("A2",), "q2", described, report, typical, hyper)]

@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, Report, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "hysteresis"
+DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=18))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -29,15 +30,7 @@ def candidates(context: Context) -> list[Candidate]:
         parts = [DescribedPart("joint", i, 0, ((Product(1.0, size),),))]
         largest = float(np.abs(torque[:, i]).max())
         out.append(
-            Candidate(
-                NAME,
-                (f"A{i + 1}",),
-                f"direction_{i + 1}",
-                built(context, parts),
-                report_of(i, largest),
-                np.array([5e-5 / max(largest, 1e-9)]),
-                described=lambda _, d=parts: d,
-            )
+            Candidate(NAME, (f"A{i + 1}",), f"direction_{i + 1}", parts, report_of(i, largest), np.array([5e-5 / max(largest, 1e-9)]))
         )
     return out
 

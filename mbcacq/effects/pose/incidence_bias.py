@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, number
 from mbcacq.effects.functions import ZERO, DescribedPart, monomial
 
 NAME = "incidence_bias"
+DECLARED = Declaration(challenge=Challenge(number=20))
 TYPICAL = 0.1  # mm at grazing incidence, of a squared sine
 LEAST = 0.02  # of the squared sine of the incidence, range over the poses
 
@@ -37,8 +38,6 @@ def candidates(context: Context) -> list[Candidate]:
         return {name: number(c[j], np.sqrt(v[j, j])) for j, name in enumerate(names)}
 
     return [
-        Candidate(
-            NAME, ("scanner",), "tilt", built(context, parts), report, np.full(k, TYPICAL), variant=variant, described=lambda _, d=parts: d
-        )
+        Candidate(NAME, ("scanner",), "tilt", parts, report, np.full(k, TYPICAL), variant=variant)
         for parts, k, variant in ((depth_only, 1, "depth"), (both, 2, ""), (linear, 2, "linear"))
     ]

@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, scalar_report
 from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "joint_compliance"
+DECLARED = Declaration(every_arm=True, same_as_group=True, challenge=Challenge(number=1))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -21,14 +22,7 @@ def candidates(context: Context) -> list[Candidate]:
         described = [DescribedPart("joint", i, 0, (linear(cause),))]
         out.append(
             Candidate(
-                NAME,
-                (f"A{i + 1}",),
-                cause,
-                built(context, described),
-                scalar_report(f"A{i + 1}.compliance_rad_per_Nm"),
-                np.array([1.5e-6]),
-                positive=True,
-                described=lambda _, d=described: d,
+                NAME, (f"A{i + 1}",), cause, described, scalar_report(f"A{i + 1}.compliance_rad_per_Nm"), np.array([1.5e-6]), positive=True
             )
         )
     return out

@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, scalar_report
 from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "joint_scale"
+DECLARED = Declaration(challenge=Challenge(number=6))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -19,5 +20,5 @@ def candidates(context: Context) -> list[Candidate]:
             parts = [DescribedPart("joint", i, 0, (linear(cause),))]
             report = scalar_report(f"A{i + 1}.ratio")
             typical = np.array([1e-4])
-            out.append(Candidate(NAME, (f"A{i + 1}",), cause, built(context, parts), report, typical, described=lambda _, d=parts: d))
+            out.append(Candidate(NAME, (f"A{i + 1}",), cause, parts, report, typical))
     return out

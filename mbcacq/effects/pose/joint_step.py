@@ -2,17 +2,19 @@
 
 import numpy as np
 
+from mbcacq.effects import steps
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Part, number
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import Candidate, number
 from mbcacq.effects.functions import DescribedPart, of
-from mbcacq.effects.pose import steps
 
 NAME = "joint_step"
+DECLARED = Declaration(acts_in_time=True, challenge=Challenge(number=8))
 
 
 def candidates(context: Context) -> list[Candidate]:
     """For each joint a step, in rad, at a moment to be found."""
-    functions, hyper = steps.step_functions(context), steps.moment(context)
+    hyper = steps.moment(context)
 
     def of_joint(i: int) -> Candidate:
         def report(c, v, rank):
@@ -25,13 +27,10 @@ def candidates(context: Context) -> list[Candidate]:
             NAME,
             (f"A{i + 1}",),
             "pose",
-            lambda h: [Part("joint", i, 0, functions(np.array([h]))[0])],
+            lambda rank: [DescribedPart("joint", i, 0, (of("pose", "step", rank),))],
             report,
             np.array([1e-4]),
             hyper,
-            (("joint", i, 0),),
-            functions,
-            described=lambda h: [DescribedPart("joint", i, 0, (of("pose", "step", float(h or 0.0)),))],
         )
 
     return [of_joint(i) for i in range(context.n)]

@@ -9,11 +9,12 @@ stiff branches, prolonged to zero torque. Each further branch is one more such p
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Parameters, Part, number
+from mbcacq.effects.declaration import Challenge, Declaration, Refinement
+from mbcacq.effects.effect import BREAKPOINT, Candidate, Hyperparameter, Missing, Parameters, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "lost_motion"
-BREAKPOINT = "breakpoint_Nm"
+TORQUE = "breakpoint_Nm"
 SHARES = np.geomspace(0.05, 0.7, 12)  # of the largest torque; below, it is backlash under load, above, it is compliance
 LEAST_TORQUE = 0.5  # N m
 LEAST_TYPICAL = 5e-5  # rad: half a lost motion of a third of an arc minute
@@ -48,31 +49,31 @@ def of_joint(context: Context, i: int) -> Candidate:
     tau, cause = context.gravity_torque[:, i], f"gravity_torque_{i + 1}"
     values = SHARES * np.abs(tau).max()
 
-    def functions(at: np.ndarray) -> np.ndarray:
-        return np.clip(tau[None] / np.asarray(at)[:, None], -1.0, 1.0)[..., None]
-
     def described(at):
-        return [DescribedPart("joint", i, 0, ((Product(1.0 / at, (Function(cause, "clip", (float(at),)),)),),))]
+        return [DescribedPart("joint", i, 0, ((Product(1.0 / at, (Function(cause, "clip", (at,)),)),),))]
 
     def report(c, v, at):
         h, std = float(c[0]), float(np.sqrt(v[0, 0]))
         return {
             f"A{i + 1}.lost_motion_deg": number(np.degrees(2 * h), np.degrees(2 * std)),
             f"A{i + 1}.excess_compliance_rad_per_Nm": number(h / at, std / at),
-            f"A{i + 1}.{BREAKPOINT}": number(at, at * std / max(abs(h), 1e-30)),
+            f"A{i + 1}.{TORQUE}": number(at, at * std / max(abs(h), 1e-30)),
         }
 
     return Candidate(
         NAME,
         (f"A{i + 1}",),
         cause,
-        lambda at: [Part("joint", i, 0, functions(np.array([at]))[0])],
+        described,
         report,
         np.array([LEAST_TYPICAL]),
-        Hyperparameter(BREAKPOINT, values, 3.0),
-        (("joint", i, 0),),
-        functions,
+        Hyperparameter(TORQUE, values, 3.0, kind=BREAKPOINT),
         positive=True,
         several=True,
-        described=described,
     )
+
+
+DECLARED = Declaration(
+    refines=Refinement(of="joint_compliance", excess=lambda at: 1.0 / at, report=stiffnesses),
+    challenge=Challenge(number=17, companions=("joint_compliance",)),
+)

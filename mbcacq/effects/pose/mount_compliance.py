@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, number
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, linear, scaled
 
 NAME = "mount_compliance"
+DECLARED = Declaration(challenge=Challenge(number=3))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -34,7 +35,7 @@ def candidates(context: Context) -> list[Candidate]:
     where, cause = ("mount",), f"gravity_torque_{context.n}"
     typical_tilt, typical_shift = 2e-5, 1e-3
     return [
-        Candidate(NAME, where, cause, built(context, parts), reported, np.array(typical), variant=variant, described=lambda _, d=parts: d)
+        Candidate(NAME, where, cause, parts, reported, np.array(typical), variant=variant)
         for parts, reported, typical, variant in (
             (tilt, report_tilt, [typical_tilt], "tilt"),
             (shift, report_shift, [typical_shift], "shift"),

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from mbcacq.effects import steps
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, Part, number, vector
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import Candidate, Missing, number, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, of
-from mbcacq.effects.pose import steps
 
 NAME = "mount_shift"
+DECLARED = Declaration(acts_in_time=True, challenge=Challenge(number=10))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -18,12 +20,8 @@ def candidates(context: Context) -> list[Candidate]:
         components = (0, 1, 2, 3, 4, 5)
     if context.obs.n_poses < 12:
         raise Missing("fewer than 12 poses")
-    functions, hyper = steps.step_functions(context), steps.moment(context)
+    hyper = steps.moment(context)
     k = len(components)
-
-    def build(h):
-        step = functions(np.array([h]))[0]
-        return [Part("frame", context.n, c, step * np.eye(k)[j]) for j, c in enumerate(components)]
 
     def described(h):
         step = of("pose", "step", h)
@@ -35,17 +33,4 @@ def candidates(context: Context) -> list[Candidate]:
             out["rotation_deg"] = vector(np.degrees(c[3:]), np.degrees(np.degrees(v[3:, 3:])))
         return out
 
-    return [
-        Candidate(
-            NAME,
-            ("mount",),
-            "pose",
-            build,
-            report,
-            np.array([0.03] * 3 + [1e-4] * 3)[:k],
-            hyper,
-            tuple(("frame", context.n, c) for c in components),
-            functions,
-            described=described,
-        )
-    ]
+    return [Candidate(NAME, ("mount",), "pose", described, report, np.array([0.03] * 3 + [1e-4] * 3)[:k], hyper)]

@@ -8,12 +8,12 @@ polynomials of second degree on the sphere.
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.covariates import INCIDENCE
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Declaration
 from mbcacq.effects.effect import Candidate, Missing, ParameterEstimate, number
-from mbcacq.effects.functions import ZERO, DescribedPart, evaluate, of_second_degree
+from mbcacq.effects.functions import INCIDENCE, ZERO, DescribedPart, evaluate, of_second_degree
 
 NAME = "orientation_bias"
+DECLARED = Declaration(same_as_group=True)
 TYPICAL = 1e-4  # rad, for a line of sight that turns by one rad
 LEAST = 0.02  # range of a component of the line of sight
 
@@ -30,13 +30,13 @@ def candidates(context: Context) -> list[Candidate]:
         parts = [DescribedPart("orientation", 0, c, (ZERO,) * (c * f) + columns + (ZERO,) * ((2 - c) * f)) for c in range(3)]
         functions = evaluate(columns, context.value, context.obs.n_centres)
         centred = functions - functions.mean(axis=0)
-        build, typical = built(context, parts), np.full(3 * f, TYPICAL)
+        typical = np.full(3 * f, TYPICAL)
 
         def report(c, v, _, centred=centred):
             each = np.arange(len(c)).reshape(3, -1)
             return {f"about_{axis}_rad": turned(centred, c[own], v[np.ix_(own, own)]) for axis, own in zip("xyz", each, strict=True)}
 
-        out.append(Candidate(NAME, ("target",), "incidence", build, report, typical, variant=variant, described=lambda _, d=parts: d))
+        out.append(Candidate(NAME, ("target",), "incidence", parts, report, typical, variant=variant))
     return out
 
 

@@ -5,15 +5,18 @@ and of the first moment of mass (mass times centre of gravity, flange frame) is 
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Coupling, Declaration, Where
 from mbcacq.effects.effect import Candidate, Missing, number, vector
-from mbcacq.effects.functions import ZERO, DescribedPart, linear
+from mbcacq.effects.functions import ZERO, Column, DescribedPart, linear, scaled
 
 NAME = "payload"
+THROUGH = "joint_compliance"
+LOADS = ("mass", "x", "y", "z")  # of the covariates ``payload_torque_I_LOAD``: a kilogram, and kilogram millimetres along each flange axis
 LEAST_LOAD_SHARE = 0.15  # of the largest range of gravity torque
 
 
@@ -24,26 +27,37 @@ def candidates(context: Context) -> list[Candidate]:
     return []
 
 
-def unit_torques(context: Context) -> np.ndarray:
-    """Torque (P, n, 4) N m about each joint by a kilogram at the flange's origin, and by a kilogram millimetre along each flange axis."""
-    return context.payload_torque
-
-
 def loaded_joints(context: Context) -> list[int]:
     """Joints whose gravity torque varies enough for their compliance to matter."""
     load = np.ptp(context.gravity_torque, axis=0)
     return [i for i in range(context.n) if load[i] > LEAST_LOAD_SHARE * load.max()]
 
 
+def loaded_locations(context: Context) -> list[Where]:
+    """The same as locations."""
+    return [(f"A{i + 1}",) for i in loaded_joints(context)]
+
+
+def under_load(context: Context, compliance: Candidate, coefficients: np.ndarray, number: str) -> Candidate:
+    """An elastic joint under the torque of the declared tool and of an error (4,) of it."""
+    (at,) = compliance.where
+    column: Column = linear(f"gravity_torque_{at[1:]}")
+    for load, size in zip(LOADS, coefficients, strict=True):
+        column += scaled(linear(f"payload_torque_{at[1:]}_{load}"), float(size))
+    variant = f"heavy {number} {','.join(f'{c:.9g}' for c in coefficients)}"
+    return replace(compliance, described=[DescribedPart("joint", int(at[1:]) - 1, 0, (column,))], variant=variant)
+
+
 def correction_for(
-    context: Context, compliance: Mapping[int, float], spread: np.ndarray | None = None, complete: bool = False
+    context: Context, compliances: Mapping[Where, float], spread: np.ndarray | None = None, complete: bool = False
 ) -> list[Candidate]:
-    """The candidate for an error of the declared tool, given the compliance of joints: index -> rad/(N m).
+    """The candidate for an error of the declared tool, given the compliance of joints: location -> rad/(N m).
 
     spread: covariance (4, 4) of mass and first moments, where it is known with the uncertainty of the compliances in it. complete:
     every elastic joint is among those given. Otherwise each other loaded joint gets a free compliance: it is as soft as any, though
     perhaps too little loaded to be found by itself, and the mass would take its part.
     """
+    compliance = {int(at[1:]) - 1: value for (at,), value in compliances.items()}
     if not context.masses_known or not compliance or not context.scanner_on_flange:
         return []
     elastic, softest = dict(compliance), max(compliance.values())
@@ -51,7 +65,7 @@ def correction_for(
     parts = []
     for i, c in sorted({**elastic, **dict.fromkeys(beyond, softest)}.items()):
         own = [linear(f"gravity_torque_{i + 1}") if i == j else ZERO for j in beyond]
-        load = [linear(f"payload_torque_{i + 1}_{what}", float(c)) for what in ("mass", "x", "y", "z")]
+        load = [linear(f"payload_torque_{i + 1}_{what}", float(c)) for what in LOADS]
         parts.append(DescribedPart("joint", i, 0, (*load, *own)))
     mass, com = float(np.mean(context.payload_mass)), context.obs.cell.robot.payload_com
 
@@ -68,4 +82,20 @@ def correction_for(
     label = ",".join(f"{i}:{c:.3e}" for i, c in sorted(compliance.items()))
     typical = np.array([0.5, 50.0, 50.0, 50.0] + [1.5e-6] * len(beyond))
     where, cause = ("mount",), "gravity_torque_2"
-    return [Candidate(NAME, where, cause, built(context, parts), report, typical, variant=label, described=lambda _: parts)]
+    return [Candidate(NAME, where, cause, parts, report, typical, variant=label)]
+
+
+DECLARED = Declaration(
+    coupling=Coupling(
+        name=NAME,
+        through=THROUGH,
+        size=len(LOADS),
+        parameter="compliance_rad_per_Nm",
+        locations=loaded_locations,
+        candidates=correction_for,
+        carrier=under_load,
+        advice="a payload other than declared explains as much as elastic joints ({odds}): weigh the tool",
+    ),
+    # A tool cannot be any weight, and shows only on a soft arm.
+    challenge=Challenge(number=21, companions=(THROUGH,), strongest=1.5, options={"compliance_rad_per_Nm": 6e-6}),
+)

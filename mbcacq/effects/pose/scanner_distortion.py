@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, number
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, monomial
 
 NAME = "scanner_distortion"
+DECLARED = Declaration(challenge=Challenge(number=12))
 TYPICAL = 0.02  # mm at the edge of the field of view
 # Biases that geometry and scanner_scale have already: they are tried only together with others.
 ONLY_COMBINED = ("magnification", "depth_gain")
@@ -65,7 +66,7 @@ def candidates(context: Context) -> list[Candidate]:
             return {k: number(c[j], np.sqrt(v[j, j])) for j, k in enumerate(names)}
 
         cause, variant = every[names[0]][0], "+".join(names)
-        return Candidate(NAME, ("scanner",), cause, built(context, parts), report, typical, variant=variant, described=lambda _: parts)
+        return Candidate(NAME, ("scanner",), cause, parts, report, typical, variant=variant)
 
     alone = [k for k in every if k not in ONLY_COMBINED]
     return [combined([k]) for k in alone] + [combined(names) for names in COMBINATIONS]

@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, Report, number, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, linear
 
 NAME = "scanner_scale"
+DECLARED = Declaration(challenge=Challenge(number=11))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -30,7 +31,7 @@ def candidates(context: Context) -> list[Candidate]:
 
     def candidate(parts: list[DescribedPart], cause: str, report: Report, k: int, variant: str) -> Candidate:
         typical = np.full(k, 200.0)
-        return Candidate(NAME, ("scanner",), cause, built(context, parts), report, typical, variant=variant, described=lambda _: parts)
+        return Candidate(NAME, ("scanner",), cause, parts, report, typical, variant=variant)
 
     return [
         candidate(one, "z", report_one, 1, ""),

@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, vector
 from mbcacq.effects.functions import DescribedPart, Function, Product, scaled
 
 NAME = "station_drift"
+DECLARED = Declaration(acts_in_time=True, needs=("time_s",), challenge=Challenge(number=16))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -25,17 +26,7 @@ def candidates(context: Context) -> list[Candidate]:
         R = context.state.T_base_station[k, :3, :3]
         # Coefficients along the base axes.
         parts = [DescribedPart("station", 0, c, tuple(scaled(progress, R[j, c]) for j in range(3))) for c in range(3)]
-        out.append(
-            Candidate(
-                NAME,
-                (f"station{station.id}",),
-                clock,
-                built(context, parts),
-                lambda c, v, _: {"drift_mm": vector(c, v)},
-                np.full(3, 0.05),
-                described=lambda _, d=parts: d,
-            )
-        )
+        out.append(Candidate(NAME, (f"station{station.id}",), clock, parts, lambda c, v, _: {"drift_mm": vector(c, v)}, np.full(3, 0.05)))
     if not out:
         raise Missing("no station with five poses")
     return out

@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from mbcacq.effects import warm_up
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built, evaluated
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, number
 from mbcacq.effects.functions import DescribedPart, Function, Product, of, scaled
-from mbcacq.effects.pose import warm_up
 
 NAME = "thermal_growth"
+DECLARED = Declaration(acts_in_time=True, needs=("time_s", "temperature"), challenge=Challenge(number=9))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -40,7 +41,7 @@ def with_temperature(context: Context, i: int, column: str, temperature: np.ndar
     def report(c, v, _):
         return {f"link{i + 1}.growth_mm_per_K": number(c[0], np.sqrt(v[0, 0]))}
 
-    return Candidate(NAME, (f"link{i + 1}",), column, built(context, parts), report, np.array([0.01]), described=lambda _: parts)
+    return Candidate(NAME, (f"link{i + 1}",), column, parts, report, np.array([0.01]))
 
 
 def with_warm_up(context: Context, i: int) -> Candidate:
@@ -57,6 +58,4 @@ def with_warm_up(context: Context, i: int) -> Candidate:
             f"link{i + 1}.time_constant_s": number(tau, warm_up.time_constant_std(tau, c, v)),
         }
 
-    return Candidate(
-        NAME, (f"link{i + 1}",), "time", lambda tau: evaluated(context, described(tau)), report, np.array([0.1]), hyper, described=described
-    )
+    return Candidate(NAME, (f"link{i + 1}",), "time", described, report, np.array([0.1]), hyper)

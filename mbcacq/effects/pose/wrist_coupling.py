@@ -3,11 +3,12 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.described import built
+from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, scalar_report
 from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "wrist_coupling"
+DECLARED = Declaration(between_locations=True, challenge=Challenge(number=7))
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -18,5 +19,5 @@ def candidates(context: Context) -> list[Candidate]:
     for i, j in pairs:
         parts = [DescribedPart("joint", j, 0, (linear(f"q{i + 1}"),))]
         where, report, typical = (f"A{i + 1}", f"A{j + 1}"), scalar_report("ratio"), np.array([1e-4])
-        out.append(Candidate(NAME, where, f"q{i + 1}", built(context, parts), report, typical, described=lambda _, d=parts: d))
+        out.append(Candidate(NAME, where, f"q{i + 1}", parts, report, typical))
     return out

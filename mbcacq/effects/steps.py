@@ -1,11 +1,9 @@
 """The moment of a sudden change: a step between two poses in the order they were measured."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from mbcacq.effects.context import Context, rank_in_time
-from mbcacq.effects.effect import Candidate, Hyperparameter
+from mbcacq.effects.effect import MOMENT, Candidate, Hyperparameter
 from mbcacq.model.observations import Observations
 
 NAME = "at_pose"
@@ -20,24 +18,14 @@ def moment(context: Context) -> Hyperparameter:
     ranks = np.arange(margin, context.obs.n_poses - margin + 1)
     if len(ranks) > 400:
         ranks = ranks[:: int(np.ceil(len(ranks) / 400))]
-    return Hyperparameter(NAME, ranks.astype(float), 6 * np.log(len(ranks)), refine=False)
-
-
-def step_functions(context: Context) -> Callable[[np.ndarray], np.ndarray]:
-    """Ranks (H,) -> (H, P, 1): 0 at each pose before the change, 1 from it on."""
-    order = context.order
-
-    def functions(values: np.ndarray) -> np.ndarray:
-        return (order[None] >= np.asarray(values)[:, None]).astype(float)[..., None]
-
-    return functions
+    return Hyperparameter(NAME, ranks.astype(float), 6 * np.log(len(ranks)), refine=False, kind=MOMENT)
 
 
 def indistinguishable_moments(candidate: Candidate, hyper: float | None, obs: Observations, seen: np.ndarray) -> list[float]:
     """Other moments that the centres seen (M,) bool cannot tell from this one: no pose of theirs lies between. Empty where there is none,
     and for effects that have no moment.
     """
-    if candidate.hyper is None or candidate.hyper.name != NAME:
+    if candidate.hyper is None or candidate.hyper.kind != MOMENT:
         return []
     ranks = np.unique(rank_in_time(obs)[obs.pose[seen]])
     before, after = ranks[ranks < hyper], ranks[ranks >= hyper]

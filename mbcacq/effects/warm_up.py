@@ -1,11 +1,9 @@
 """Warm-up over time: an exponential whose time constant is to be found."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Hyperparameter
+from mbcacq.effects.effect import FADING, Hyperparameter
 
 TIME_CONSTANT = "time_constant_s"
 
@@ -13,13 +11,7 @@ TIME_CONSTANT = "time_constant_s"
 def time_constant(context: Context) -> Hyperparameter:
     """Time constants from a few hundredths to twice the duration of the recording."""
     total = float(np.ptp(context.time))
-    return Hyperparameter(TIME_CONSTANT, np.geomspace(0.03 * total, 2.0 * total, 16), 2.0)
-
-
-def fading(context: Context) -> Callable[[np.ndarray], np.ndarray]:
-    """Time constants tau (H,) s -> exp(-t / tau) (H, P, 1) at the time t of each pose since the first."""
-    time = context.time
-    return lambda values: np.exp(-time[None] / np.asarray(values)[:, None])[..., None]
+    return Hyperparameter(TIME_CONSTANT, np.geomspace(0.03 * total, 2.0 * total, 16), 2.0, kind=FADING)
 
 
 def time_constant_std(tau: float, c: np.ndarray, v: np.ndarray) -> float:

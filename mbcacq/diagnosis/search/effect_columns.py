@@ -1,0 +1,34 @@
+"""What effects displace in a recording, and the columns of its linear problem that follow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import functions_of, parts_of
+from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.terms import Part
+
+
+def covariates(linear: LinearProblem) -> Covariates:
+    """Of the recording, computed once for a linearisation."""
+    return linear.computed_once("covariates", lambda: Covariates(linear.obs))
+
+
+def candidate_parts(linear: LinearProblem, candidate: Candidate, hyper: float | None = None) -> list[Part]:
+    """What a candidate displaces at a value of its hyper-parameter."""
+    return parts_of(candidate, covariates(linear), hyper)
+
+
+def candidate_columns(linear: LinearProblem, candidate: Candidate, hyper: float | None = None) -> np.ndarray:
+    """(M, R, k): change of the prediction by each coefficient of a candidate."""
+    return linear.columns(candidate_parts(linear, candidate, hyper))
+
+
+def scanned_functions(linear: LinearProblem, candidate: Candidate, values: np.ndarray) -> np.ndarray:
+    """(H, P, f): the functions of a candidate with components. Those of its grid are kept, which is scanned many times."""
+    here = covariates(linear)
+    if candidate.hyper is None or values is not candidate.hyper.values:
+        return functions_of(candidate, here, values)
+    return linear.computed_once(("functions", candidate.key), lambda: functions_of(candidate, here, values))
