@@ -10,28 +10,22 @@ import numpy as np
 
 from mbcacq.challenge.motion_score import MotionScore, score_motion
 from mbcacq.diagnosis.motion.diagnose import base_alone, diagnose_trajectories
+from mbcacq.effects.catalogue import declaration, effects
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
 
-CATALOGUE = (
-    "channel_latency",
-    "drive_lag",
-    "friction",
-    "joint_compliance",
-    "backlash",
-    "gear_transmission_error",
-    "torque_ripple",
-    "joint_scale",
-    "wrist_coupling",
-    "payload",
-    "gravity_compensator",
-)
 NONE, ONE, TWO = 0.15, 0.65, 0.85  # cumulated shares of challenges with no, one and two effects; the others have three
 MOTIONS = 2
 ABSENT = 1e-9  # strength of an effect that is switched off while the random numbers of all others stay
 DETECTABLE = 0.9  # an effect counts if without it the held-out mean square of a joint falls below this share
 
 Record = Callable[..., Any]
+
+
+def catalogued_in_motion() -> tuple[str, ...]:
+    """The effects of the catalogue that are injected into motion, by the numbers that they declare."""
+    numbers = {name: challenge.in_motion or 0 for name in effects() if (challenge := declaration(name).challenge) is not None}
+    return tuple(sorted((name for name, number in numbers.items() if number), key=lambda name: numbers[name]))
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,7 @@ def draw(number: int) -> MotionChallenge:
     rng = np.random.default_rng([number, 4711])
     kind = rng.uniform()
     many = 0 if kind < NONE else 1 if kind < ONE else 2 if kind < TWO else 3
-    names = rng.choice(CATALOGUE, many, replace=False)
+    names = rng.choice(catalogued_in_motion(), many, replace=False)
     effects = tuple({"name": str(name), "strength": float(rng.uniform(0.5, 2.0))} for name in names)
     return MotionChallenge(number, effects, float(rng.choice([10.0, 12.0, 16.0])), float(rng.uniform(0.3, 0.7)))
 

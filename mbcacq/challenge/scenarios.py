@@ -31,8 +31,8 @@ OUTSIDE_NEEDS: Mapping[str, tuple[str, ...]] = {"time_s": ("floor_heave",), "tem
 
 def catalogued() -> tuple[str, ...]:
     """The effects of the catalogue that are injected, by the numbers that they declare."""
-    numbers = {name: challenge.number for name in effects() if (challenge := declaration(name).challenge) is not None}
-    return tuple(sorted(numbers, key=lambda name: numbers[name]))
+    numbers = {name: challenge.number or 0 for name in effects() if (challenge := declaration(name).challenge) is not None}
+    return tuple(sorted((name for name, number in numbers.items() if number), key=lambda name: numbers[name]))
 
 
 def needing(column: str) -> set[str]:

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.candidate_pool import all_candidates
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.determination import canonical_correlation
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect, Variant
 from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.diagnosis.motion.signals import direction_of_rotation, prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
-from mbcacq.effects.motion.gravity_compensator import NAME as BALANCER
-from mbcacq.effects.motion.payload import NAME as PAYLOAD
+from mbcacq.effects import catalogue
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.dynamics import regressor
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
-
-NAMES = {
-    BALANCER: (("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0)),
-    PAYLOAD: (("added_mass_kg", 1.0), ("added_moment_x_kg_mm", 1e3), ("added_moment_y_kg_mm", 1e3), ("added_moment_z_kg_mm", 1e3)),
-}
-FORM = {BALANCER: "balancing", PAYLOAD: ""}
 
 
 @dataclass(frozen=True)
@@ -70,7 +63,7 @@ class TorqueInformation:
         group = groups[0]
         model = MotionModel(group, runs)
         nothing = np.zeros(len(group.joints))
-        for candidate in all_candidates(group, runs):
+        for candidate in catalogue.motion_candidates(group, runs):
             if candidate.usual and not candidate.extends:
                 hyper = None if candidate.hyper is None else float(candidate.hyper[len(candidate.hyper) // 2])
                 model.selected.append(SelectedEffect(Variant(candidate, hyper, model.add(candidate, hyper)), 0.0, nothing, nothing))
@@ -137,7 +130,7 @@ class TorqueInformation:
         """Largest canonical correlation of balancer and load with each other and with the inertial parameters of the links."""
         at = {one.candidate.name: [int(i) for i in one.at if i in self.named] for one in self.placed}
         at = {name: own for name, own in at.items() if own} | {"arm": [int(i) for i in self.arm]}
-        pairs = [(a, b) for a, b in ((BALANCER, PAYLOAD), (BALANCER, "arm"), (PAYLOAD, "arm")) if a in at and b in at and at[b]]
+        pairs = [(a, b) for a, b in combinations(at, 2) if at[b]]
         return {f"{a} and {b}": canonical_correlation(covariance, at[a], at[b]) for a, b in pairs}
 
 
@@ -145,9 +138,8 @@ def _named(placed: Sequence[PlacedCandidate], count: int) -> tuple[np.ndarray, t
     """Positions, names and scale (P,) of the parameters of a balancer and of a load."""
     named, names, scale = [], [], np.ones(count)
     for one in placed:
-        if one.candidate.form == FORM.get(one.candidate.name):
-            for position, (name, factor) in zip(one.at, NAMES[one.candidate.name], strict=False):
-                named.append(int(position))
-                names.append(name)
-                scale[position] = factor
+        for position, (name, factor) in zip(one.at, one.candidate.load_parameters, strict=False):
+            named.append(int(position))
+            names.append(name)
+            scale[position] = factor
     return np.array(named, dtype=int), tuple(names), scale

@@ -1,4 +1,7 @@
-"""The catalogue of effects at standstill: every module in ``pose/`` with a NAME and ``candidates(context)``, and those of other packages.
+"""The catalogue of effects: every module in ``kinds/`` with a NAME, and those of other packages.
+
+An effect that shows in poses at standstill has ``candidates(context)``, one that shows in motion
+``motion_candidates(group, runs)``, one that shows in both has both. ``DECLARED`` says what is particular about it.
 
 A package adds effects by entry points of the group ``mbcacq.effects``, each of which names such a module; ``with_files`` adds files.
 """
@@ -17,10 +20,11 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 
-from mbcacq.effects import pose
+from mbcacq.effects import kinds
 from mbcacq.effects.context import Context
-from mbcacq.effects.declaration import NOTHING_PARTICULAR, Coupling, Declaration
+from mbcacq.effects.declaration import NOTHING_PARTICULAR, Coupling, Declaration, PeriodicInMotion
 from mbcacq.effects.effect import Candidate, Missing
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
 from mbcacq.errors import ConfigError
 
 _added: ContextVar[Mapping[str, ModuleType]] = ContextVar("effects of files", default=MappingProxyType({}))
@@ -35,10 +39,9 @@ def effects() -> Mapping[str, ModuleType]:
 def _effects(where: tuple[str, ...]) -> Mapping[str, ModuleType]:
     """The same. where: the folders that packages are looked for in; looking takes 50 ms."""
     found = {}
-    for info in pkgutil.iter_modules(pose.__path__):
-        module = importlib.import_module(f"{pose.__name__}.{info.name}")
-        if hasattr(module, "NAME") and hasattr(module, "candidates"):
-            found[module.NAME] = module
+    for info in pkgutil.iter_modules(kinds.__path__):
+        module = importlib.import_module(f"{kinds.__name__}.{info.name}")
+        found[module.NAME] = module
     for point in entry_points(group="mbcacq.effects"):
         module = _of_another_package(point)
         if module.NAME in found:
@@ -77,12 +80,13 @@ def _of_file(file: Path) -> ModuleType:
     except Exception as error:  # noqa: BLE001 -- whatever a user's file raises
         raise ConfigError(f"{file} cannot be read as an effect ({type(error).__name__}: {error}); correct it") from error
     if not _is_effect(module):
-        raise ConfigError(f"{file} is no effect: it needs NAME and candidates(context)")
+        raise ConfigError(f"{file} is no effect: it needs NAME, and candidates(context) or motion_candidates(group, runs)")
     return module
 
 
 def _is_effect(module: object) -> bool:
-    return isinstance(getattr(module, "NAME", None), str) and callable(getattr(module, "candidates", None))
+    shows = any(callable(getattr(module, name, None)) for name in ("candidates", "motion_candidates"))
+    return isinstance(getattr(module, "NAME", None), str) and shows
 
 
 def _of_another_package(point: EntryPoint) -> ModuleType:
@@ -92,7 +96,9 @@ def _of_another_package(point: EntryPoint) -> ModuleType:
         sentence = f"the effect '{point.name}' ({point.value}) cannot be imported: {error}; mend or uninstall its package"
         raise ConfigError(sentence) from error
     if not _is_effect(module):
-        raise ConfigError(f"the effect '{point.name}': {point.value} is no module with NAME and candidates(context)")
+        raise ConfigError(
+            f"the effect '{point.name}': {point.value} is no module with NAME, and candidates(context) or motion_candidates(group, runs)"
+        )
     return module
 
 
@@ -107,11 +113,24 @@ def couplings() -> tuple[Coupling, ...]:
 
 
 def candidates(context: Context) -> tuple[list[Candidate], dict[str, str]]:
-    """All candidates that these data allow, and the effects that they do not allow: name -> what is missing."""
+    """All candidates at standstill that these data allow, and the effects that they do not allow: name -> what is missing."""
     out, dropped = [], {}
     for name, module in effects().items():
+        if not hasattr(module, "candidates"):
+            continue
         try:
             out += module.candidates(context)
         except Missing as reason:
             dropped[name] = str(reason)
     return out, dropped
+
+
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+    """All candidates in motion for one group of channels."""
+    return [c for module in effects().values() if hasattr(module, "motion_candidates") for c in module.motion_candidates(group, runs)]
+
+
+def periodic_in(channel: str) -> tuple[str, PeriodicInMotion] | None:
+    """The effect that is periodic in the angle of a joint in a channel of motion, and how; None where there is none."""
+    found = [(name, p) for name in effects() if (p := declaration(name).periodic_in_motion) is not None and p.channel == channel]
+    return found[0] if found else None

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Parameters
 
 Where = tuple[str, ...]  # locations of a candidate
+Estimates = Mapping[str, Mapping[str, Any]]  # name of a parameter -> {"value": .., "std": ..}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,13 +75,38 @@ class Refinement:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PeriodicInMotion:
+    """An effect that is periodic in the angle of a joint and is found in the spectrum of a mismatch in motion.
+
+    Attributes
+    ----------
+    channel
+        'q_joint' or 'tau'.
+    lowest_order
+        Periods a turn of the joint below which the mismatch has other causes.
+    amplitude
+        Name, without location, of the parameter that states the amplitude.
+    scale
+        From the unit of the computation to that of the parameter.
+    """
+
+    channel: str
+    lowest_order: float
+    amplitude: str
+    scale: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Challenge:
     """How the effect is injected into simulated cells.
 
     Attributes
     ----------
     number
-        Its place among all that are drawn from: a seed draws the same scenario as long as it stays. A new effect has the next one.
+        Its place among all that are drawn from for recordings of poses: a seed draws the same scenario as long as it stays. A new effect
+        has the next one. None for an effect that does not show in poses.
+    in_motion
+        The same for recordings of motion.
     companions
         Names of effects that are no false names next to it.
     strongest
@@ -88,7 +115,8 @@ class Challenge:
         Further options of the injected effect.
     """
 
-    number: int
+    number: int | None = None
+    in_motion: int | None = None
     companions: tuple[str, ...] = ()
     strongest: float | None = None
     options: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
@@ -110,6 +138,17 @@ class Declaration:
         A group of basis functions of the same covariate at its location describes the same.
     refines, coupling
         How it depends on another effect.
+    periodic_in_motion
+        How it is periodic in a channel of motion.
+    motor_side
+        It is a part of the drive's torque that never passes the gear.
+    adds_body
+        In motion its ten coefficients are inertial parameters of a body on the flange.
+    model_block
+        What of a MuJoCo model it is written into: 'friction', 'inertia', 'sensor_delay' or 'gear'; empty if such a model has no place for
+        it.
+    in_terms_of_poses
+        (parameters found in motion, parameters of all effects found) -> the same in the vocabulary of the poses, if that differs.
     needs
         Columns of a recording without which it cannot be told from others.
     challenge
@@ -122,6 +161,11 @@ class Declaration:
     same_as_group: bool = False
     refines: Refinement | None = None
     coupling: Coupling | None = None
+    periodic_in_motion: PeriodicInMotion | None = None
+    motor_side: bool = False
+    adds_body: bool = False
+    model_block: str = ""
+    in_terms_of_poses: Callable[[Estimates, Estimates], Estimates] | None = None
     needs: tuple[str, ...] = ()
     challenge: Challenge | None = None
 

@@ -11,6 +11,8 @@ from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.gravity import STANDARD_GRAVITY
 
 STATED_SHARE = 0.1  # by which public masses and centres of gravity are off
+LEAST_TOOL_KG, TOOL_SHARE = 1.0, 0.2  # prior sigma of an undescribed tool: robots carry up to a fifth of their own mass
+TOOL_LEVER_M, TOOL_RADIUS_M = 0.2, 0.15  # prior sigma of its centre of gravity, and of its radius of gyration
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 
@@ -82,6 +84,12 @@ def inertial_sigma(robot) -> np.ndarray:
     lever = np.maximum(np.linalg.norm(robot.com, axis=1) * 1e-3, 0.25 * size)
     share = STATED_SHARE if stated else 3.0
     return mass[:, None] * np.stack([np.full_like(size, share), *[share * lever] * 3, *[0.1 * size**2] * 6], axis=1)
+
+
+def tool_sigma(robot) -> np.ndarray:
+    """Prior standard deviations (10,) of the inertial parameters of an undescribed tool of a robot."""
+    mass = max(LEAST_TOOL_KG, TOOL_SHARE * float(robot.mass.sum()))
+    return mass * np.array([1.0, *[TOOL_LEVER_M] * 3, *[TOOL_RADIUS_M**2] * 6])
 
 
 def _point_masses(mass: np.ndarray, c: np.ndarray) -> np.ndarray:

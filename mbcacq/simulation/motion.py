@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect
+from mbcacq.effects.catalogue import declaration
 from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation import parameters
@@ -32,7 +33,6 @@ from mbcacq.simulation.refinement import ROUNDS, RollOutFit
 from mbcacq.simulation.write_model import T_body_link, as_xml
 
 PAYLOAD_SIGMA = 1.0  # prior of an undescribed tool, in logarithms: a factor of e^2 of the mass
-WRITABLE = ("friction", "payload", "joint_compliance", "channel_latency")
 
 
 def diagnose_against_model(
@@ -93,7 +93,7 @@ def against_model(t: Trajectory, arm: MujocoArm, spec: Any) -> Trajectory:
 
 def named_blocks(found: MotionDiagnosis, arm: MujocoArm, fit: RollOutFit) -> list[Block]:
     """What the diagnosis named, as far as a model can have it, as blocks of the model."""
-    return [_block_of(effect, arm, fit, found) for effect in found.named_effects if effect.name in WRITABLE]
+    return [_block_of(effect, arm, fit, found) for effect in found.named_effects if declaration(effect.name).model_block]
 
 
 def what_remains(found: MotionDiagnosis) -> tuple[str, ...]:
@@ -101,20 +101,21 @@ def what_remains(found: MotionDiagnosis) -> tuple[str, ...]:
     return tuple(
         f"{effect.name} at {', '.join(effect.where)} remains: a model of this kind has no place for it"
         for effect in found.named_effects
-        if effect.name not in WRITABLE
+        if not declaration(effect.name).model_block
     )
 
 
 def _block_of(effect: MotionEffect, arm: MujocoArm, fit: RollOutFit, found: MotionDiagnosis) -> Block:
-    if effect.name == "payload":
+    kind = declaration(effect.name).model_block
+    if kind == "inertia":
         return parameters.inertia(arm, _last_body(arm), _with_tool(arm, found), PAYLOAD_SIGMA)
-    if effect.name == "channel_latency":
+    if kind == "sensor_delay":
         delay = float(effect.parameters["latency_s"]["value"])
         block = parameters.sensor_delay(arm, effect.where[0])
         return replace(block, first=np.clip(np.array([delay]), block.lower, block.upper))
     axis = int(effect.where[0][1:]) - 1
     torque, speed = _reached(fit)
-    if effect.name == "joint_compliance":
+    if kind == "gear":
         added = float(effect.parameters[f"A{axis + 1}.compliance_rad_per_Nm"]["value"])
         return parameters.gear(arm, arm.joints[axis], added, torque[axis])
     block = parameters.friction(arm, arm.joints[axis], torque[axis], speed[axis])

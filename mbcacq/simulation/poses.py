@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.calibration.result import Calibration
 from mbcacq.diagnosis.result import EffectFound
+from mbcacq.effects.catalogue import declaration
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
@@ -20,7 +21,6 @@ from mbcacq.simulation.model_match import ChannelError, ModelMatch, ModelParamet
 from mbcacq.simulation.mujoco_arm import MujocoArm, check_recordings, gear_spring, mujoco_engine, torque_along
 from mbcacq.simulation.write_model import T_body_link, as_xml, body_frames, with_chain
 
-WRITTEN = "joint_compliance"  # the effect of poses that a model can hold beside its geometry
 POSES = "poses"
 
 
@@ -53,6 +53,11 @@ def windup(arm: MujocoArm, spec: Any, q: np.ndarray) -> np.ndarray:
     return torque_along(arm, spec, q, still, still, None)[1] if any(gear_spring(spec, j) is not None for j in arm.joints) else still
 
 
+def is_written(name: str) -> bool:
+    """Whether a model can hold an effect of poses beside its geometry: the compliance of a gear."""
+    return declaration(name).model_block == "gear"
+
+
 def write_into_model(arm: MujocoArm, found: Calibration, effects: Sequence[EffectFound]) -> ModelMatch:
     """The model with the calibrated chain and the compliances of the cell. found: of observations that ``observations_of_model`` gave, with
     the effects that a model can hold; effects: all that the diagnosis named."""
@@ -72,7 +77,9 @@ def write_into_model(arm: MujocoArm, found: Calibration, effects: Sequence[Effec
             block.apply(spec, np.array([total, parameters.GEAR_DAMPING_S]))
             stiffness = (np.inf if before == 0 else 1 / before, 1 / total, std / total**2)
             changed.append(ModelParameter("gear", joint, "stiffness_Nm_per_rad", *stiffness, float("nan"), named=True))
-    remarks = [f"{e.name} at {', '.join(e.where)} has no counterpart in a model and is not written" for e in effects if e.name != WRITTEN]
+    remarks = [
+        f"{e.name} at {', '.join(e.where)} has no counterpart in a model and is not written" for e in effects if not is_written(e.name)
+    ]
     distance = miss(arm, spec, found)
     error = ChannelError("MuJoCo's model against the calibrated cell at the recorded poses, at most", "mm", 0.0, float("nan"), distance)
     return ModelMatch(str(arm.path), as_xml(arm, spec), tuple(changed), POSES, (error,), remarks=tuple(remarks))

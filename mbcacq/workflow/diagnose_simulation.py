@@ -92,7 +92,7 @@ def _motion_against_sets(recorded: Sequence[Data], simulated: Sequence[Data], ho
 def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -> DiagnosisResult:
     from mbcacq.calibration.with_effects import calibrate_with_effects
     from mbcacq.simulation.mujoco_arm import load_arm, remarks_on_masses
-    from mbcacq.simulation.poses import WRITTEN, observations_of_model, write_into_model
+    from mbcacq.simulation.poses import is_written, observations_of_model, write_into_model
 
     arm = load_arm(model)
     observations = observations_of_model(_one_of_poses(recorded), arm)
@@ -101,7 +101,7 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
     found = _checked(found, observations, others, how, recorded[0])
     if found.poses is not None:
         found = replace(found, poses=replace(found.poses, notes=(*found.poses.notes, *remarks_on_masses(arm, arm.spec))))
-    written = None if found.model is None else found.model.select(lambda t: t.name == WRITTEN)
+    written = None if found.model is None else found.model.select(lambda t: is_written(t.name))
     options = replace(how.options or CalibrationOptions(), refuse=False)
     how.progress("writing what was found into the model")
     if written:

@@ -40,7 +40,7 @@ CONTRACT = {
 
 
 def test_every_effect_of_the_contract_has_a_file():
-    assert set(catalogue.effects()) == CONTRACT
+    assert {name for name, module in catalogue.effects().items() if hasattr(module, "candidates")} == CONTRACT
 
 
 def test_all_values_of_a_hyper_parameter_at_once_are_the_same_as_one_by_one(plan):

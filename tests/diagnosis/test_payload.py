@@ -14,7 +14,7 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
-from mbcacq.effects.pose import payload
+from mbcacq.effects.kinds import payload
 from mbcacq.geometry import gravity
 from mbcacq.plan import expand, load
 

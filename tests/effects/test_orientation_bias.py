@@ -8,7 +8,7 @@ from independent_cell import pose, rotation
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import parts_of
-from mbcacq.effects.pose import orientation_bias
+from mbcacq.effects.kinds import orientation_bias
 from mbcacq.estimation import forward_model, terms
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry.chain import Chain

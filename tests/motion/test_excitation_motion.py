@@ -116,6 +116,6 @@ def test_the_command_writes_a_table_and_replaces_none(narrow, tmp_path, monkeypa
     first, again = CliRunner().invoke(command, asked), CliRunner().invoke(command, asked)
 
     assert first.exit_code == 0, first.output
-    assert set(json.loads(first.output)["std"]) >= {"A2.preload_Nm", "added_mass_kg"}
+    assert set(json.loads(first.output)["std"]) >= {"A2.preload_Nm", "mass_kg"}
     assert (tmp_path / "motion.csv").read_text().startswith("time_s,q1_deg")
     assert "exists already" in str(again.exception)

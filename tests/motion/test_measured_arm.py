@@ -43,7 +43,7 @@ def test_torque_is_explained_as_well_as_by_a_fit_that_knows_load_and_balancer(kr
 def test_the_load_and_the_balancer_that_nobody_described_are_found(kr300):
     """150 kg at the flange, and a balancer whose torque is zero at -95 deg."""
     found = {e.name: e.parameters for e in kr300.named_effects if e.name in ("payload", "gravity_compensator")}
-    load, zero = found["payload"]["added_mass_kg"], found["gravity_compensator"]["A2.zero_deg"]
+    load, zero = found["payload"]["mass_kg"], found["gravity_compensator"]["A2.zero_deg"]
     assert abs(load["value"] - 150.0) < 3.0 * load["std"]
     assert abs(zero["value"] + 95.0) < 3.0 * zero["std"]
 

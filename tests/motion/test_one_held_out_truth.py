@@ -7,7 +7,7 @@ import pytest
 
 from mbcacq.diagnosis.motion.assemble import HeldOutTable
 from mbcacq.diagnosis.motion.determination import at_bound, significance
-from mbcacq.effects.motion.drive_lag import LAGS_S, LOOPS_S
+from mbcacq.effects.kinds.drive_lag import LAGS_S, LOOPS_S
 
 
 def fit(*effects):

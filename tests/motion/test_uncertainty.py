@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from mbcacq.diagnosis.motion.noise import covariance
 from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import DEFAULTS
-from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 
 STEP, LENGTH = 0.004, 3000
 TIME = STEP * np.arange(LENGTH)

@@ -18,7 +18,8 @@ class Drives:
     latency_s, time_constant_s: of following the command. coulomb, viscous, stribeck (Nm), stribeck_speed (rad/s), load_share: friction
     at the drive; link_coulomb: behind the gear. compliance rad/Nm. backlash rad. scale.
     angle_harmonics (rad), torque_harmonics (Nm): (joint, order, amplitude, phase rad).
-    coupling: (from, to, ratio). spring: (a, b, k, l0, q0) of a balancer at A2, or None. payload: (kg, com mm) on the flange.
+    coupling: (from, to, ratio). spring: (a, b, k, l0, q0) of a balancer at A2, or None. payload: (kg, com mm) on the flange, in
+    addition to the declared one.
     clocks: channel -> s by which it is late.
     """
 
@@ -39,6 +40,7 @@ class Drives:
     coupling: list = field(default_factory=list)
     spring: tuple[float, ...] | None = None
     payload: tuple[float, np.ndarray] = (0.0, np.zeros(3))
+    declared: tuple[float, np.ndarray] = (0.0, np.zeros(3))
     clocks: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -153,14 +155,16 @@ def _coupling(drives: Drives, where, size: FaultScale, given):
     a, b = given.get("joints", [(3, 4), (4, 5), (3, 5)][int(size.rng.integers(3))])
     ratio = given.get("ratio", size.about(3e-4) * size.rng.choice([-1, 1]))
     drives.coupling.append((a, b, ratio))
-    return {f"A{b + 1}_from_A{a + 1}.ratio": ratio}, [f"A{a + 1}", f"A{b + 1}"]
+    return {"ratio": ratio}, [f"A{a + 1}", f"A{b + 1}"]
 
 
 def _payload(drives: Drives, where, size: FaultScale, given):
     mass = given.get("mass_kg", size.about(0.03 * size.torque[1]))
     com = np.asarray(given.get("com_mm", size.rng.uniform([-60, -60, 20], [60, 60, 150])), dtype=float)
     drives.payload = (mass, com)
-    return {"added_mass_kg": mass, "added_moment_kg_mm": (mass * com).tolist()}, ["mount"]
+    declared, its_com = drives.declared
+    total = declared + mass
+    return {"mass_kg": total, "com_mm": ((declared * its_com + mass * com) / total).tolist()}, ["mount"]
 
 
 def _compensator(drives: Drives, where, size: FaultScale, given):

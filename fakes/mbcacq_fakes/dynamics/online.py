@@ -38,7 +38,7 @@ class MovingArm(IdealArm):
         super().__init__(start, cycle_s, lag_s)
         rng = np.random.default_rng([int(described["seed"]), 23])
         self._typical = np.array(described["typical"])
-        drives = Drives(len(start))
+        drives = Drives(len(start), declared=(described["payload"][0], np.array(described["payload"][1])))
         size = FaultScale(self._typical, np.radians(60.0) * np.ones(len(start)), 1.0, rng)
         for fault in described["faults"]:
             inject_fault(drives, fault["name"], fault.get("where"), size, {k: v for k, v in fault.items() if k not in ("name", "where")})

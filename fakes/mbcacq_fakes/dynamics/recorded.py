@@ -61,7 +61,8 @@ def recorded(
     mass = np.asarray(robot.mass) * (1 + INERTIA * rng.standard_normal(robot.n))
     com = np.asarray(robot.com) * (1 + INERTIA * rng.standard_normal((robot.n, 3)))
     speed = np.radians(150.0) * np.ones(robot.n) if robot.speed is None else np.asarray(robot.speed)
-    drives = Drives(robot.n)
+    described = (float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float))
+    drives = Drives(robot.n, declared=described)
     typical = FaultScale(typical_torque(robot, speed_share * speed), speed_share * speed, 1.0, rng)
     truth = [
         inject_fault(
@@ -73,7 +74,6 @@ def recorded(
         )
         for f in injected
     ]
-    described = (float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float))
     bodies = Bodies(robot.chain.sign, robot.chain.rows, mass, com, _together(described, drives.payload), robot.gravity)
     if planned is None:
         time, command = fourier(robot, seconds, speed_share * speed, np.random.default_rng([seed, 18, motion]))

@@ -26,10 +26,9 @@ from mbcacq.diagnosis.motion.result import (
     MotionStep,
     UnmodelledMotionEffect,
 )
-from mbcacq.effects.motion.effect import MotionSignals
-from mbcacq.effects.motion.payload import NAME as PAYLOAD
+from mbcacq.effects import catalogue
+from mbcacq.effects.motion_effect import MotionSignals
 
-BETWEEN_JOINTS = "wrist_coupling"  # acts from one joint on another
 MILLI = 1e3  # mm in a metre
 
 
@@ -145,7 +144,7 @@ def _step(fit: MotionFit, step: FitStep, at: list[int]) -> MotionStep:
 
 
 def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MotionMismatch:
-    at = effect.where[0] if len(effect.joints) == 1 and effect.name != BETWEEN_JOINTS else effect.where[-1]
+    at = effect.where[0] if len(effect.joints) == 1 and not catalogue.declaration(effect.name).between_locations else effect.where[-1]
     return MotionMismatch(at, table.fit.group.name, effect.depends_on, table.share(gain), effect.p_value)
 
 
@@ -188,7 +187,7 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSepar
 def _inertial(fit: MotionFit) -> list[BodyInertia]:
     if fit.inertial is None:
         return []
-    tools = any(e.name == PAYLOAD for e in fit.effects)
+    tools = any(catalogue.declaration(e.name).adds_body for e in fit.effects)
     links = len(fit.inertial) - tools
     return [
         BodyInertia(f"link{k + 1}" if k < links else "tool", float(p[0]), tuple((MILLI * p[1:4]).tolist()), tuple(p[4:].tolist()))

@@ -2,25 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-
 import numpy as np
 
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect, Variant
 from mbcacq.diagnosis.motion.spectrum import periodic_candidates
-from mbcacq.effects import motion as effects
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
-
-
-def all_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
-    """Every candidate of every effect file of the catalogue, for one group of channels."""
-    out = []
-    for info in pkgutil.iter_modules(effects.__path__):
-        module = importlib.import_module(f"{effects.__name__}.{info.name}")
-        if hasattr(module, "candidates"):
-            out += module.candidates(group, runs)
-    return out
+from mbcacq.effects.motion_effect import MotionCandidate
 
 
 class CandidatePool:

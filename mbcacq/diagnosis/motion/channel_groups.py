@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.motion.options import MotionOptions
-from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 from mbcacq.geometry.dynamics import inertial_sigma
 from mbcacq.model.cell import RobotModel
 

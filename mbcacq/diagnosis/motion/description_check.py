@@ -14,9 +14,8 @@ from itertools import combinations, product
 import numpy as np
 
 from mbcacq.diagnosis.motion.options import MotionOptions
-from mbcacq.effects.motion.effect import MotionSignals
-from mbcacq.effects.motion.payload import prior_sigma
-from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regressor
+from mbcacq.effects.motion_effect import MotionSignals
+from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regressor, tool_sigma
 from mbcacq.model.cell import RobotModel
 
 QUARTER = np.pi / 2
@@ -138,7 +137,7 @@ def _residual(s: Samples, robot: RobotModel, options: MotionOptions) -> np.ndarr
     nominal = nominal_parameters(robot.mass, robot.com, robot.payload_mass, robot.payload_com)
     mismatch = s.torque - np.einsum("tjlk,lk->tj", unit, nominal)
     sigma = inertial_sigma(robot)
-    common = np.concatenate([(unit * sigma)[:, :, sigma > 0], unit[:, :, -1] * np.array(prior_sigma(robot))], axis=2)
+    common = np.concatenate([(unit * sigma)[:, :, sigma > 0], unit[:, :, -1] * np.array(tool_sigma(robot))], axis=2)
     largest = np.maximum(np.abs(s.torque).max(axis=0), 1e-12)
     fastest = np.maximum(np.abs(s.qd).max(axis=0), 1e-9)
     own = np.zeros((N, n, 6))

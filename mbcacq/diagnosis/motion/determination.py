@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
-from mbcacq.effects.motion.effect import Parameters
+from mbcacq.effects.motion_effect import Parameters
 
 BOUND = 1e-6  # relative distance from the first or last value tried within which a hyper-parameter is at that bound
 NOT_A_SIZE = ("order", "phase_deg", "zero_deg")  # parameters that say where an effect is, not how large

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +21,8 @@ from mbcacq.diagnosis.motion.segments import Part, held_out_parts
 from mbcacq.diagnosis.motion.signals import prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.diagnosis.motion.transmitted_torque import with_load
-from mbcacq.effects.motion.effect import MotionSignals
-from mbcacq.effects.motion.payload import NAME as PAYLOAD
+from mbcacq.effects import catalogue
+from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
@@ -53,7 +54,7 @@ def diagnose_trajectories(
     recordings = _Recordings(trajectories, options)
     fits, runs = recordings.explain()
     found = assemble(fits, runs, recordings.cross_validate() if cross_validation else None, options)
-    return replace(found, suspicions=(*suspicions(recordings.runs, options), *_other_payload(found)))
+    return replace(found, suspicions=(*suspicions(recordings.runs, options), *_other_payload(found, recordings.robot)))
 
 
 def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None, options: MotionOptions = DEFAULTS) -> list[MotionFit]:
@@ -71,10 +72,11 @@ def base_alone(trajectories: Sequence[Trajectory], options: MotionOptions = DEFA
     return out
 
 
-def _other_payload(found: MotionDiagnosis) -> list[str]:
+def _other_payload(found: MotionDiagnosis, robot: RobotModel) -> list[str]:
     """In words, by how much the load on the flange is not as described, where that was found."""
-    masses = [e.parameters["added_mass_kg"] for e in found.named_effects if e.name == PAYLOAD]
-    return [f"with {m['value']:+.3g} +- {m['std']:.2g} kg at the flange the torque is explained better" for m in masses]
+    masses = [e.parameters["mass_kg"] for e in found.named_effects if catalogue.declaration(e.name).adds_body]
+    described = float(robot.payload_mass)
+    return [f"with {m['value'] - described:+.3g} +- {m['std']:.2g} kg at the flange the torque is explained better" for m in masses]
 
 
 class _Recordings:
@@ -111,8 +113,10 @@ class _Recordings:
     def cross_validate(self) -> dict[str, np.ndarray]:
         """Mean squares (2, J) before and after by kind of mismatch, each part predicted by what was selected and fitted on the others."""
         parts = held_out_parts(self.runs, self.options)[0]
+        # A thread sees the effects of files (``catalogue.with_files``) in a copy of the context alone, each in its own.
+        contexts = [copy_context() for _ in parts]
         with ThreadPoolExecutor(self.options.workers) as pool:
-            passes = list(pool.map(lambda number: self.explain(number)[0], range(len(parts))))
+            passes = list(pool.map(lambda number: contexts[number].run(self.explain, number)[0], range(len(parts))))
         total: dict[str, np.ndarray] = {}
         count: dict[str, np.ndarray] = {}
         for part, fits in zip(parts, passes, strict=True):

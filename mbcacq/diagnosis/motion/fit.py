@@ -15,7 +15,7 @@ from mbcacq.diagnosis.motion.load_hypotheses import LoadAlternative, load_altern
 from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
-from mbcacq.effects.motion.effect import ChannelGroup, Parameters
+from mbcacq.effects.motion_effect import ChannelGroup, Parameters
 
 ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
 

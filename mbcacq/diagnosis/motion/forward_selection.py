@@ -12,13 +12,14 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
-from mbcacq.diagnosis.motion.candidate_pool import CandidatePool, all_candidates
+from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.determination import UndeterminedEffect, resemblance
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect, Variant
 from mbcacq.diagnosis.motion.noise import sandwich_covariance
 from mbcacq.diagnosis.motion.options import SMALLEST_EIGENVALUE
-from mbcacq.effects.motion.effect import MotionCandidate
+from mbcacq.effects import catalogue
+from mbcacq.effects.motion_effect import MotionCandidate
 
 TINY = 1e-300  # keeps a ratio of mean squares finite
 
@@ -55,7 +56,7 @@ class ForwardSelection:
     def __init__(self, model: MotionModel, candidates: list[MotionCandidate] | None = None) -> None:
         """candidates: what may be selected, None for the whole catalogue."""
         self.model = model
-        self.pool = CandidatePool(model, all_candidates(model.group, model.runs) if candidates is None else candidates)
+        self.pool = CandidatePool(model, catalogue.motion_candidates(model.group, model.runs) if candidates is None else candidates)
         chosen = model.chosen()
         self.start = model.held_out_mean_square(chosen, model.fold_normals(model.weights(chosen)))
 

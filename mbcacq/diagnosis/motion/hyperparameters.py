@@ -8,7 +8,8 @@ import numpy as np
 
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.time_alignment import estimate_delay
-from mbcacq.effects.motion.effect import MOTOR_SIDE_EFFECTS, MotionCandidate
+from mbcacq.effects import catalogue
+from mbcacq.effects.motion_effect import MotionCandidate
 
 SMALLEST_HYPER = 1e-9  # of a numerical derivative's relative step
 
@@ -73,12 +74,13 @@ def update_load(model: MotionModel) -> None:
     if not any(effect.candidate.follows_load for effect in model.selected):
         return
     x = model.coefficients()
+    motor_side = [e.candidate.name for e in model.selected if catalogue.declaration(e.candidate.name).motor_side]
     runs = []
     for k, run in enumerate(model.runs):
         assert run.rigid is not None, "effects that follow the load are offered for torques only"
         load = run.rigid.copy()
         for j, joint in enumerate(model.group.joints):
-            load[:, joint] += model.simulated(j, k, x, without=MOTOR_SIDE_EFFECTS, rotors=False)
+            load[:, joint] += model.simulated(j, k, x, without=motor_side, rotors=False)
         runs.append(replace(run, load=load))
     model.set_runs(tuple(runs))
 

@@ -15,7 +15,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
 from mbcacq.diagnosis.motion.motion_model import MotionModel
-from mbcacq.effects.motion.payload import NAME as PAYLOAD
+from mbcacq.effects import catalogue
 from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters
 
 BODY = 10
@@ -57,7 +57,7 @@ def bodies(model: MotionModel, chosen: np.ndarray) -> InertialBodies | None:
     base = model.store.base
     at[sigma > 0] = position[base[J : len(base) - n]]
     for effect in model.selected:
-        if effect.candidate.name == PAYLOAD:
+        if catalogue.declaration(effect.candidate.name).adds_body:
             described = np.concatenate([described, np.zeros((1, BODY))])
             sigma = np.concatenate([sigma, np.ones((1, BODY))])
             at = np.concatenate([at, position[effect.variant.ids][None]])

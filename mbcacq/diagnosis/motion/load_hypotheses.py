@@ -16,9 +16,7 @@ from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.determination import canonical_correlation
 from mbcacq.diagnosis.motion.motion_model import MotionModel, Variant
 from mbcacq.diagnosis.motion.noise import covariance
-from mbcacq.effects.motion import gravity_compensator, payload
 
-LOADS = (gravity_compensator.NAME, payload.NAME)
 ARM = "arm"  # the masses of the links
 SIZES = np.array([0.03, 0.1, 0.3, 1.0])  # of a coefficient's prior sigma, equally probable
 NOT_EXCLUDED = 0.05  # odds, against what is reported, from which an explanation is an alternative
@@ -84,7 +82,7 @@ def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[LoadAlter
     if posterior.log_odds_of_other_masses(masses) < CONTRADICTED:
         return []
     out = []
-    for name in LOADS:
+    for name in dict.fromkeys(c.name for c in pool.candidates if c.load_parameters):
         own = [e.variant for e in model.selected if e.candidate.name == name and e.candidate.usual]
         variants = own or [v for v in pool.open() if v.candidate.name == name and v.candidate.usual]
         compared = [_compared(model, v, masses, selected=bool(own)) for v in variants if np.isfinite(v.candidate.sigma).all()]

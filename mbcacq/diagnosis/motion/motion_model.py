@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.motion.noise import third_difference_noise
 from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.options import RIDGE, MotionOptions
 from mbcacq.diagnosis.motion.segments import segments
-from mbcacq.effects.motion.effect import ChannelGroup, MotionSignals
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 
 MISMATCH = -1  # the number of the mismatch among the columns of every joint
 

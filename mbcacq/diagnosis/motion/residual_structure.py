@@ -10,7 +10,7 @@ from scipy.special import chdtrc, stdtr
 from mbcacq.diagnosis.motion.fit import MotionFit
 from mbcacq.diagnosis.motion.options import MotionOptions
 from mbcacq.diagnosis.motion.result import MotionMismatch, UnmodelledMotionEffect
-from mbcacq.effects.motion.effect import MotionSignals
+from mbcacq.effects.motion_effect import MotionSignals
 
 FEWEST_BINS = 3  # a table of fewer has no shape
 

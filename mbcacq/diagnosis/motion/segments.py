@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.motion.options import MotionOptions
-from mbcacq.effects.motion.effect import MotionSignals
+from mbcacq.effects.motion_effect import MotionSignals
 
 Part = list[tuple[int, slice]]  # stretches of recordings: (number of the run, samples)
 

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
 from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
-from mbcacq.effects.motion.effect import MotionSignals
+from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.dynamics import nominal_parameters, regressor
 from mbcacq.model.cell import RobotModel

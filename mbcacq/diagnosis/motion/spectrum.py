@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.motion.options import MotionOptions
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals
-from mbcacq.effects.motion.torque_ripple import OrderRange, periodic_component, range_of_orders
+from mbcacq.effects import catalogue
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
+from mbcacq.effects.motion_periods import OrderRange, periodic_component, range_of_orders
 
 
 def periodic_candidates(
@@ -14,8 +15,9 @@ def periodic_candidates(
 ) -> list[MotionCandidate]:
     """Candidates for the strongest spectral lines of a residual (Ttot,): the strongest, the strongest above its background, and those
     near one and two periods per motor turn. training: (Ttot,) which samples take part."""
-    limits = range_of_orders(group, runs, joint)
-    if limits is None:
+    effect = catalogue.periodic_in(group.name)
+    limits = None if effect is None else range_of_orders(effect[1].lowest_order, runs, joint)
+    if effect is None or limits is None:
         return []
     q = np.concatenate([run.q[:, joint] for run in runs])
     observed = (float(q[training > 0].min()), float(q[training > 0].max()))
@@ -30,7 +32,7 @@ def periodic_candidates(
         near = np.flatnonzero(np.abs(orders - motor_order) <= limits.spacing)
         if len(near):
             found.append((float(orders[near[np.argmax(power[near])]]), options.motor_order_trials))
-    return [periodic_component(group, joint, order, limits.spacing / 2, trials, observed) for order, trials in found]
+    return [periodic_component(effect, joint, order, limits.spacing / 2, trials, observed) for order, trials in found]
 
 
 def _power(q: np.ndarray, residual: np.ndarray, limits: OrderRange, oversampling: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,8 @@ from scipy.signal import savgol_filter
 
 from mbcacq.diagnosis.motion.fit import FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import MotionOptions
-from mbcacq.effects.motion.effect import MOTOR_SIDE_EFFECTS, MotionSignals, available
+from mbcacq.effects import catalogue
+from mbcacq.effects.motion_effect import MotionSignals, available
 
 
 def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit, options: MotionOptions) -> tuple[MotionSignals, ...]:
@@ -22,15 +23,16 @@ def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit, options: Motio
     uncertainty = np.zeros(runs[0].q.shape[1])
     for j, joint in enumerate(torque.group.joints):
         uncertainty[joint] = torque.load_uncertainty[j] if explained[j] else options.unexplained_load_uncertainty
+    lost = [e for e in torque.effects if catalogue.declaration(e.name).motor_side]
+    passed = [e for e in torque.effects if not catalogue.declaration(e.name).motor_side]
     out = []
     for k, run in enumerate(runs):
         load = available(run.rigid).copy()
         for j, joint in enumerate(torque.group.joints):
             if explained[j]:
-                load[:, joint] += torque.links[j][k] + _sum([e for e in torque.effects if e.name not in MOTOR_SIDE_EFFECTS], j, k)
+                load[:, joint] += torque.links[j][k] + _sum(passed, j, k)
             else:
-                lost = _sum([e for e in torque.effects if e.name in MOTOR_SIDE_EFFECTS], j, k)
-                load[:, joint] = _smooth(available(run.torque)[:, joint] - lost, run.step_s, options)
+                load[:, joint] = _smooth(available(run.torque)[:, joint] - _sum(lost, j, k), run.step_s, options)
         out.append(replace(run, load=load, load_uncertainty=uncertainty))
     return tuple(out)
 

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
 
 NAME = "friction"
+DECLARED = Declaration(motor_side=True, model_block="friction", challenge=Challenge(in_motion=3))
 LEAST_LOAD = 0.05  # change of the load, as a share of the torque's, without which no dependence on it can be seen
 LEAST_SPEED = 1e-3  # rad/s; a joint that is slower throughout stands still
 STRIBECK_SPEEDS = np.geomspace(0.01, 0.4, 8)  # tried, as shares of the fastest speed: outside, it looks like Coulomb or viscous friction
 
 
-def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "tau":
         return []
     out = []

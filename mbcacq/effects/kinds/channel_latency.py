@@ -9,14 +9,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import savgol_filter
 
-from mbcacq.effects.motion.effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, available
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, available
 
 NAME = "channel_latency"
+DECLARED = Declaration(motor_side=True, model_block="sensor_delay", challenge=Challenge(in_motion=1))
 RESOLUTION_S = 1e-7  # splines between samples compare two time bases no better
 WINDOW_S = 0.25  # of the quintic through a recorded torque: shorter ones leave noise, which would shrink the slope
 
 
-def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name == "q_set":  # a late set point and a late drive are indistinguishable: drive_lag reports it, joint by joint
         return []
     columns, depends = (_torque, "rate") if group.name == "tau" else (_encoder, "qd")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.model.cell import RobotModel
 
-MOTOR_SIDE_EFFECTS = ("friction", "channel_latency", "torque_ripple")  # parts of a torque that never pass the gear; the rotor is another
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
 SHORT_TIME_CONSTANT = 20.0  # sampling intervals; below, a filter is oversampled
 NO_TIME_CONSTANT = 1e-2  # sampling intervals; below, a filter passes its input
@@ -97,6 +97,7 @@ class MotionCandidate:
     follows_load: its columns follow the load, which is known better the further the torque is explained.
     usual: so common that it starts selected and is dropped where it is not needed.
     tested: so many leading coefficients must differ from zero; the others only follow (None: all).
+    load_parameters: of an effect that loads the arm as its own masses do, names of its leading coefficients and factors to their units.
     sigma: prior standard deviation of the coefficients, one number or one each; it bounds what the data do not determine.
     """
 
@@ -118,6 +119,7 @@ class MotionCandidate:
     form: str = ""
     usual: bool = False
     tested: int | None = None
+    load_parameters: tuple[tuple[str, float], ...] = ()
     hyper_parameter: str = ""
     no_lower_bound: bool = False
 
@@ -149,6 +151,15 @@ def plain_report(*names: str, scale: float = 1.0, hyper_name: str | None = None)
         return out
 
     return report
+
+
+def as_estimates(parameters: Mapping[str, ParameterEstimate]) -> Parameters:
+    """Parameters as they are reported of poses in the form in which they are reported of motion."""
+
+    def plain(value: float | tuple[float, ...]) -> float | list[float]:
+        return list(value) if isinstance(value, tuple) else value
+
+    return {name: {"value": plain(p.value), "std": plain(p.std)} for name, p in parameters.items()}
 
 
 def low_pass(signal: np.ndarray, time_constant_s: float, step_s: float) -> np.ndarray:

@@ -7,13 +7,16 @@ construction. Slower errors are unmodelled functions of the angle, which hold wh
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.declaration import Challenge, Declaration, PeriodicInMotion
 from mbcacq.effects.effect import ORDER, Candidate, Hyperparameter, Report, number
 from mbcacq.effects.functions import DescribedPart, cosine, sine
 from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
 
 NAME = "gear_transmission_error"
-DECLARED = Declaration(challenge=Challenge(number=4))
+DECLARED = Declaration(
+    periodic_in_motion=PeriodicInMotion(channel="q_joint", lowest_order=0.0, amplitude="amplitude_deg", scale=float(np.degrees(1))),
+    challenge=Challenge(number=4, in_motion=6),
+)
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 260.0  # periods a turn of the joint
 LEAST_OF_PREFERRED = 0.5  # periods of an order that the gear has by its construction
 

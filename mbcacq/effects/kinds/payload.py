@@ -1,8 +1,11 @@
-"""A tool that is heavier than declared, or has its centre of gravity elsewhere; it shows only through the compliance of the joints.
+"""A tool that is heavier than declared, or has its centre of gravity elsewhere.
 
-The wind-up c_i tau_i of each elastic joint contains the tool's weight. With the compliances c_i of the model so far, an error of the mass
-and of the first moment of mass (mass times centre of gravity, flange frame) is linear: four coefficients.
+At standstill it shows only through the compliance of the joints: the wind-up c_i tau_i of each elastic joint contains the tool's weight.
+With the compliances c_i of the model so far, an error of the mass and of the first moment of mass (mass times centre of gravity, flange
+frame) is linear: four coefficients. In motion it acts in the torque of all joints, by its ten inertial parameters.
 """
+
+from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,13 +14,16 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Coupling, Declaration, Where
-from mbcacq.effects.effect import Candidate, Missing, number, vector
+from mbcacq.effects.effect import Candidate, Missing, Parameters, number, vector
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, linear, scaled
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Report, as_estimates, available
+from mbcacq.geometry.dynamics import tool_sigma
 
 NAME = "payload"
 THROUGH = "joint_compliance"
 LOADS = ("mass", "x", "y", "z")  # of the covariates ``payload_torque_I_LOAD``: a kilogram, and kilogram millimetres along each flange axis
 LEAST_LOAD_SHARE = 0.15  # of the largest range of gravity torque
+LEAST_MASS_KG = 0.05  # by which a first moment is divided, to state a centre of gravity
 
 
 def candidates(context: Context) -> list[Candidate]:
@@ -48,6 +54,14 @@ def under_load(context: Context, compliance: Candidate, coefficients: np.ndarray
     return replace(compliance, described=[DescribedPart("joint", int(at[1:]) - 1, 0, (column,))], variant=variant)
 
 
+def tool(mass: float, com: np.ndarray, c: np.ndarray, v: np.ndarray) -> Parameters:
+    """Mass (kg) and centre of gravity (3,) mm of a tool declared with these, and an error c (4,) kg, kg mm of covariance v (4, 4)."""
+    new_mass = max(mass + c[0], LEAST_MASS_KG)
+    new_com = (mass * com + c[1:4]) / new_mass
+    slope = np.concatenate([-new_com[:, None], np.eye(3)], axis=1) / new_mass
+    return {"mass_kg": number(mass + c[0], np.sqrt(max(v[0, 0], 0.0))), "com_mm": vector(new_com, slope @ v @ slope.T)}
+
+
 def correction_for(
     context: Context, compliances: Mapping[Where, float], spread: np.ndarray | None = None, complete: bool = False
 ) -> list[Candidate]:
@@ -70,11 +84,7 @@ def correction_for(
     mass, com = float(np.mean(context.payload_mass)), context.obs.cell.robot.payload_com
 
     def report(c, v, _):
-        new_mass = max(mass + c[0], 0.05)
-        new_com = (mass * com + c[1:4]) / new_mass
-        slope = np.concatenate([-new_com[:, None], np.eye(3)], axis=1) / new_mass
-        v_payload = v[:4, :4] if spread is None else spread
-        out = {"mass_kg": number(new_mass, np.sqrt(v_payload[0, 0])), "com_mm": vector(new_com, slope @ v_payload @ slope.T)}
+        out = dict(tool(mass, com, c[:4], v[:4, :4] if spread is None else spread))
         for k, i in enumerate(beyond, start=4):
             out[f"A{i + 1}.compliance_rad_per_Nm"] = number(c[k], np.sqrt(v[k, k]))
         return out
@@ -83,6 +93,37 @@ def correction_for(
     typical = np.array([0.5, 50.0, 50.0, 50.0] + [1.5e-6] * len(beyond))
     where, cause = ("mount",), "gravity_torque_2"
     return [Candidate(NAME, where, cause, parts, report, typical, variant=label)]
+
+
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+    if group.name != "tau" or any(run.payload is None for run in runs):
+        return []
+    robot = runs[0].robot
+    assert robot is not None, "torques by unit inertial parameters are of an arm"
+    return [
+        MotionCandidate(
+            NAME,
+            ("mount",),
+            "gravity_torque",
+            group.joints,
+            _columns,
+            _report(float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float)),
+            sigma=tuple(tool_sigma(robot)),
+            usual=True,
+            tested=4,
+            load_parameters=(("mass_kg", 1.0), *((f"moment_{axis}_kg_mm", 1e3) for axis in "xyz")),
+        )
+    ]
+
+
+def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+    return available(run.payload)[:, joint]
+
+
+def _report(mass: float, com: np.ndarray) -> Report:
+    """Of the tool in all, in the words of the poses; what there is in kg mm is in kg m here."""
+    to_mm = np.array([1.0, 1e3, 1e3, 1e3])
+    return lambda c, v, _, __: as_estimates(tool(mass, com, to_mm * c[:4], v[:4, :4] * np.outer(to_mm, to_mm)))
 
 
 DECLARED = Declaration(
@@ -96,6 +137,8 @@ DECLARED = Declaration(
         carrier=under_load,
         advice="a payload other than declared explains as much as elastic joints ({odds}): weigh the tool",
     ),
+    adds_body=True,
+    model_block="inertia",
     # A tool cannot be any weight, and shows only on a soft arm.
-    challenge=Challenge(number=21, companions=(THROUGH,), strongest=1.5, options={"compliance_rad_per_Nm": 6e-6}),
+    challenge=Challenge(number=21, in_motion=10, companions=(THROUGH,), strongest=1.5, options={"compliance_rad_per_Nm": 6e-6}),
 )

@@ -1,4 +1,4 @@
-"""Periodic components in a joint's own angle: gear transmission error in the encoder, torque ripple in the torque.
+"""Periodic components of a mismatch in motion in a joint's own angle.
 
 Each is a sine and cosine whose order (periods per turn of the joint) is found in the data, never assumed.
 """
@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.effects.motion.effect import ChannelGroup, Columns, MotionCandidate, MotionSignals, Parameters, Report
+from mbcacq.effects.declaration import PeriodicInMotion
+from mbcacq.effects.motion_effect import Columns, MotionCandidate, MotionSignals, Parameters, Report
 
-ANGLE, TORQUE = "gear_transmission_error", "torque_ripple"
-LOWEST_ORDER = {ANGLE: 0.0, TORQUE: 6.0}  # lower orders of a torque are those of gravity
 HIGHEST_ORDER = 1500.0  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
 LEAST_TRAVEL = np.radians(2.0)  # below, a joint hardly moved
 LEAST_PERIODS = 1.5  # in the observed travel: more than one whole period
@@ -29,36 +28,32 @@ class OrderRange:
 
 
 def periodic_component(
-    group: ChannelGroup, joint: int, order: float, spacing: float, trials: float, observed: tuple[float, float]
+    effect: tuple[str, PeriodicInMotion], joint: int, order: float, spacing: float, trials: float, observed: tuple[float, float]
 ) -> MotionCandidate:
-    """The candidate of one order. spacing: of the orders to try around it; trials: how many were compared; observed: lowest and highest
-    angle (rad) of the data that take part: elsewhere its phase is not known, and it is zero."""
-    name = ANGLE if group.name == "q_joint" else TORQUE
-    key, scale = ("amplitude_deg", float(np.degrees(1))) if name == ANGLE else ("amplitude_Nm", 1.0)
+    """The candidate of one order. effect: its name, and how it is periodic; spacing: of the orders to try around it; trials: how many were
+    compared; observed: lowest and highest angle (rad) of the data that take part: elsewhere its phase is not known, and it is zero."""
+    name, declared = effect
     return MotionCandidate(
         name,
         (f"A{joint + 1}",),
         f"q{joint + 1}",
         (joint,),
         _columns(observed),
-        _report(f"A{joint + 1}", key, scale),
+        _report(f"A{joint + 1}", declared.amplitude, declared.scale),
         hyper=order + spacing * np.array([-0.5, 0.0, 0.5]),
         trials=trials,
         form=f"{order:.4g}",
     )
 
 
-def range_of_orders(group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int) -> OrderRange | None:
-    """The orders that the recordings can show, None if the joint hardly moved or no periodic component is physical."""
-    if group.name == "q_set":
-        return None
-    name = ANGLE if group.name == "q_joint" else TORQUE
+def range_of_orders(lowest_order: float, runs: tuple[MotionSignals, ...], joint: int) -> OrderRange | None:
+    """The orders from ``lowest_order`` on that the recordings can show, None if the joint hardly moved."""
     travel = max(float(np.ptp(run.q[:, joint])) for run in runs)
     if travel < LEAST_TRAVEL:
         return None
     fastest = max(float(np.abs(run.qd[:, joint]).max()) * run.step_s for run in runs)
     spacing = 2 * np.pi / travel
-    lowest = max(LOWEST_ORDER[name], LEAST_PERIODS * spacing)
+    lowest = max(lowest_order, LEAST_PERIODS * spacing)
     highest = min(HIGHEST_ORDER, np.pi / max(fastest, 1e-9))  # two samples a period at the highest speed
     return OrderRange(lowest, highest, spacing) if highest > lowest else None
 

@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from mbcacq.effects.motion.effect import (
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.motion_effect import (
     ChannelGroup,
     Columns,
     MotionCandidate,
@@ -27,6 +28,7 @@ from mbcacq.effects.motion.effect import (
 )
 
 NAME = "drive_lag"
+DECLARED = Declaration(challenge=Challenge(in_motion=2))
 RESOLUTION_S = 2e-6  # neither dead time nor lag is known better: both filters, the arm's and this one, step in time
 LAGS_S = np.concatenate([[1e-5], np.geomspace(0.001, 0.15, 9)])  # time constants of a drive
 LOOPS_S = np.geomspace(0.25, 100.0, 12)  # a time constant above 0.2 s is that of a position loop, not of a drive
@@ -36,7 +38,7 @@ FRICTION_SPEED = 1e-3  # rad/s, at which friction that is fed forward changes it
 FEWEST_S = 1e-6  # least total delay: a column is divided by it
 
 
-def candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
     if group.name != "q_set":
         return []
     out = []

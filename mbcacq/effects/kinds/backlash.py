@@ -1,0 +1,108 @@
+"""Backlash: a joint is off by half the width, by the direction of its last motion or by the sign of the gravity torque.
+
+In motion the joint side lags by half the clearance, on the side from which it is driven.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+from mbcacq.effects.context import Context
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, number
+from mbcacq.effects.functions import DescribedPart, linear, of
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
+
+NAME = "backlash"
+DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=5, in_motion=5))
+FEWEST, LEAST = 4, 0.005  # poses, and share of them, at which the torque must have the rarer sign
+TRANSITIONS = np.array([0.0, 0.03, 0.1, 0.3, 1.0])  # N m over which the teeth change sides: tanh(torque / transition); 0: at once
+AT_ONCE = 1e-9  # N m, over which a hyperbolic tangent is the sign of any torque
+CROSSING_S = np.array(
+    [0.001, 0.003, 0.01, 0.03]
+)  # time constants of crossing the clearance that are tried: a fraction of a cycle to several
+LEAST_LOAD = 0.002  # of the largest: below, as at rest, the flank in contact is not known and no displacement is assumed
+OVERSAMPLING = 8  # the load changes its sign between two samples
+LEAST_SHARE_OF_TIME = 0.02  # on each flank, without which a change of flank cannot be seen
+
+
+def candidates(context: Context) -> list[Candidate]:
+    """For each joint that came from both sides, half its width by the direction; for each joint whose load changes sign, by the load.
+
+    Coefficients are in rad, and negative where the joint stays behind its motion.
+    """
+    out, direction = [], context.obs.direction
+    if direction is not None:
+        moved = [i for i in range(context.n) if np.ptp(direction[:, i]) > 0]
+        out += [by_direction(context, i) for i in moved]
+    if context.masses_known:
+        torque = context.gravity_torque
+        fewest = max(FEWEST, LEAST * context.obs.n_poses)
+        changes = [i for i in range(context.n) if min(np.sum(torque[:, i] > 0), np.sum(torque[:, i] < 0)) >= fewest]
+        out += [under_load(context, i) for i in changes if np.ptp(torque[:, i]) > 0.5]
+    if direction is None and not out:
+        raise Missing("no senses of motion recorded (dir1..)")
+    return out
+
+
+def by_direction(context: Context, i: int) -> Candidate:
+    """By the direction of the last motion of joint i: -1, 0 or 1."""
+    cause = f"direction_{i + 1}"
+    parts = [DescribedPart("joint", i, 0, (linear(cause),))]
+    return Candidate(NAME, (f"A{i + 1}",), cause, parts, report_of(i), np.array([3e-5]))
+
+
+def under_load(context: Context, i: int) -> Candidate:
+    """By the gravity torque about joint i. A transition wider than a twentieth of its range would be compliance."""
+    values, cause = TRANSITIONS[TRANSITIONS < 0.05 * np.ptp(context.gravity_torque[:, i])], f"gravity_torque_{i + 1}"
+
+    def described(transition):
+        return [DescribedPart("joint", i, 0, (of(cause, "tanh", np.maximum(transition, AT_ONCE)),))]
+
+    hyper = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
+    return Candidate(NAME, (f"A{i + 1}",), cause, described, report_of(i), np.array([3e-5]), hyper)
+
+
+def report_of(i: int) -> Report:
+    """The width, whose half is the size of the coefficient."""
+
+    def report(c, v, _):
+        return {f"A{i + 1}.width_deg": number(np.degrees(2 * abs(c[0])), np.degrees(2 * np.sqrt(v[0, 0])))}
+
+    return report
+
+
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+    if group.name != "q_joint":
+        return []
+    out = []
+    for j in group.joints:
+        axis, width, degrees = f"A{j + 1}", f"A{j + 1}.width_deg", float(np.degrees(1))
+        by_direction = plain_report(width, scale=degrees)
+        out.append(MotionCandidate(NAME, (axis,), f"direction_{j + 1}", (j,), _by_direction, by_direction, positive=True))
+        if all(run.load is not None for run in runs) and _changes_flank(runs, j):
+            by_load = plain_report(width, scale=degrees, hyper_name=f"{axis}.crossing_s")
+            hyper = {"hyper": CROSSING_S, "hyper_parameter": f"{axis}.crossing_s", "trials": 2.0}
+            out.append(MotionCandidate(NAME, (axis,), f"tau{j + 1}", (j,), _by_load, by_load, positive=True, form="load", **hyper))
+    return out
+
+
+def _by_direction(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+    return -0.5 * run.direction[:, [joint]]
+
+
+def _by_load(run: MotionSignals, joint: int, crossing_s: float | None) -> np.ndarray:
+    """The flank in contact follows the sign of the load, in the time that it takes to cross the clearance."""
+    assert crossing_s is not None
+    torque = available(run.load)[:, joint]
+    load = np.interp(np.arange((len(torque) - 1) * OVERSAMPLING + 1) / OVERSAMPLING, np.arange(len(torque)), torque)
+    flank = np.sign(load) * (np.abs(load) > LEAST_LOAD * float(np.abs(load).max()))
+    keep = np.exp(-run.step_s / OVERSAMPLING / crossing_s)
+    followed = flank[0] + lfilter([1.0 - keep], [1.0, -keep], flank - flank[0])
+    return -0.5 * followed[::OVERSAMPLING, None]
+
+
+def _changes_flank(runs: tuple[MotionSignals, ...], joint: int) -> bool:
+    signs = np.concatenate([np.sign(available(run.load)[:, joint]) for run in runs])
+    return float(min((signs > 0).mean(), (signs < 0).mean())) > LEAST_SHARE_OF_TIME

@@ -1,0 +1,165 @@
+"""A spring or gas balancer at A2, which carries the arm; nothing of it stands in the rigid-body model.
+
+Its torque depends on q2 alone. A rod between a point of the base, D apart from the axis, and one of the link, k along it, has the length
+l = sqrt(D^2 + k^2 - 2 D k cos(delta)), delta = q2 - q0, and pulls with a force F(l): torque F D k sin(delta) / l. It carries the arm, so
+q0 is near the angle at which the link stands upright. For springs and gas, which is compressed by less than half, F = F0 + F1 (l - l0).
+F0, F1 and a shift of q0 are the coefficients; the ratio k / D is tried.
+
+In the torque of a motion these coefficients are identified themselves, for mechanisms of another shape by a series of harmonics. At
+standstill the torque winds the gearbox up against gravity: what is identified is the torque times the compliance of A2, two angles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.effects.context import Context
+from mbcacq.effects.declaration import Challenge, Declaration, Estimates
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, number
+from mbcacq.effects.functions import DescribedPart, Function, Product
+from mbcacq.effects.motion_effect import (
+    ChannelGroup,
+    Columns,
+    MotionCandidate,
+    MotionSignals,
+    Parameters,
+    Report,
+    available,
+    plain_report,
+    standard_deviations,
+)
+from mbcacq.geometry.gravity import upright_angle
+
+NAME = "gravity_compensator"
+LEVER_RATIOS = np.array([0.15, 0.25, 0.4])  # k / D of built balancers
+TYPICAL = 1e-4  # rad: half a wind-up of 0.2 mrad, as of 1 kN m at 2e-7 rad/(N m)
+UPRIGHT_SIGMA = np.radians(10.0)  # by how much q0 may differ from the upright angle
+STEP = 1e-3  # rad, of a numerical derivative; at 1e-4 both differ in the seventh digit
+LEAST_SPAN = np.radians(20.0)
+HEAVY_KG = 200.0  # mass of the links: a lighter arm whose A2 may turn all around has no rod that would be in its way
+THIRD_HARMONIC = 0.1  # prior sigma, as a share of that of the first two: the series of a spring converges as fast
+
+
+def candidates(context: Context) -> list[Candidate]:
+    """One candidate at A2 of three coefficients (rad): constant force, growing force, shift of the upright angle times the first."""
+    robot = context.obs.cell.robot
+    upright = None if context.n < 3 else upright_angle(robot.chain, robot.gravity)
+    if upright is None:
+        raise Missing("A2 does not lift the arm against gravity")
+    if robot.mass.sum() < HEAVY_KG and np.ptp(robot.limits[1]) >= 2 * np.pi:
+        raise Missing("A2 of this light arm turns all around, past where the rod of a balancer would be")
+    if np.ptp(context.obs.q[:, 1]) < LEAST_SPAN:
+        raise Missing("A2 turns too little for the law of a balancer")
+
+    def described(ratio):
+        def lever(shift: float) -> Function:
+            return Function("q2", "lever", (upright + shift, ratio))
+
+        constant = (Product(1.0, (lever(0.0),)),)
+        growing = (Product(1.0, (lever(0.0), Function("q2", "stretch", (upright, ratio)))),)
+        turned = (Product(0.5 / STEP, (lever(STEP),)), Product(-0.5 / STEP, (lever(-STEP),)))
+        return [DescribedPart("joint", 1, 0, (constant, growing, turned))]
+
+    def report(c, v, ratio):
+        first = c[0] if abs(c[0]) > 1e-30 else 1e-30
+        slope = np.array([-c[2] / first, 0.0, 1.0]) / first
+        std = np.sqrt(np.diag(v))
+        return {
+            "A2.preload_deg": number(np.degrees(c[0]), np.degrees(std[0])),
+            "A2.stretched_deg": number(np.degrees(c[1]), np.degrees(std[1])),
+            "A2.zero_deg": number(np.degrees(upright + c[2] / first), np.degrees(np.sqrt(max(slope @ v @ slope, 0.0)))),
+        }
+
+    typical = np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA])
+    hyper = Hyperparameter("lever_ratio", LEVER_RATIOS, 2.0, refine=False)
+    return [Candidate(NAME, ("A2",), "q2", described, report, typical, hyper)]
+
+
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+    if group.name != "tau" or 1 not in group.joints:
+        return []
+    weight = max(float(np.abs(available(run.gravity)[:, 1]).max()) for run in runs)  # the torque that a balancer has to balance
+    first = plain_report("A2.sin_Nm", "A2.cos_Nm", "A2.sin2_Nm", "A2.cos2_Nm")
+    third = plain_report("A2.sin3_Nm", "A2.cos3_Nm")
+    out = [
+        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(1, 2), first, sigma=weight, form="series"),
+        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(3), third, extends=True, form="third", sigma=THIRD_HARMONIC * weight),
+    ]
+    robot = runs[0].robot
+    upright = None if robot is None else upright_angle(robot.chain, robot.gravity)
+    if upright is not None:
+        sigma = (2.0 * weight, weight, 2.0 * weight * float(UPRIGHT_SIGMA))
+        out.append(
+            MotionCandidate(
+                NAME,
+                ("A2",),
+                "q2",
+                (1,),
+                _balancing(upright),
+                _balancing_report(upright),
+                hyper=LEVER_RATIOS,
+                positive=True,
+                continuous=False,
+                form="balancing",
+                sigma=sigma,
+                usual=True,
+                load_parameters=(("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0)),
+            )
+        )
+    return out
+
+
+def _harmonics(*harmonics: int) -> Columns:
+    def columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+        return np.stack([function(k * run.q[:, joint]) for k in harmonics for function in (np.sin, np.cos)], axis=1)
+
+    return columns
+
+
+def _constant_force(delta: np.ndarray, ratio: float) -> np.ndarray:
+    """Torque of a constant force over its largest value, which is F0 k."""
+    return np.sin(delta) / np.sqrt(1.0 + ratio**2 - 2.0 * ratio * np.cos(delta))
+
+
+def _balancing(upright: float) -> Columns:
+    def columns(run: MotionSignals, joint: int, ratio: float | None) -> np.ndarray:
+        assert ratio is not None
+        delta = run.q[:, joint] - upright
+        constant = _constant_force(delta, ratio)
+        stretched = (np.sqrt(1.0 + ratio**2 - 2.0 * ratio * np.cos(delta)) - (1.0 - ratio)) / (2.0 * ratio)
+        turned = (_constant_force(delta - STEP, ratio) - _constant_force(delta + STEP, ratio)) / (2.0 * STEP)
+        return np.stack([constant, constant * stretched, turned], axis=1)
+
+    return columns
+
+
+def _balancing_report(upright: float) -> Report:
+    def report(c: np.ndarray, v: np.ndarray, ratio: float | None, _: float) -> Parameters:
+        """The shift of q0 is the third coefficient over the first."""
+        std = standard_deviations(v)
+        gradient = np.array([-c[2] / c[0], 0.0, 1.0]) / c[0]
+        shift_std = float(np.sqrt(max(gradient @ v @ gradient, 0.0)))
+        return {
+            "A2.preload_Nm": {"value": float(c[0]), "std": float(std[0])},
+            "A2.stretched_Nm": {"value": float(c[1]), "std": float(std[1])},
+            "A2.zero_deg": {"value": float(np.degrees(upright + c[2] / c[0])), "std": float(np.degrees(shift_std))},
+        }
+
+    return report
+
+
+def as_wind_up(found: Estimates, every: Estimates) -> Estimates:
+    """The torques of the balancer as the angles by which they wind A2 up; without its compliance only the angle of the upright link."""
+    out = {"A2.zero_deg": found["A2.zero_deg"]} if "A2.zero_deg" in found else {}
+    soft = every.get("A2.compliance_rad_per_Nm")
+    if soft is None:
+        return out
+    for torque, angle in (("A2.preload_Nm", "A2.preload_deg"), ("A2.stretched_Nm", "A2.stretched_deg")):
+        if torque in found:
+            value, std = found[torque]["value"], found[torque]["std"]
+            spread = float(np.hypot(std * soft["value"], value * soft["std"]))
+            out[angle] = {"value": float(np.degrees(value * soft["value"])), "std": float(np.degrees(spread))}
+    return out
+
+
+DECLARED = Declaration(in_terms_of_poses=as_wind_up, challenge=Challenge(number=19, in_motion=11, companions=("joint_compliance",)))

@@ -1,0 +1,40 @@
+"""A joint that turns a little more or less than reported: encoder or gear ratio. ``ratio`` is the excess over 1.
+
+In motion the joint side moves by another ratio than the motor side reports.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.effects.context import Context
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.functions import DescribedPart, linear
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, plain_report
+
+NAME = "joint_scale"
+DECLARED = Declaration(challenge=Challenge(number=6, in_motion=8))
+
+
+def candidates(context: Context) -> list[Candidate]:
+    """For each joint that moves, the excess of its ratio over 1."""
+    out = []
+    for i in range(context.n):
+        if np.ptp(context.obs.q[:, i]) > 0.02:
+            cause = f"q{i + 1}"
+            parts = [DescribedPart("joint", i, 0, (linear(cause),))]
+            report = scalar_report(f"A{i + 1}.ratio")
+            typical = np.array([1e-4])
+            out.append(Candidate(NAME, (f"A{i + 1}",), cause, parts, report, typical))
+    return out
+
+
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+    if group.name != "q_joint":
+        return []
+    return [MotionCandidate(NAME, (f"A{j + 1}",), f"q{j + 1}", (j,), _columns, plain_report(f"A{j + 1}.ratio")) for j in group.joints]
+
+
+def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+    return run.q[:, [joint]]
