@@ -5,7 +5,7 @@ import pickle
 
 import pytest
 
-from mbcacq.diagnosis.motion.combine import agreement, combined
+from mbcacq.diagnosis.motion.combine import agreement, combined, combined_text, decided
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.errors import ConfigError
 
@@ -78,3 +78,58 @@ def test_diagnosis_of_motion_shows_its_effects_in_a_notebook():
 def test_a_diagnosis_of_poses_is_no_diagnosis_of_motion():
     with pytest.raises(ConfigError, match="not the diagnosis of a motion"):
         MotionDiagnosis.from_json({"format": "mbcacq-diagnosis/1", "fit": {"train": {}, "held_out": {}}})
+
+
+def in_poses(name, where, **parameters):
+    estimates = {key.replace("__", "."): {"value": v, "std": s} for key, (v, s) in parameters.items()}
+    return {"effects": [{"name": name, "where": where, "parameters": estimates}], "not_separable": []}
+
+
+def in_motion(name, where, **parameters):
+    content = motion()
+    estimates = {key.replace("__", "."): {"value": v, "std": s} for key, (v, s) in parameters.items()}
+    content["effects"] = [content["effects"][0] | {"name": name, "where": where, "parameters": estimates}]
+    return MotionDiagnosis.from_json(content)
+
+
+def test_a_tool_of_12_kg_in_the_poses_contradicts_one_of_15_kg_in_the_motion():
+    poses = in_poses("payload", ["mount"], mass_kg=(12.0, 0.5), com_mm=([0.0, 0.0, 90.0], [5.0, 5.0, 5.0]))
+    found = in_motion("payload", ["mount"], mass_kg=(15.0, 0.2), com_mm=([3.0, -4.0, 95.0], [5.0, 5.0, 5.0]))
+    assert [(a.parameter, a.agrees) for a in agreement(poses, found)] == [("mass_kg", False), ("com_mm", True)]
+    text = combined_text(poses, "", found)
+    assert text.startswith("Poses and motion contradict each other on payload at mount: mass_kg is 12 +- 0.5 by the poses and 15 +- 0.2")
+
+
+def test_a_balancer_s_torque_is_compared_by_the_angle_to_which_the_gear_gives_way():
+    poses = in_poses("gravity_compensator", ["A2"], A2__preload_deg=(-0.0344, 0.001), A2__zero_deg=(-90.0, 1.0))
+    poses["effects"] += in_poses("joint_compliance", ["A2"], A2__compliance_rad_per_Nm=(2e-7, 2e-9))["effects"]
+    torque = {"A2__preload_Nm": (3000.0, 30.0), "A2__zero_deg": (-95.0, 1.0)}
+    found = {a.parameter: a for a in agreement(poses, in_motion("gravity_compensator", ["A2"], **torque))}
+    assert found["A2.preload_deg"].agrees
+    assert found["A2.preload_deg"].motion.value == pytest.approx(-3000 * 2e-7 * 57.29578)
+    assert not found["A2.zero_deg"].agrees  # 5 deg apart, 1.4 deg uncertain
+
+
+def test_couplings_are_compared_where_they_join_the_same_joints():
+    found = in_motion("wrist_coupling", ["A4", "A6"], ratio=(3e-4, 1e-5))
+    assert [a.agrees for a in agreement(in_poses("wrist_coupling", ["A4", "A6"], ratio=(3.1e-4, 1e-5)), found)] == [True]
+    assert agreement(in_poses("wrist_coupling", ["A4", "A5"], ratio=(9e-4, 1e-5)), found) == []
+
+
+def test_of_several_orders_those_of_one_order_are_compared():
+    many = {"A4__order": ([60.0, 2.0], [0.1, 0.1]), "A4__phase_deg": ([10.0, 179.0], [2.0, 2.0])}
+    one = {"A4__order": (2.05, 0.1), "A4__phase_deg": (-179.5, 2.0)}
+    found = agreement(in_poses("gear_transmission_error", ["A4"], **many), in_motion("gear_transmission_error", ["A4"], **one))
+    assert [(a.parameter, a.poses.value, a.agrees) for a in found] == [("A4.order", 2.0, True), ("A4.phase_deg", 179.0, True)]
+    assert found[1].sigmas == pytest.approx(1.5 / 8**0.5)
+
+
+def test_what_one_cannot_tell_apart_is_named_by_the_other():
+    poses = in_poses("payload", ["mount"], mass_kg=(12.0, 0.5))
+    (pair,) = decided(poses, MotionDiagnosis.from_json(motion()))
+    assert (pair.effects, pair.named, pair.by) == (("payload:mount", "arm"), "payload:mount", "poses")
+    poses |= {"not_separable": [{"effects": ["joint_compliance:A2", "backlash:A2"], "correlation": None}]}
+    assert {(p.named, p.by) for p in decided(poses, MotionDiagnosis.from_json(motion()))} == {
+        ("payload:mount", "poses"),
+        ("joint_compliance:A2", "motion"),
+    }

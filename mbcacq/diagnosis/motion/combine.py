@@ -1,36 +1,64 @@
-"""A run has both: poses at standstill and the motion between them. A parameter found in both must agree."""
+"""A run has both: poses at standstill and the motion between them. What both found of one effect is compared, in one vocabulary.
+
+1. The parameters of the motion are put into the words of the poses (``Declaration.in_terms_of_poses``): a balancer's torque, say, becomes
+   the angle by which it winds A2 up.
+2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other.
+3. Where one of them cannot tell two effects apart, and the other names one of these, that one is named.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtrc, ndtri
 
 from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
+from mbcacq.effects import catalogue
+from mbcacq.effects.declaration import Estimates
 from mbcacq.quantities import K, measured, split_unit
+
+SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
+PHASE = "phase_deg"
+FARTHEST = 38.0  # standard deviations: beyond, the probability of a normal distribution is no floating point number
 
 
 @dataclass(frozen=True)
 class SingleEstimate:
-    """A value with its standard deviation."""
+    """A value with its standard deviation; tuples of a parameter with several components."""
 
-    value: float
-    std: float
+    value: float | tuple[float, ...]
+    std: float | tuple[float, ...]
 
     def shown(self, parameter: str) -> str:
-        """With its expanded uncertainty (k = 2) in the unit of the parameter's name."""
+        """With its expanded uncertainty (k = 2) in the unit of the parameter's name; a vector component by component."""
         _, unit, factor = split_unit(parameter)
-        return measured(factor * self.value, K * factor * self.std, unit)
+        values, stds = np.atleast_1d(self.value), np.atleast_1d(self.std)
+        return ", ".join(measured(factor * v, K * factor * s, unit) for v, s in zip(values, stds, strict=True))
 
 
 @dataclass(frozen=True)
 class ParameterAgreement:
-    """A parameter of an effect that was found in the poses and in the motion. sigmas: their distance in combined standard deviations."""
+    """A parameter of an effect that was found in the poses and in the motion.
+
+    Attributes
+    ----------
+    name, where, parameter
+        The effect, its locations, and the parameter with its unit.
+    poses, motion
+        Both estimates.
+    sigmas
+        Their distance in combined standard deviations; of several components the distance of one that is as improbable as all together.
+    agrees
+        Whether that is less than three.
+    """
 
     name: str
+    where: tuple[str, ...]
     parameter: str
     poses: SingleEstimate
     motion: SingleEstimate
@@ -38,41 +66,146 @@ class ParameterAgreement:
     agrees: bool
 
 
+@dataclass(frozen=True)
+class DecidedPair:
+    """Effects that one diagnosis cannot tell apart, of which the other names one. by: 'poses' or 'motion', which names it."""
+
+    effects: tuple[str, ...]
+    named: str
+    by: str
+
+    def __str__(self) -> str:
+        other = "motion" if self.by == "poses" else "poses"
+        return f"{' and '.join(self.effects)}, which the {other} cannot tell apart: the {self.by} name {self.named}".replace(
+            "the motion name ", "the motion names "
+        )
+
+
 def combined(poses: dict[str, Any], motion: MotionDiagnosis) -> dict[str, Any]:
-    """The JSON of the pose diagnosis with that of the motion (``motion``), and what both found (``agreement``)."""
-    return poses | {"motion": motion.to_json(), "agreement": [asdict(a) for a in agreement(poses, motion)]}
+    """The JSON of the pose diagnosis with that of the motion (``motion``), what both found (``agreement``), and what one decides that the
+    other cannot (``decided``).
+    """
+    both = {"agreement": [asdict(a) for a in agreement(poses, motion)], "decided": [asdict(d) for d in decided(poses, motion)]}
+    return poses | {"motion": motion.to_json()} | both
 
 
-def agreement(poses: dict[str, Any], motion: MotionDiagnosis, sigmas: float = DEFAULTS.agreement_sigmas) -> list[ParameterAgreement]:
-    """Every parameter that both found, as single numbers. poses: JSON of the pose diagnosis; sigmas: within which two values agree."""
-    found = {(e.name, key): p for e in motion.effects for key, p in e.parameters.items()}
+def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float = DEFAULTS.agreement_sigmas) -> list[ParameterAgreement]:
+    """Every parameter that both found. poses: JSON of the pose diagnosis; sigmas: within which two values agree."""
+    in_motion = in_terms_of_poses(poses, motion)
     out = []
     for effect in poses["effects"]:
-        for key, entry in effect["parameters"].items():
-            mine, other = _estimate(entry), _estimate(found.get((effect["name"], key), {}))
-            if mine is None or other is None:
-                continue
-            distance = float(abs(mine.value - other.value) / max(float(np.hypot(mine.std, other.std)), 1e-300))
-            out.append(ParameterAgreement(effect["name"], key, mine, other, distance, distance <= sigmas))
+        name, own = effect["name"], effect["parameters"]
+        for where, other in in_motion.get(name, []):
+            if "." not in next(iter(own), ".") and set(where) != set(effect["where"]):
+                continue  # the names of its parameters do not tell where it is
+            for key, mine, theirs in paired(own, other):
+                distance = distance_of(key, mine, theirs)
+                out.append(ParameterAgreement(name, where, key, mine, theirs, distance, distance <= sigmas))
     return out
 
 
-def _estimate(entry: Any) -> SingleEstimate | None:
-    """None for a parameter that is missing, not finite or a list."""
-    value, std = entry.get("value"), entry.get("std")
-    return None if value is None or std is None or np.ndim(value) or np.ndim(std) else SingleEstimate(value, std)
+def in_terms_of_poses(poses: Mapping[str, Any], motion: MotionDiagnosis) -> dict[str, list[tuple[tuple[str, ...], Estimates]]]:
+    """Name of an effect of the motion -> its locations and its parameters in the words of the poses."""
+    every = {key: p for e in (*poses["effects"], *(m.to_json() for m in motion.named_effects)) for key, p in e["parameters"].items()}
+    out: dict[str, list[tuple[tuple[str, ...], Estimates]]] = {}
+    for effect in motion.named_effects:
+        translate = catalogue.declaration(effect.name).in_terms_of_poses
+        parameters = effect.parameters if translate is None else translate(effect.parameters, every)
+        out.setdefault(effect.name, []).append((effect.where, parameters))
+    return out
+
+
+def paired(own: Estimates, other: Estimates) -> Iterator[tuple[str, SingleEstimate, SingleEstimate]]:
+    """The parameters that both have. Of a periodic effect with several orders those of one order belong together."""
+    for key in own:
+        location = key.rpartition(".")[0]
+        orders = f"{location}.order" if location else "order"
+        if key not in other:
+            continue
+        if orders not in own or orders not in other:
+            both = _estimate(own[key]), _estimate(other[key])
+            if both[0] is not None and both[1] is not None and np.size(both[0].value) == np.size(both[1].value):
+                yield key, both[0], both[1]
+            continue
+        for j, i in same_orders(own[orders]["value"], other[orders]["value"]):
+            mine, theirs = _estimate(own[key], j), _estimate(other[key], i)
+            if mine is not None and theirs is not None:
+                yield key, mine, theirs
+
+
+def same_orders(own: Any, other: Any) -> list[tuple[int, int]]:
+    """Positions of periodic components that are the same, in both lists of orders."""
+    apart = np.abs(np.subtract.outer(np.atleast_1d(own).astype(float), np.atleast_1d(other).astype(float)))
+    return [(j, int(row.argmin())) for j, row in enumerate(apart) if row.min() < SAME_ORDER]
+
+
+def distance_of(key: str, mine: SingleEstimate, theirs: SingleEstimate) -> float:
+    """Distance of two estimates in combined standard deviations."""
+    difference = np.atleast_1d(mine.value) - np.atleast_1d(theirs.value)
+    if key.rpartition(".")[2] == PHASE:
+        difference = (difference + 180.0) % 360.0 - 180.0
+    sigmas = np.abs(difference) / np.maximum(np.hypot(np.atleast_1d(mine.std), np.atleast_1d(theirs.std)), 1e-300)
+    if len(sigmas) == 1:
+        return float(sigmas[0])
+    probability = float(chdtrc(len(sigmas), np.sum(sigmas**2)))
+    return float(-ndtri(probability / 2)) if probability > 0 else max(FARTHEST, float(sigmas.max()))
+
+
+def decided(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[DecidedPair]:
+    """Pairs that one diagnosis cannot tell apart and of which the other names exactly one."""
+    in_poses = labels_of((e["name"], e["where"]) for e in poses["effects"])
+    in_motion = labels_of((e.name, e.where) for e in motion.named_effects)
+    pairs = [(tuple(p["effects"]), in_motion, "motion") for p in poses.get("not_separable", ())]
+    pairs += [(p.effects, in_poses, "poses") for p in motion.not_separable]
+    found = [(effects, [e for e in effects if e in names], by) for effects, names, by in pairs]
+    return [DecidedPair(effects, named[0], by) for effects, named, by in found if len(named) == 1]
+
+
+def labels_of(effects: Any) -> set[str]:
+    """``name:location`` of effects, each location by itself unless they are one thing."""
+    out = set()
+    for name, where in effects:
+        together = catalogue.declaration(name).between_locations
+        out |= {f"{name}:{'+'.join(where)}"} if together else {f"{name}:{at}" for at in where}
+    return out
+
+
+def _estimate(entry: Mapping[str, Any], component: int | None = None) -> SingleEstimate | None:
+    """None for a parameter that is not finite. component: of one with several orders."""
+    if any(v is None for v in (*np.atleast_1d(entry["value"]), *np.atleast_1d(entry["std"]))):
+        return None
+    value, std = np.atleast_1d(entry["value"]).astype(float), np.atleast_1d(entry["std"]).astype(float)
+    if component is not None:
+        value, std = value[[component]], std[[component]]
+    if len(value) == 1:
+        return SingleEstimate(float(value[0]), float(std[0]))
+    return SingleEstimate(tuple(value.tolist()), tuple(std.tolist()))
 
 
 def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> str:
     """poses, text: the pose diagnosis as JSON and in words."""
-    lines = ["Poses, at standstill", "====================", text, ""]
-    lines += ["Motion, between the poses", "=========================", motion_text(motion)]
     found = agreement(poses, motion)
+    lines = [*contradictions(found), "Poses, at standstill", "====================", text, ""]
+    lines += ["Motion, between the poses", "=========================", motion_text(motion)]
     if found:
         lines += ["", "Found in both:"]
         lines += [
-            f"  {split_unit(a.parameter)[0]}: {a.poses.shown(a.parameter)} from the poses, {a.motion.shown(a.parameter)} from the motion: "
-            f"{'they agree' if a.agrees else 'they do not agree'} ({a.sigmas:.1f} sigma)"
+            f"  {a.name} at {'+'.join(a.where)}, {split_unit(a.parameter)[0]}: {a.poses.shown(a.parameter)} from the poses, "
+            f"{a.motion.shown(a.parameter)} from the motion: {'they agree' if a.agrees else 'they contradict each other'} ({a.sigmas:.1f} sigma)"
             for a in found
         ]
+    together = decided(poses, motion)
+    if together:
+        lines += ["", "Decided by both together:", *(f"  {pair}" for pair in together)]
     return "\n".join(lines)
+
+
+def contradictions(found: Sequence[ParameterAgreement]) -> list[str]:
+    """Sentences, in front of everything else, on what poses and motion state differently."""
+    out = [
+        f"Poses and motion contradict each other on {a.name} at {'+'.join(a.where)}: {a.parameter} is {a.poses} by the poses and "
+        f"{a.motion} by the motion ({a.sigmas:.1f} sigma). One of both has another cause: believe neither value before that is found."
+        for a in found
+        if not a.agrees
+    ]
+    return [*out, ""] if out else []

@@ -149,7 +149,10 @@ def _balancing_report(upright: float) -> Report:
 
 
 def as_wind_up(found: Estimates, every: Estimates) -> Estimates:
-    """The torques of the balancer as the angles by which they wind A2 up; without its compliance only the angle of the upright link."""
+    """The torques of the balancer as the angles by which they wind A2 up; without its compliance only the angle of the upright link.
+
+    What the drive need not carry lifts the link: the angles are negative where the torques are positive.
+    """
     out = {"A2.zero_deg": found["A2.zero_deg"]} if "A2.zero_deg" in found else {}
     soft = every.get("A2.compliance_rad_per_Nm")
     if soft is None:
@@ -158,7 +161,7 @@ def as_wind_up(found: Estimates, every: Estimates) -> Estimates:
         if torque in found:
             value, std = found[torque]["value"], found[torque]["std"]
             spread = float(np.hypot(std * soft["value"], value * soft["std"]))
-            out[angle] = {"value": float(np.degrees(value * soft["value"])), "std": float(np.degrees(spread))}
+            out[angle] = {"value": float(-np.degrees(value * soft["value"])), "std": float(np.degrees(spread))}
     return out
 
 
