@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mbcacq.calibration.verification import Verification
     from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.estimation.options import CalibrationOptions
-    from mbcacq.exports.folder import Targets
+    from mbcacq.exports.format import Targets
     from mbcacq.fleet.evaluate import Fleet, evaluate_fleet
     from mbcacq.fleet.evaluation import FleetTask
     from mbcacq.model.observations import Observations
@@ -98,7 +98,7 @@ _MODULES = {
     "calibration.verification": ("Verification",),
     "design.new_plan": ("NewPlanOptions",),
     "estimation.options": ("CalibrationOptions",),
-    "exports.folder": ("Targets",),
+    "exports.format": ("Targets",),
     "fleet.evaluate": ("Fleet", "evaluate_fleet"),
     "fleet.evaluation": ("FleetTask",),
     "model.observations": ("Observations",),

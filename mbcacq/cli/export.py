@@ -19,6 +19,12 @@ _OPTIONS = (
         type=click.Path(path_type=Path, file_okay=False),
         help="Write the calibration of RUN (a folder with result.json, or that file) into this folder: JSON, CSV, KUKA, ROS.",
     ),
+    click.option(
+        "--only",
+        metavar="FORMAT",
+        multiple=True,
+        help="With --results: these formats alone (result, csv, kuka, ros, mjcf, urdf, those of further packages).",
+    ),
     click.option("--tool", type=click.IntRange(1, 128), default=1, show_default=True, help="With --results: number of TOOL_DATA."),
     click.option("--tool-name", default="mbcacq scanner", show_default=True, help="With --results: TOOL_NAME."),
     click.option("--config-dat", type=click.Path(path_type=Path), help="With --results: a $config.dat to write a unified diff against."),

@@ -8,7 +8,8 @@ from typing import Any
 
 from mbcacq.calibration import CalibratedCell, Calibration
 from mbcacq.errors import ConfigError
-from mbcacq.exports.folder import Targets, contents, write_folder
+from mbcacq.exports.folder import contents, write_folder
+from mbcacq.exports.format import Targets
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.load import load_observations, refuse_existing
@@ -85,11 +86,13 @@ def _results(source: Source, folder: Path, targets: Targets, force: bool, simula
             "this calibration is simulated, and on a controller it would be taken for a measured one; "
             "give that of a real arm, or --simulated-anyway"
         )
-    refuse_existing(folder / "result.json", force, f"{folder} already holds an export; give another folder, or --force to replace it")
     if isinstance(source, Path | str) and _holds_observations(Path(source)):
         measured = load_observations(source)
     marks = {"simulated": True} if result.get("simulated") else {}
-    for path in write_folder(contents(result, targets, measured), folder):
+    files = contents(result, targets, measured)
+    for name in files:
+        refuse_existing(folder / name, force, f"{folder} already holds {name}; give another folder, or --force to replace it")
+    for path in write_folder(files, folder):
         yield {"file": str(path)} | marks
 
 

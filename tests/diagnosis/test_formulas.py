@@ -165,7 +165,7 @@ def test_a_draft_replaces_nothing(proposals, tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("NAME = 'a'", "needs NAME and candidates"),
+        ("NAME = 'a'", "needs NAME, and candidates"),
         ("import no_such_module", "no_such_module"),
         ("NAME = 'backlash'\ndef candidates(context):\n    return []", "called backlash, as another one is"),
     ],

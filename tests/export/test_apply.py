@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from mbcacq.cli.app import app
 from mbcacq.cli.apply import command
 from mbcacq.errors import ConfigError
-from mbcacq.exports.folder import chains
+from mbcacq.exports.format import chains
 from mbcacq.exports.scan_correction import place_scan
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS

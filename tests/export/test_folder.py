@@ -11,7 +11,7 @@ from test_urdf import CHAIN, URDF, follow
 from mbcacq.cli.export import command
 from mbcacq.errors import ConfigError
 from mbcacq.exports import kuka, ros
-from mbcacq.exports.folder import chains
+from mbcacq.exports.format import chains
 from mbcacq.exports.result_json import load_result
 
 

@@ -65,6 +65,15 @@ class ParameterAgreement:
     sigmas: float
     agrees: bool
 
+    @property
+    def label(self) -> str:
+        """Effect, locations and parameter in words."""
+        return f"{self.name} at {'+'.join(self.where)}, {split_unit(self.parameter)[0]}"
+
+    def stated(self) -> tuple[str, str]:
+        """What the poses and what the motion state, each with its expanded uncertainty."""
+        return self.poses.shown(self.parameter), self.motion.shown(self.parameter)
+
 
 @dataclass(frozen=True)
 class DecidedPair:
@@ -189,11 +198,10 @@ def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> 
     lines += ["Motion, between the poses", "=========================", motion_text(motion)]
     if found:
         lines += ["", "Found in both:"]
-        lines += [
-            f"  {a.name} at {'+'.join(a.where)}, {split_unit(a.parameter)[0]}: {a.poses.shown(a.parameter)} from the poses, "
-            f"{a.motion.shown(a.parameter)} from the motion: {'they agree' if a.agrees else 'they contradict each other'} ({a.sigmas:.1f} sigma)"
-            for a in found
-        ]
+        for a in found:
+            poses_say, motion_says = a.stated()
+            verdict = "they agree" if a.agrees else "they contradict each other"
+            lines.append(f"  {a.label}: {poses_say} from the poses, {motion_says} from the motion: {verdict} ({a.sigmas:.1f} sigma)")
     together = decided(poses, motion)
     if together:
         lines += ["", "Decided by both together:", *(f"  {pair}" for pair in together)]
@@ -202,10 +210,12 @@ def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> 
 
 def contradictions(found: Sequence[ParameterAgreement]) -> list[str]:
     """Sentences, in front of everything else, on what poses and motion state differently."""
-    out = [
-        f"Poses and motion contradict each other on {a.name} at {'+'.join(a.where)}: {a.parameter} is {a.poses} by the poses and "
-        f"{a.motion} by the motion ({a.sigmas:.1f} sigma). One of both has another cause: believe neither value before that is found."
-        for a in found
-        if not a.agrees
-    ]
+    out = []
+    for a in found:
+        if not a.agrees:
+            poses_say, motion_says = a.stated()
+            out.append(
+                f"Poses and motion contradict each other on {a.label}: {poses_say} by the poses and {motion_says} by the motion "
+                f"({a.sigmas:.1f} sigma). One of both has another cause: believe neither value before that is found."
+            )
     return [*out, ""] if out else []
