@@ -39,6 +39,7 @@ from mbcacq.exports.certificate import read_certificate
 from mbcacq.exports.result_json import load_result
 from mbcacq.files.table import read_table
 from mbcacq.plan import yaml_source
+from mbcacq.recording.datasets import csv_columns
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.datasets.observation_set import _read_centres, _read_poses, read_observation_set
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
@@ -457,7 +458,9 @@ def plan_text(data: bytes) -> object:
 def targets() -> dict[str, Target]:
     seeds = gocator_seeds()
     cell = parse_cell(CELL.decode())
-    poses = in_file("poses.csv", lambda path: _read_poses(read_table(path), cell))(POSES)
+    _, poses = in_file(
+        "poses.csv", lambda path: _read_poses(read_table(path, csv_columns.poses_schema(cell.robot.n, cell.ball_ids)), cell, "")
+    )(POSES)
     words = struct.unpack(">2H", struct.pack(">f", 38.25))
     modbus_seeds = (
         struct.pack(">HHBBB2H", 0, 7, 1, 3, 4, *words),
@@ -478,9 +481,17 @@ def targets() -> dict[str, Target]:
         Target("serial line", (b"T=21.50 H=40\n", b"T=-1e3 H=nan\nT=1 H=2\n"), serial_line),
         Target("plan YAML", (PLAN,), plan_text),
         Target("cell YAML", (CELL,), lambda data: parse_cell(data.decode("utf-8", "replace"))),
-        Target("observation set, poses.csv", (POSES,), in_file("poses.csv", lambda path: _read_poses(read_table(path), cell))),
         Target(
-            "observation set, centres.csv", (CENTRES,), in_file("centres.csv", lambda path: _read_centres(read_table(path), cell, poses))
+            "observation set, poses.csv",
+            (POSES,),
+            in_file(
+                "poses.csv", lambda path: _read_poses(read_table(path, csv_columns.poses_schema(cell.robot.n, cell.ball_ids)), cell, "")
+            ),
+        ),
+        Target(
+            "observation set, centres.csv",
+            (CENTRES,),
+            in_file("centres.csv", lambda path: _read_centres(read_table(path, csv_columns.CENTRES), cell, poses)),
         ),
         Target("observation set, cell.yaml", (CELL,), in_file("cell.yaml", lambda path: read_observation_set(path.parent), SET)),
         Target("certificate CSV", (LISTED, LISTED_HERE), in_file("c.csv", lambda path: read_certificate(path, "mbc"))),
