@@ -18,7 +18,7 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.validation import folds, predictive_score
 from mbcacq.effects.catalogue import declaration
-from mbcacq.effects.declaration import Coupling, Where
+from mbcacq.effects.declaration import EffectCoupling, Where
 from mbcacq.effects.effect import MOMENT, Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
@@ -90,7 +90,7 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
     return chosen
 
 
-def carriers(coupling: Coupling, effect: dict[str, Any]) -> dict[Where, float]:
+def carriers(coupling: EffectCoupling, effect: dict[str, Any]) -> dict[Where, float]:
     """Of an injected effect that shows only through another one: location -> true coefficient of that other one."""
     return {(f"A{i + 1}",): float(c) for i, c in enumerate(effect[coupling.parameter]) if c > 0}
 

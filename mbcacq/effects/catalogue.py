@@ -22,7 +22,7 @@ from types import MappingProxyType, ModuleType
 
 from mbcacq.effects import kinds
 from mbcacq.effects.context import Context
-from mbcacq.effects.declaration import NOTHING_PARTICULAR, Coupling, Declaration, PeriodicInMotion
+from mbcacq.effects.declaration import NOTHING_PARTICULAR, Declaration, EffectCoupling, PeriodicInMotion
 from mbcacq.effects.effect import Candidate, Missing
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
 from mbcacq.errors import ConfigError
@@ -107,7 +107,7 @@ def declaration(name: str) -> Declaration:
     return getattr(effects().get(name), "DECLARED", NOTHING_PARTICULAR)
 
 
-def couplings() -> tuple[Coupling, ...]:
+def couplings() -> tuple[EffectCoupling, ...]:
     """Of all effects that show only through another one."""
     return tuple(c for name in effects() if (c := declaration(name).coupling) is not None)
 

@@ -20,7 +20,7 @@ Estimates = Mapping[str, Mapping[str, Any]]  # name of a parameter -> {"value": 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coupling:
+class EffectCoupling:
     """An effect that shows only through another one, whose coefficients multiply its own.
 
     Attributes
@@ -160,7 +160,7 @@ class Declaration:
     between_locations: bool = False
     same_as_group: bool = False
     refines: Refinement | None = None
-    coupling: Coupling | None = None
+    coupling: EffectCoupling | None = None
     periodic_in_motion: PeriodicInMotion | None = None
     motor_side: bool = False
     adds_body: bool = False

@@ -97,7 +97,9 @@ def test_a_tool_of_12_kg_in_the_poses_contradicts_one_of_15_kg_in_the_motion():
     found = in_motion("payload", ["mount"], mass_kg=(15.0, 0.2), com_mm=([3.0, -4.0, 95.0], [5.0, 5.0, 5.0]))
     assert [(a.parameter, a.agrees) for a in agreement(poses, found)] == [("mass_kg", False), ("com_mm", True)]
     text = combined_text(poses, "", found)
-    assert text.startswith("Poses and motion contradict each other on payload at mount: mass_kg is 12 +- 0.5 by the poses and 15 +- 0.2")
+    assert text.startswith(
+        "Poses and motion contradict each other on payload at mount, mass: 12.0 ± 1.0 kg by the poses and 15.00 ± 0.40 kg"
+    )
 
 
 def test_a_balancer_s_torque_is_compared_by_the_angle_to_which_the_gear_gives_way():

@@ -27,7 +27,7 @@ from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
-from mbcacq.effects.declaration import Coupling
+from mbcacq.effects.declaration import EffectCoupling
 from mbcacq.effects.effect import Candidate
 
 
@@ -178,7 +178,7 @@ class EvidenceSearch:
             best = self.relieved_of(best, coupling)
         return best
 
-    def relieved_of(self, best: Hypothesis, coupling: Coupling) -> Hypothesis:
+    def relieved_of(self, best: Hypothesis, coupling: EffectCoupling) -> Hypothesis:
         rest = tuple(m for m in best.members if m.candidate.name != coupling.name)
         where = set(coupling.locations(self.context))
         carriers = [c for c in self.candidates if c.name == coupling.through and c.where in where]

@@ -18,11 +18,11 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
-from mbcacq.effects.declaration import Coupling, Where
+from mbcacq.effects.declaration import EffectCoupling, Where
 from mbcacq.effects.effect import Candidate
 
 
-def couplings_of(members: Sequence[Member]) -> tuple[Coupling, ...]:
+def couplings_of(members: Sequence[Member]) -> tuple[EffectCoupling, ...]:
     """Of the effects of a set that show only through another one."""
     names = dict.fromkeys(m.candidate.name for m in members)
     return tuple(c for name in names if (c := catalogue.declaration(name).coupling) is not None)
@@ -39,7 +39,7 @@ def coupled(candidates: list[Candidate], context: Context, best: Hypothesis) -> 
     return best
 
 
-def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, coupling: Coupling) -> Hypothesis:
+def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, coupling: EffectCoupling) -> Hypothesis:
     there = {m.candidate.where for m in best.members if m.candidate.name == coupling.through}
     chosen = there | set(coupling.locations(context))
     carriers = [c for c in candidates if c.name == coupling.through and c.where in chosen]
@@ -62,7 +62,7 @@ def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, c
     return together(*carriers, coupling.candidates(context, known, covariance, complete=True)[0])
 
 
-def carried(hypothesis: Hypothesis, coupling: Coupling, known: Coefficients | None = None) -> Mapping[Where, float]:
+def carried(hypothesis: Hypothesis, coupling: EffectCoupling, known: Coefficients | None = None) -> Mapping[Where, float]:
     """Location -> coefficient of the effect through which a coupled one shows, to four digits; none below a share of the largest."""
     solved = known or coefficients(hypothesis)
     found = {

@@ -10,7 +10,7 @@ from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.effects.declaration import Coupling
+from mbcacq.effects.declaration import EffectCoupling
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ def is_coupled(hypothesis: Hypothesis) -> bool:
     return bool(couplings_of(hypothesis.members))
 
 
-def coupled_instead(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[Coupling, float]]:
+def coupled_instead(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[EffectCoupling, float]]:
     """Effects that show only through another one and that the reported set, which has none, does not exclude: their couplings, with the
     odds of the most probable set that has one.
     """
     if is_coupled(reported):
         return []
-    best: dict[str, tuple[Coupling, float]] = {}
+    best: dict[str, tuple[EffectCoupling, float]] = {}
     for h in fit.hypotheses:
         odds = h.log_posterior - reported.log_posterior
         if odds > np.log(OPTIONS.undecided) and is_coupled(h) and is_part(reported, h):

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.declaration import Challenge, Coupling, Declaration, Where
+from mbcacq.effects.declaration import Challenge, Declaration, EffectCoupling, Where
 from mbcacq.effects.effect import Candidate, Missing, Parameters, number, vector
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, linear, scaled
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Report, as_estimates, available
@@ -127,7 +127,7 @@ def _report(mass: float, com: np.ndarray) -> Report:
 
 
 DECLARED = Declaration(
-    coupling=Coupling(
+    coupling=EffectCoupling(
         name=NAME,
         through=THROUGH,
         size=len(LOADS),
