@@ -71,7 +71,8 @@ def ended(by: bytes) -> Cut:
 class Channel:
     """One link's messages of both senders: counted, noted in a trace, and changed by the fault that is set.
 
-    ``pass_on`` gives what is to be done in order: bytes to send, seconds to wait, or CLOSE.
+    ``pass_on`` gives what is to be done in order: bytes to send, seconds to wait, or CLOSE. ``connection`` is which of the link's
+    connections a message came by: what is held to be joined goes to no other one, though several are open while an old one ends.
     """
 
     def __init__(self, name: str, note: Callable[[str, str, bytes], None] = lambda *_: None, seed: int = 0) -> None:
@@ -79,7 +80,7 @@ class Channel:
         self.fault: Fault | None = None
         self.struck = 0
         self.count: dict[str, int] = {DEVICE: 0, DRIVER: 0}
-        self._held: dict[str, bytes] = {DEVICE: b"", DRIVER: b""}
+        self._held: dict[tuple[str, object], bytes] = {}
         self._random = random.Random(seed)
         self._lock = threading.Lock()
 
@@ -92,28 +93,27 @@ class Channel:
     def heal(self) -> None:
         self.fault = None
 
-    def pass_on(self, sender: str, message: bytes) -> list[object]:
+    def pass_on(self, sender: str, message: bytes, connection: object = None) -> list[object]:
         with self._lock:
             number = self.count[sender]
             self.count[sender] += 1
-            fault, held = self.fault, self._held[sender]
-            self._held[sender] = b""
+            fault, held = self.fault, self._held.pop((sender, connection), b"")
             out: list[object] = [held + message]
             if fault is not None and fault.concerns(sender, number):
                 self.struck += 1
                 if not held:
                     out = self._changed(fault, message)
                 if fault.action == "join" and not held:
-                    self._held[sender] = message
+                    self._held[sender, connection] = message
             for piece in out:
                 if isinstance(piece, bytes):
                     self._note(self.name, sender, piece)
             return out
 
-    def flush(self, sender: str) -> bytes:
+    def flush(self, sender: str, connection: object = None) -> bytes:
         """What waits for a next message that has not come."""
         with self._lock:
-            held, self._held[sender] = self._held[sender], b""
+            held = self._held.pop((sender, connection), b"")
             if held:
                 self._note(self.name, sender, held)
             return held

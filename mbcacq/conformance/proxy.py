@@ -62,18 +62,18 @@ class Proxy:
 
     def _relay(self, sender: str, receive: Callable[[], bytes | None], send: Callable[[bytes], object], cut: Cut) -> None:
         """Until the sender ends, the fault closes, or the proxy does. ``receive`` gives b'' when nothing came, None at the end."""
-        buffer, quiet = b"", 0.0
+        buffer, quiet, connection = b"", 0.0, object()
         while not self._closing.is_set():
             data = receive()
+            quiet = 0.0 if data else quiet + POLL_S
+            if (data is None or quiet > _JOIN_S) and (held := self.channel.flush(sender, connection)):
+                send(held)
             if data is None:
                 return
-            quiet = 0.0 if data else quiet + POLL_S
-            if quiet > _JOIN_S and (held := self.channel.flush(sender)):
-                send(held)
             buffer += data
             while buffer and (size := cut(buffer)):
                 message, buffer = buffer[:size], buffer[size:]
-                for piece in self.channel.pass_on(sender, message):
+                for piece in self.channel.pass_on(sender, message, connection):
                     if piece is CLOSE:
                         return
                     if isinstance(piece, bytes):

@@ -154,6 +154,34 @@ def test_a_fault_befalls_one_message_only(action, arrives):
     assert proxy.channel.struck == 1
 
 
+def test_what_is_held_goes_to_no_other_connection():
+    """A connection that is idle, or about to end, must not send what another one's message waits to be joined with."""
+    with socket.create_server(("127.0.0.1", 0)) as device, TcpProxy(Channel("line"), device.getsockname()) as proxy:
+        with socket.create_connection(proxy.address) as idle, socket.create_connection(proxy.address) as asking:
+            ends = {}
+            for driver, text in ((idle, b"first\n"), (asking, b"second\n")):
+                driver.sendall(text)
+                there, _ = device.accept()
+                there.settimeout(10.0)
+                ends[there.recv(100)] = there
+            proxy.channel.set("join", "driver")
+            asking.sendall(b"cloud\n")
+            assert ends[b"second\n"].recv(100) == b"cloud\n"
+            for there in ends.values():
+                there.close()
+
+
+def test_what_is_held_arrives_although_its_sender_ends():
+    with socket.create_server(("127.0.0.1", 0)) as device, TcpProxy(Channel("line"), device.getsockname()) as proxy:
+        proxy.channel.set("join", "driver")
+        with socket.create_connection(proxy.address) as driver:
+            driver.sendall(b"cloud\n")
+        there, _ = device.accept()
+        with there:
+            there.settimeout(10.0)
+            assert there.recv(100) == b"cloud\n"
+
+
 def test_garbage_has_the_same_length_and_the_same_seed_gives_the_same():
     one, two = Channel("a", seed=3), Channel("b", seed=3)
     for channel in (one, two):
