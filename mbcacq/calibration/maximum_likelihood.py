@@ -10,6 +10,8 @@ from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
+from mbcacq.calibration.with_discrepancy import with_discrepancy
+from mbcacq.calibration.estimates import with_estimates
 from mbcacq.description import with_likely_cause
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
@@ -47,7 +49,13 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     obs = select_phases(observations, options)
     refuse_insufficient(obs, options)
     fitted = adjust_recording(obs, options)
-    result = Calibration.adjusted(obs, options, fitted)
+    found = with_discrepancy(obs, options, fitted) if options.kinematics and options.discrepancy else None
+    if found is None:
+        result = Calibration.adjusted(obs, options, fitted)
+    else:
+        alone, fitted = fitted, found.adjustment
+        result = Calibration.adjusted(obs, found.options, fitted)
+        result = replace(result, options=options, effects=with_estimates(found.model, result), extra={"discrepancy": {"log_evidence_gain": found.gain}})
     refuse_unusable(result)
     return _with_joint_noise_check(result, fitted) if options.kinematics else result  # a nominal arm's errors are noise there
 

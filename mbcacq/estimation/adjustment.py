@@ -79,7 +79,9 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         noise = variance_components.first_noise(obs.cell)
     else:
         preliminary, whole = (starting.with_all_stations(obs, state) for state in (first.preliminary, first.state))
-        start, noise = Estimate(whole), first.noise
+        start, noise = Estimate(whole, tuple(np.zeros(t.size) for t in options.terms)), first.noise
+        if any(t.sized for t in options.terms):
+            noise = variance_components.first_noise(obs.cell)  # what random effects explain is in the other's noise
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     at = system(lineariser, start, noise, weights)

@@ -63,9 +63,30 @@ def sizes_of_groups(
 
     groups: (k,) indices of each group's coefficients among the parameters, whose prior has mean zero; limits: smallest and largest size.
     """
+    S, b, slices = _conditioned(normal, prior, groups)
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), rounds)
+    return {name: max(float(size), limits[0]) for name, size in zip(groups, found, strict=True)}
+
+
+def gain_of_groups(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], largest: float, rounds: int) -> float:
+    """Log marginal likelihood that groups add, under fixed noise, at the sizes that maximise it."""
+    S, b, slices = _conditioned(normal, prior, groups)
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, largest), rounds)
+    size = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, found, strict=True)])
+    alive = size > 0
+    if not alive.any():
+        return 0.0
+    root = size[alive]
+    factor = cholesky(root[:, None] * S[np.ix_(alive, alive)] * root + np.eye(len(root)), lower=True)
+    explained = solve_triangular(factor, root * b[alive], lower=True)
+    return float(0.5 * explained @ explained - np.sum(np.log(np.diag(factor))))
+
+
+def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[slice]]:
+    """Normal equations S (k, k), b (k,) of the groups' coefficients, without their priors and in units of their present sigma, the other
+    parameters eliminated; and the slice of each group."""
     index = np.concatenate(list(groups.values()))
     ends = np.cumsum([0] + [len(i) for i in groups.values()])
-    slices = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     sigma, now = prior.sigma[index], np.zeros(normal.size)
     now[index] = prior.offset[index]
     weight = np.zeros(normal.size)
@@ -79,9 +100,7 @@ def sizes_of_groups(
         root = cholesky(scale[:, None] * information[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)), lower=True)
         taken = solve_triangular(root, scale[:, None] * np.c_[information[np.ix_(rest, index)], right[rest]], lower=True)
         S, b = S - taken[:, :-1].T @ taken[:, :-1], b - taken[:, :-1].T @ taken[:, -1]
-    S, b = sigma[:, None] * S * sigma, sigma * b
-    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), rounds)
-    return {name: max(float(size), limits[0]) for name, size in zip(groups, found, strict=True)}
+    return sigma[:, None] * S * sigma, sigma * b, [slice(int(a), int(z)) for a, z in zip(ends[:-1], ends[1:], strict=True)]
 
 
 def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
