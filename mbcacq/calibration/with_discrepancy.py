@@ -7,8 +7,8 @@ begins as stated, since noise that has taken up what repeats gives it back slowl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -61,7 +61,9 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
         None where geometry alone is as probable.
     """
     here, learnt = Covariates(obs), LearntRecording.of(obs)
-    problem = LinearProblem.of(obs, alone.state, alone.used, alone.lineariser.options.terms, alone.solution.estimate.coefficients, alone.lineariser.layout)
+    problem = LinearProblem.of(
+        obs, alone.state, alone.used, alone.lineariser.options.terms, alone.solution.estimate.coefficients, alone.lineariser.layout
+    )
     prior = variance_components.noise_prior(obs.cell, options.noise)
     best = _Groups.none(problem, prior, alone.noise)
     allowed = variance_components.first_noise(obs.cell)
@@ -85,7 +87,8 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
 
 @dataclass(frozen=True)
 class _Groups:
-    """Groups within the linear problem. columns: (M, R, k) of each; evidence: log, where it was settled; alone: of geometry alone."""
+    """Groups within the linear problem. columns: (M, R, k) of each; evidence: log, where it was settled; alone: of geometry alone; start:
+    of each group by key, rad, where the estimation of its size began."""
 
     problem: LinearProblem
     prior: NoisePrior
@@ -94,6 +97,7 @@ class _Groups:
     noise: Noise
     evidence: float
     alone: float
+    start: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def none(cls, problem: LinearProblem, prior: NoisePrior, noise: Noise) -> _Groups:
@@ -107,7 +111,8 @@ class _Groups:
         if not groups:
             return None
         built = (problem_columns(known.problem, g, here, learnt) for g in groups)
-        return replace(known, terms=(*known.terms, *groups), columns=(*known.columns, *built))
+        start = known.start | {g.key: float(g.sigma.max()) for g in groups}
+        return replace(known, terms=(*known.terms, *groups), columns=(*known.columns, *built), start=start)
 
     @property
     def extended(self) -> ExtendedProblem:
@@ -128,26 +133,33 @@ class _Groups:
         return gain_of_groups(extended.at(noise).normal, extended.prior, self.index, LARGEST_SIZE, ROUNDS)
 
     def settled(self, noise: Noise) -> _Groups:
-        """Sizes and noise by turns, from sizes at their start and this noise; without the groups that shrink to nothing."""
-        extended, size = self.extended, dict.fromkeys(self.index, 1.0)
-        sigma = extended.prior.sigma
+        """Sizes and noise by turns, from sizes at their start and this noise. A group that shrinks to nothing is left out at once:
+        the noise of later turns is larger and leaves even less for it to explain."""
+        groups = self
         for _ in range(TURNS):
-            scaled = sigma.copy()
-            for key, index in self.index.items():
-                scaled[index] *= size[key]
-            extended = replace(extended, prior=replace(extended.prior, sigma=scaled))
+            if not groups.terms:
+                break
+            extended = groups.extended
             system = extended.at(noise)
-            before, earlier = size, noise
-            factor = sizes_of_groups(system.normal, extended.prior, self.index, (1e-4, LARGEST_SIZE / min(size.values())), ROUNDS)
-            size = {key: float(np.clip(factor[key] * s, 1e-4, LARGEST_SIZE)) for key, s in size.items()}
-            noise, _ = variance_components.reml_step(system.after_fit(), noise, self.prior)
-            moved = max(abs(np.log(size[key] / before[key])) for key in size)
+            factor = sizes_of_groups(system.normal, extended.prior, groups.index, (1e-6, LARGEST_SIZE), ROUNDS)
+            earlier, (noise, _) = noise, variance_components.reml_step(system.after_fit(), noise, groups.prior)
+            moved = max(abs(np.log(f)) for key, f in factor.items())
+            groups = groups._resized(factor)
             if max(moved, float(np.abs(variance_components.pack(noise) - variance_components.pack(earlier)).max())) < CONVERGED:
                 break
-        kept = [j for j, t in enumerate(self.terms) if size[t.key] > LEAST_SIZE]
-        terms = tuple(replace(self.terms[j], sigma=self.terms[j].sigma * size[self.terms[j].key]) for j in kept)
-        out = replace(self, terms=terms, columns=tuple(self.columns[j] for j in kept), noise=noise)
-        return replace(out, evidence=out._evidence(out.extended.at(noise).after_fit(), noise))
+        groups = replace(groups, noise=noise)
+        return replace(groups, evidence=groups._evidence(groups.extended.at(noise).after_fit(), noise))
+
+    def _resized(self, factor: Mapping[str, float]) -> _Groups:
+        """With the sizes multiplied, none beyond the largest, and without the groups that are too small to matter."""
+        kept, terms = [], []
+        for j, t in enumerate(self.terms):
+            present, start = float(t.sigma.max()), self.start[t.key]
+            size = min(present * factor[t.key], LARGEST_SIZE * start)
+            if size > LEAST_SIZE * start:
+                kept.append(j)
+                terms.append(replace(t, sigma=t.sigma * (size / present)))
+        return replace(self, terms=tuple(terms), columns=tuple(self.columns[j] for j in kept))
 
     def _evidence(self, system: PoseSystem, noise: Noise) -> float:
         sigma = np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)])

@@ -105,7 +105,7 @@ def predicted_calibration(
     obs = select_phases(observations, options)
     state = planned_state(loaded)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
-    layout, estimate = blocks.build(obs, options), Estimate(state)
+    layout, estimate = blocks.build(obs, options).resized(blocks.ORDINARY_LINKS), Estimate(state)
     first = system(Lineariser(obs, layout, options), estimate, noise, weights)
     layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
     lineariser = Lineariser(obs, layout, options)

@@ -76,15 +76,13 @@ def couplings(here: Covariates) -> list[EffectTerm]:
 
 
 def pairs(here: Covariates) -> list[EffectTerm]:
-    """Groups of each joint by products of sines and cosines of two angles."""
+    """Groups of each joint by products of sines and cosines of two angles, one group for each two."""
     moving = _moving(here)
     out = []
-    for j in moving:
-        columns: list[Column] = []
-        for a, b in combinations(moving, 2):
-            columns += [_product(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}")]
-        if columns:
-            out.append(_term(here, j, "pairs of angles", tuple(columns), np.full(len(columns), OPTIONS.start_rad / 3)))
+    for a, b in combinations(moving, 2):
+        columns = tuple(_product(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
+        sigma = np.full(len(columns), OPTIONS.start_rad / 3)
+        out += [_term(here, j, f"q{a + 1}*q{b + 1}", columns, sigma) for j in moving]
     return out
 
 
