@@ -33,6 +33,7 @@ class ContradictionOptions:
     joint: float = 2.5
     link: float = 4.0
     unstated: float = 3.0  # further factor where no figure of the instrument or of the arm is given, but a guess of its class
+    absolute: float = 10.0  # further factor of poses of the flange, which err by the arm's absolute accuracy and not by its repeatability
     refused: float = 20.0  # ratio from which the result is of no use to anybody
     rejected_share: float = 0.1  # of the centres: single outliers are an accident, so many have a cause
 
@@ -59,9 +60,8 @@ class Contradiction:
         said = []
         if self.scanner > OPTIONS.scanner * _doubt(cell.noise_mm):
             said.append(f"{self.scanner:.1f} times the scanner's {'stated' if cell.noise_mm is not None else 'usual'} noise")
-        if self.joint > OPTIONS.joint * _doubt(cell.robot.repeatability_mm):
-            sheet = "by its data sheet" if cell.robot.repeatability_mm else "with the usual repeatability"
-            said.append(f"{self.joint:.1f} times what the joints do {sheet}")
+        if self.joint > _joint_limit(cell):
+            said.append(f"{self.joint:.1f} times the arm's {'stated' if cell.robot.repeatability_mm else 'usual'} repeatability")
         if self.link > OPTIONS.link:
             said.append(f"{self.link:.1f} times the link errors that arms have")
         if self.rejected > OPTIONS.rejected_share:
@@ -73,6 +73,11 @@ class Contradiction:
 
 def _doubt(stated: object) -> float:
     return OPTIONS.unstated if stated is None else 1.0
+
+
+def _joint_limit(cell: Cell) -> float:
+    absolute = OPTIONS.absolute if cell.robot.of_flange_poses else 1.0
+    return OPTIONS.joint * absolute * _doubt(cell.robot.repeatability_mm)
 
 
 def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contradiction | None:
@@ -100,7 +105,8 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
 
 def refuse_contradiction(found: Contradiction, obs: Observations, options: CalibrationOptions) -> None:
     """Raise CalibrationError where no result could be of use, if the options refuse anything."""
-    if options.refuse and max(found.scanner, found.joint) > OPTIONS.refused:
+    joint = found.joint / (OPTIONS.absolute if obs.cell.robot.of_flange_poses else 1.0)
+    if options.refuse and max(found.scanner, joint) > OPTIONS.refused:
         raise CalibrationError(found.sentence(obs.cell))
 
 
@@ -148,7 +154,7 @@ def link_ratio(solution: Solution, layout: ParameterLayout) -> float:
 def _beyond(found: Contradiction, cell: Cell) -> bool:
     return (
         found.scanner > OPTIONS.scanner * _doubt(cell.noise_mm)
-        or found.joint > OPTIONS.joint * _doubt(cell.robot.repeatability_mm)
+        or found.joint > _joint_limit(cell)
         or found.link > OPTIONS.link
         or found.rejected > OPTIONS.rejected_share
     )

@@ -72,15 +72,15 @@ def _hand_eye_alone(result: Calibration, fitted: Adjustment) -> Calibration:
 
 def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
     """With smooth errors of the joints where the evidence asks for them, and a warning where their noise is beyond the data sheet."""
-    found = with_discrepancy(obs, options, fitted) if options.discrepancy else None
-    if found is None:
-        result = Calibration.adjusted(obs, options, fitted)
-    else:
+    result = Calibration.adjusted(obs, options, fitted)
+    refuse_unusable(result)
+    # Terms that are given are somebody's account of what the arm does beyond its geometry.
+    found = with_discrepancy(obs, options, fitted) if options.discrepancy and not options.terms else None
+    if found is not None:
         fitted = found.adjustment
         result = Calibration.adjusted(obs, found.options, fitted)
         extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
         result = replace(result, options=options, effects=with_estimates(found.model, result), extra=extra)
-    refuse_unusable(result)
     return _with_joint_noise_check(result, fitted)
 
 

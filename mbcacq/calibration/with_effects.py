@@ -73,7 +73,9 @@ def calibrate_with_effects(
 
 
 def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> Calibration:
-    """The observations calibrated with effects by ``fit``, which calibrates them under any options."""
+    """The observations calibrated with effects by ``fit``, which calibrates them under any options. The effects are the account of what
+    the arm does beyond its geometry: no discrepancy is sought beside them."""
+    options = replace(options, discrepancy=False)
     alone = fit(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
     if hold:
         known = tuple(zip(model.at(obs), model.coefficients, strict=True))

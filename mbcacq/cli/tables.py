@@ -83,14 +83,14 @@ def identifies_arm(result: dict[str, Any]) -> bool:
 
 
 def link_errors(result: dict[str, Any]) -> str:
-    """How far the links of an arm that stays nominal may be off; '' where that was not asked."""
+    """How far the links of an arm that stays nominal may be off, as the rest of a sentence; '' where that was not asked."""
     found = {unit: [p["std"] for p in result["parameters"] if p["status"] == "marginal" and p["unit"] == unit] for unit in ("mm", "rad")}
     if not all(found.values()):
         return ""
     mm, rad = (float(np.sqrt(np.mean(np.square(found[unit])))) for unit in ("mm", "rad"))
     return (
-        f"Arm: nominal; its links may be off by {uncertainty(1e3 * K * mm)} µm and {uncertainty(1e6 * K * rad)} µrad each (U, k = 2, "
-        "estimated with the hand-eye transform and part of its uncertainty)"
+        f"; they may be off by {uncertainty(1e3 * K * mm)} µm and {uncertainty(1e6 * K * rad)} µrad each (U, k = 2, estimated here), "
+        "which every uncertainty takes into account"
     )
 
 
@@ -180,10 +180,8 @@ def remarks(result: dict[str, Any]) -> list[str]:
     held = result.get("held") or {}
     if not identifies_arm(result):
         arm = arm_parameters(result)
-        if said := link_errors(result):
-            out.append(said)
-        elif not result["robot"].get("flange_poses"):
-            out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values")
+        if not result["robot"].get("flange_poses"):
+            out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values{link_errors(result)}")
         held = {name: why for name, why in held.items() if name not in arm}
     reasons: dict[str, list[str]] = {}
     for name, why in held.items():

@@ -143,7 +143,7 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     chain, n = cell.robot.chain, cell.robot.n
     names = tuple(f"{p}_{i + 1}" for i in range(n) for p in PARAMETERS)
     why: dict[str, str] = {}
-    uncertain = not options.kinematics and options.discrepancy
+    uncertain = not options.kinematics and options.discrepancy and not cell.robot.of_flange_poses  # those have no links of their own
     if not options.kinematics and not uncertain:
         why = dict.fromkeys(names, "kinematics not asked for")
     else:
