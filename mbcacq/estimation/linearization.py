@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,6 +66,12 @@ class Lineariser:
     def unweighted(self, rows: np.ndarray) -> np.ndarray:
         """The inverse of ``weighted``, of rows (M, R)."""
         return rows if self.own_weight is None else np.linalg.solve(self.own_weight, rows[..., None])[..., 0]
+
+    def with_layout(self, layout: ParameterLayout) -> Lineariser:
+        """The same recording with other priors of the same free parameters."""
+        out = copy(self)
+        out.layout = layout
+        return out
 
     def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
         """Prediction and residual (M, R) at an estimate."""
