@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.causes import misdescribed
 from mbcacq.calibration.contradiction import contradiction, refuse_contradiction
@@ -29,7 +30,8 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     """
     options = options or CalibrationOptions()
     try:
-        return _calibrate(observations, options)
+        with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
+            return _calibrate(observations, options)
     except ContradictionError as error:
         cause = misdescribed(observations)
         raise (CalibrationError(f"{error}; {cause}") if cause else error) from None

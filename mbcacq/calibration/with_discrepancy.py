@@ -7,7 +7,7 @@ begins as stated, since noise that has taken up what repeats gives it back slowl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -71,8 +71,13 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
         if kind is not discrepancy.own_errors and np.median(best.noise.joint / allowed.joint) < EXCESS:
             break
         tried = _Groups.first(best, kind(here), here, learnt)
-        if tried is None or tried.quick_gain(best.noise) < LEAST_GAIN:
+        if tried is None:
             continue
+        gain, size = tried.quick_gain(best.noise)
+        if gain < LEAST_GAIN:
+            continue
+        if kind is not discrepancy.own_errors:
+            tried = tried.without([key for key in size if size[key] < LEAST_SIZE and key not in best.start])
         settled = tried.settled(allowed)
         if settled.evidence > best.evidence + LEAST_GAIN:
             best = settled
@@ -127,10 +132,16 @@ class _Groups:
         ends = first + np.cumsum([0] + [t.k for t in self.terms])
         return {t.key: np.arange(a, b) for t, a, b in zip(self.terms, ends[:-1], ends[1:], strict=True)}
 
-    def quick_gain(self, noise: Noise) -> float:
-        """Log evidence that the groups add under a noise that holds what they would explain: less than they add with their own noise."""
+    def quick_gain(self, noise: Noise) -> tuple[float, dict[str, float]]:
+        """Log evidence that the groups add under a noise that holds what they would explain, which is less than they add with their own
+        noise; and their sizes then."""
         extended = self.extended
         return gain_of_groups(extended.at(noise).normal, extended.prior, self.index, LARGEST_SIZE, ROUNDS)
+
+    def without(self, keys: Collection[str]) -> _Groups:
+        """The groups but these."""
+        kept = [j for j, t in enumerate(self.terms) if t.key not in keys]
+        return replace(self, terms=tuple(self.terms[j] for j in kept), columns=tuple(self.columns[j] for j in kept))
 
     def settled(self, noise: Noise) -> _Groups:
         """Sizes and noise by turns, from sizes at their start and this noise. A group that shrinks to nothing is left out at once:

@@ -172,7 +172,7 @@ class Lineariser:
 
     def _of_recordings(self, mount: np.ndarray, poses: np.ndarray) -> np.ndarray:
         """(P, 6 R, 6) twists of the R tools from those (P, 6, 6) of each pose's own."""
-        which, count = self.obs.recording, self.obs.n_recordings
+        which, count = self.obs.recording, len(self.layout.blocks[1].free) // 6  # a part of the poses may lack a whole recording
         if which is None or count == 1:
             return mount
         out = np.zeros((len(mount), count, 6, 6))

@@ -68,18 +68,20 @@ def sizes_of_groups(
     return {name: max(float(size), limits[0]) for name, size in zip(groups, found, strict=True)}
 
 
-def gain_of_groups(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], largest: float, rounds: int) -> float:
-    """Log marginal likelihood that groups add, under fixed noise, at the sizes that maximise it."""
+def gain_of_groups(
+    normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], largest: float, rounds: int
+) -> tuple[float, dict[str, float]]:
+    """Log marginal likelihood that groups add, under fixed noise, at the sizes that maximise it; and these, in their present size."""
     S, b, slices = _conditioned(normal, prior, groups)
     found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, largest), rounds)
     size = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, found, strict=True)])
-    alive = size > 0
+    alive, by_name = size > 0, dict(zip(groups, found.tolist(), strict=True))
     if not alive.any():
-        return 0.0
+        return 0.0, by_name
     root = size[alive]
     factor = cholesky(root[:, None] * S[np.ix_(alive, alive)] * root + np.eye(len(root)), lower=True)
     explained = solve_triangular(factor, root * b[alive], lower=True)
-    return float(0.5 * explained @ explained - np.sum(np.log(np.diag(factor))))
+    return float(0.5 * explained @ explained - np.sum(np.log(np.diag(factor)))), by_name
 
 
 def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[slice]]:
