@@ -8,7 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.causes import misdescribed
-from mbcacq.calibration.contradiction import contradiction, refuse_contradiction
+from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.nominal_arm import with_nominal_arm
@@ -53,11 +53,22 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         return result
     obs = select_phases(observations, options)
     refuse_insufficient(obs, options)
-    fitted = adjust_recording(obs, options)
+    fitted = _adjusted(obs, options)
     if options.kinematics:
         return _arm_and_hand_eye(obs, options, fitted)
     result = Calibration.adjusted(obs, options, fitted)
     return _hand_eye_alone(result, fitted) if options.discrepancy else result
+
+
+def _adjusted(obs: Observations, options: CalibrationOptions) -> Adjustment:
+    """Raises CalibrationError as ``adjust_recording``, with what happened while the recording was made where that is why."""
+    try:
+        return adjust_recording(obs, options)
+    except ContradictionError:
+        raise
+    except CalibrationError as error:
+        fault = fault_while_recording(adjust_recording(obs, replace(options, refuse=False)))
+        raise (CalibrationError(f"{fault} (as it is, {error})") if fault else error) from None
 
 
 def _hand_eye_alone(result: Calibration, fitted: Adjustment) -> Calibration:
@@ -76,14 +87,20 @@ def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Ad
     """With smooth errors of the joints where the evidence asks for them, and a warning where their noise is beyond the data sheet."""
     result = Calibration.adjusted(obs, options, fitted)
     refuse_unusable(result)
-    # Terms that are given are somebody's account of what the arm does beyond its geometry.
-    found = with_discrepancy(obs, options, fitted) if options.discrepancy and not options.terms else None
+    fault = fault_while_recording(fitted) if options.discrepancy else ""
+    # What happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
+    found = with_discrepancy(obs, options, fitted) if options.discrepancy and not options.terms and not fault else None
     if found is not None:
         fitted = found.adjustment
         result = Calibration.adjusted(obs, found.options, fitted)
         extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
         result = replace(result, options=options, effects=with_estimates(found.model, result), extra=extra)
-    return _with_joint_noise_check(result, fitted)
+    result = _with_joint_noise_check(result, fitted)
+    check = result.extra.get("joint_noise_check")
+    if not fault or (check and check["pose"] is not None):
+        return result
+    warnings = [f"Something changed while the recording was made: {fault}", *result.extra.get("warnings", ())]
+    return replace(result, extra={**result.extra, "warnings": warnings})
 
 
 def refuse_unusable(result: Calibration) -> None:
