@@ -7,9 +7,11 @@ import pytest
 from cells import measure, random_errors, scanner_cell
 
 from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.cli.tables import remarks
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.exports.marks import comments
 from mbcacq.geometry import se3
 from mbcacq.model import shipped
 
@@ -122,7 +124,7 @@ def test_another_arm_is_named_by_its_own_name():
 def test_ordinary_noise_that_is_stated_half_as_large_is_no_contradiction():
     """A statement is right within a factor of two; nobody is to be sent to look for a fault because of one."""
     obs = ordinary(8).observations
-    found = calibrate(replace(obs, cell=replace(obs.cell, noise_mm=obs.cell.noise_mm / 1.7)), HAND_EYE_ALONE)
+    found = calibrate(replace(obs, cell=replace(obs.cell, noise_mm=np.array(NOISE) / 1.7)), HAND_EYE_ALONE)
     assert "warnings" not in found.extra
 
 
@@ -180,3 +182,9 @@ def test_an_elastic_arm_is_no_accident(seed):
     assert "warnings" not in found.extra
     assert found.rms_mm < 0.015
     assert found.effects is not None
+
+
+def test_whoever_takes_a_result_further_is_warned():
+    content = calibrate(remade("mount", 0.1)).to_dict()
+    assert any("mount slipped" in line for line in comments(content))
+    assert any("mount slipped" in line for line in remarks(content))
