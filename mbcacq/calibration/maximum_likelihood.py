@@ -19,7 +19,7 @@ from mbcacq.calibration.with_discrepancy import with_discrepancy
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.phases import copies, select_phases
 from mbcacq.model.observations import Observations
 
 
@@ -31,7 +31,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     options = options or CalibrationOptions()
     try:
         with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
-            return _calibrate(observations, options)
+            return _with_copies_said(_calibrate(observations, options), observations)
     except ContradictionError as error:
         cause = misdescribed(observations)
         raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
@@ -40,6 +40,15 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
             f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
             "that are not millimetres, and for poses or balls taken for others"
         ) from error
+
+
+def _with_copies_said(result: Calibration, observations: Observations) -> Calibration:
+    twice = observations.pose_id[copies(observations)]
+    if not len(twice):
+        return result
+    some = ", ".join(map(str, twice[:5])) + (", .." if len(twice) > 5 else "")
+    said = f"{len(twice)} poses are exact copies of earlier ones ({some}) and are counted once; measure again instead of copying"
+    return replace(result, extra={**result.extra, "warnings": [*result.extra.get("warnings", ()), said]})
 
 
 def _calibrate(observations: Observations, options: CalibrationOptions) -> Calibration:

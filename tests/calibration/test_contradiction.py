@@ -188,3 +188,23 @@ def test_whoever_takes_a_result_further_is_warned():
     content = calibrate(remade("mount", 0.1)).to_dict()
     assert any("mount slipped" in line for line in comments(content))
     assert any("mount slipped" in line for line in remarks(content))
+
+
+def test_an_exact_copy_of_a_pose_is_counted_once_and_said():
+    """As a table pasted twice: estimate and standard deviations are those of the poses that were measured."""
+    obs = ordinary(3, 4, 8).observations
+    n, m = obs.n_poses, obs.n_centres
+    twice = replace(
+        obs,
+        pose_id=np.arange(2 * n),
+        station=np.tile(obs.station, 2),
+        q=np.tile(obs.q, (2, 1)),
+        phase=np.tile(obs.phase, 2),
+        pose=np.concatenate([obs.pose, obs.pose + n]),
+        ball=np.tile(obs.ball, 2),
+        xyz=np.tile(obs.xyz, (2, 1)),
+    )
+    once, both = (calibrate(o, HAND_EYE_ALONE) for o in (obs, twice))
+    assert both.used.sum() == m
+    np.testing.assert_allclose(both.covariance, once.covariance, rtol=1e-9)
+    assert f"{n} poses are exact copies of earlier ones" in both.extra["warnings"][0]
