@@ -19,7 +19,7 @@ from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
-from mbcacq.estimation.solver import Solution, Weights, solve
+from mbcacq.estimation.solver import Solution, Weights, evaluated, reweighted, solve
 from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
 
@@ -100,6 +100,18 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
         return None
     strict = solve(lineariser, solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
     return replace(found, cause=likely_cause(lineariser, strict))
+
+
+def stated_chi2_dof(adjustment: Adjustment, dof: int) -> float | None:
+    """Chi square per degree of freedom under the noise that scanner and data sheet state; None where one of them states none.
+
+    The noise that a calibration estimates makes its own chi square 1, whatever is wrong.
+    """
+    lineariser, cell = adjustment.lineariser, adjustment.lineariser.obs.cell
+    if cell.noise_mm is None or not cell.robot.repeatability_mm or dof < 1:
+        return None
+    at = reweighted(lineariser, evaluated(lineariser, adjustment.solution), variance_components.first_noise(cell), adjustment.weights)
+    return at.cost / dof
 
 
 def every_pose(weights: Weights) -> Weights:

@@ -8,7 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.causes import misdescribed
-from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction
+from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.nominal_arm import with_nominal_arm
@@ -65,8 +65,15 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     fitted = _adjusted(obs, options)
     if options.kinematics:
         return _arm_and_hand_eye(obs, options, fitted)
-    result = Calibration.adjusted(obs, options, fitted)
+    result = _collected(obs, options, fitted)
     return _hand_eye_alone(result, fitted) if options.discrepancy else result
+
+
+def _collected(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
+    """The result of an adjustment, with its chi square under the stated noise."""
+    result = Calibration.adjusted(obs, options, fitted)
+    stated = stated_chi2_dof(fitted, result.dof)
+    return result if stated is None else replace(result, extra={**result.extra, "stated_chi2_dof": stated})
 
 
 def _adjusted(obs: Observations, options: CalibrationOptions) -> Adjustment:
@@ -94,14 +101,14 @@ def _hand_eye_alone(result: Calibration, fitted: Adjustment) -> Calibration:
 
 def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
     """With smooth errors of the joints where the evidence asks for them, and a warning where their noise is beyond the data sheet."""
-    result = Calibration.adjusted(obs, options, fitted)
+    result = _collected(obs, options, fitted)
     refuse_unusable(result)
     fault = fault_while_recording(fitted) if options.discrepancy else ""
     # What happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
     found = with_discrepancy(obs, options, fitted) if options.discrepancy and not options.terms and not fault else None
     if found is not None:
         fitted = found.adjustment
-        result = Calibration.adjusted(obs, found.options, fitted)
+        result = _collected(obs, found.options, fitted)
         extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
         result = replace(result, options=options, effects=with_estimates(found.model, result), extra=extra)
     result = _with_joint_noise_check(result, fitted)
