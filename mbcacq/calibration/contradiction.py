@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.causes import likely_cause
+from mbcacq.calibration.causes import exchanged_balls, fault_of, likely_cause
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters, variance_components
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
-from mbcacq.estimation.solver import Solution, Weights, solve
+from mbcacq.estimation.solver import Solution, Weights, evaluated, reweighted, solve
 from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
 
@@ -98,9 +98,35 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
     found = Contradiction(scanner, joint, link, float(np.mean(~adjustment.used)))
     if not _beyond(found, lineariser.obs.cell):
         return None
-    everything = Weights(np.ones(lineariser.obs.n_centres), np.ones(lineariser.obs.n_poses))
-    strict = solve(lineariser, solution, noise, everything, tolerance=1e-2)
+    strict = solve(lineariser, solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
     return replace(found, cause=likely_cause(lineariser, strict))
+
+
+def stated_chi2_dof(adjustment: Adjustment, dof: int) -> float | None:
+    """Chi square per degree of freedom under the noise that scanner and data sheet state; None where one of them states none.
+
+    The noise that a calibration estimates makes its own chi square 1, whatever is wrong.
+    """
+    lineariser, cell = adjustment.lineariser, adjustment.lineariser.obs.cell
+    if cell.noise_mm is None or not cell.robot.repeatability_mm or dof < 1:
+        return None
+    at = reweighted(lineariser, evaluated(lineariser, adjustment.solution), variance_components.first_noise(cell), adjustment.weights)
+    return at.cost / dof
+
+
+def every_pose(weights: Weights) -> Weights:
+    """With the poses that were rejected: those after an accident may be few enough for that. Rejected centres stay out."""
+    return replace(weights, pose=np.ones_like(weights.pose))
+
+
+def fault_while_recording(adjustment: Adjustment) -> str:
+    """A sentence on a place, mount or joint that changed while an arm was recorded that is to be identified; '' where none explains the
+    misfit, or where one pose does that was rejected already."""
+    lineariser = adjustment.lineariser
+    noise = variance_components.first_noise(lineariser.obs.cell)
+    strict = solve(lineariser, adjustment.solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
+    rejected = lineariser.obs.pose_id[adjustment.weights.pose == 0]
+    return exchanged_balls(lineariser.obs) or fault_of(lineariser, strict, known=rejected.tolist())
 
 
 def refuse_contradiction(found: Contradiction, obs: Observations, options: CalibrationOptions) -> None:

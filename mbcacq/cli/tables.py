@@ -146,7 +146,7 @@ def hand_eye(result: dict[str, Any]) -> Table:
 def fit(result: dict[str, Any]) -> list[str]:
     """How well the cell fits, how accurate it is expected to be, and the noise that was found."""
     fitted, noise = result["fit"], result["noise"]
-    chi2 = f", χ²/dof {fitted['chi2_dof']:.2f}" if fitted.get("chi2_dof") is not None else ""
+    chi2 = _chi2(result)
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
     out = [f"Fit: {size}, residual {micrometres(fitted['rms_mm'])} (3D rms){chi2}, rank {fitted['rank']}"]
     if (expected := fitted.get("expected_accuracy_mm")) is not None:
@@ -160,6 +160,14 @@ def fit(result: dict[str, Any]) -> list[str]:
         if result["method"] == "paper":
             out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
     return out
+
+
+def _chi2(result: dict[str, Any]) -> str:
+    """Chi square per degree of freedom under the noise that was stated; of one that is estimated from the same residual it says nothing."""
+    if (stated := result.get("stated_chi2_dof")) is not None:
+        return f", χ²/dof {stated:.2f} under the stated noise"
+    own = result["fit"].get("chi2_dof")
+    return "" if own is None else f", χ²/dof {own:.2f} under the noise that is estimated below"
 
 
 def _repeatability(result: dict[str, Any]) -> str:
