@@ -103,9 +103,7 @@ def struck(kind: str, mm: float, seed: int):
 
 def strikes(count: int) -> None:
     """silent: neither warned, refused nor rejected, where the hand-eye is off by more than three stated sigma."""
-    print(
-        "| strike | refused | warned, named right | warned, not named | warned, named wrong | rejected alone | nothing said | of these off by > 3 sigma |"
-    )
+    print("| strike | refused | named right | warned, not named | named wrong | rejected alone | nothing said | of these beyond 3 sigma |")
     print("|---|---|---|---|---|---|---|---|")
     words = {"place": "place of the artefact", "mount": "mount slipped", "joint": "zero of joint", "pose": "alone explains"}
     for kind, word in words.items():
