@@ -10,7 +10,12 @@ from typing import Literal
 from mbcacq.files.units import AmbiguousUnit, same_dimension, suffix_unit, unit_named
 
 _BRACKETS = re.compile(r"([^\[\](]+)[\s_]*[\[(]([^\[\]]*)[\])]\s*")
+_COVERAGE = re.compile(r"[,;\s]*\bk\s*=\s*(\d+(?:[.,]\d+)?)\s*[,;]?")
+_EMPTY_BRACKETS = re.compile(r"\s*[\[(]\s*[\])]")
 _BEHIND_WORD = re.compile(r"(.+?)(?: in | ?/ ?)(\S+)\s*")
+
+# Names of a joint's angle beside q1, by what controllers and other programs write.
+JOINT_NAMES = ("a{}", "j{}", "joint{}", "joint_{}", "axis{}", "axis_{}", "achse{}", "achse_{}")
 
 _IN_HEADINGS = {"degC": "C", "ppm/K": "ppm_per_K"}
 
@@ -34,7 +39,8 @@ class Column:
     required
         Whether a table without it is refused.
     assumed
-        Unit of a heading that names none; empty: such a heading is refused.
+        Unit of a heading that names none; empty: such a heading is refused. Where one is assumed, a word in brackets that is no unit is
+        refused.
     """
 
     name: str
@@ -79,10 +85,12 @@ class TableSchema:
 
 @dataclass(frozen=True)
 class HeadingMatch:
-    """A column of a file. heading: as in the file; unit: that it names, None where it names none."""
+    """A column of a file. heading: as in the file; unit: that it names, None where it names none; assumed: whether the unit stands in
+    ``Column.assumed`` alone."""
 
     heading: str
     unit: str | None
+    assumed: bool = False
 
 
 class HeadingError(ValueError):
@@ -112,6 +120,12 @@ def joint_columns(
         )
         for i in range(1, n + 1)
     )
+
+
+def coverage_factor(text: str) -> float | None:
+    """k of an expanded uncertainty, where a heading or a comment states it: ``U (k=2)``."""
+    found = _COVERAGE.search(text)
+    return float(found[1].replace(",", ".")) if found else None
 
 
 def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, HeadingMatch]:
@@ -159,6 +173,7 @@ def _hit(column: Column, heading: str) -> tuple[int, str] | None:
 
 def _readings(column: Column, heading: str) -> list[tuple[str, str, bool]]:
     """Name, unit ('' for none) and whether the unit is marked as one, in the ways that a heading may be read."""
+    heading = _EMPTY_BRACKETS.sub("", _COVERAGE.sub("", heading)).strip()
     out = [(heading, "", False)]
     marked = _BRACKETS.fullmatch(heading) or _BEHIND_WORD.fullmatch(heading)
     if marked:
@@ -177,9 +192,14 @@ def _named(column: Column, heading: str, text: str) -> str | None:
     if column.unit is None:
         return None
     try:
-        return unit_named(text)
+        unit = unit_named(text)
     except AmbiguousUnit as error:
         raise HeadingError(f"column {heading}: '{text}' may be {error}; name the column {column.preferred}") from None
+    if unit is None and column.assumed and text.strip():
+        raise HeadingError(
+            f"column {heading}: '{text}' is no unit that can be given in {column.written or column.unit}; correct the heading"
+        )
+    return unit
 
 
 def _without_suffix(name: str, column: Column) -> str:
