@@ -100,10 +100,11 @@ def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> 
     from mbcacq.calibration.caveats import caveats
     from mbcacq.exports.result_json import load_result
     from mbcacq.model.cell import SIMULATED
+    from mbcacq.workflow.load import unsealed_note
 
     if results is not None:
         from mbcacq.exports.marks import geometry_alone
 
         result = load_result(run)
-        return [*caveats(result), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
+        return [*caveats(result), *unsealed_note(run), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
     return [SIMULATED] if any(one.get("simulated") for one in written) else []
