@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 
 from mbcacq.errors import ConfigError
 from mbcacq.files import angles
-from mbcacq.files.atomic_write import write_files
+from mbcacq.files.atomic_write import finish_set, write_files
 from mbcacq.files.table import Table, read_table
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict, Vector
@@ -56,6 +56,7 @@ def is_trajectory_set(folder: Path | str) -> bool:
 def read_trajectory_set(folder: Path | str) -> Trajectory:
     """Read a folder of ``cell.yaml`` and ``trajectory.csv``. Raises ConfigError naming file, line and column of the first fault."""
     folder = Path(folder)
+    finish_set(folder)
     path = folder / "cell.yaml"
     data, node = load_yaml(read_yaml_text(path), str(path))
     spec = validate(_TrajectorySpec, data, node, str(path))
