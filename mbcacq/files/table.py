@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.clock import ClockError, is_clock, seconds
 from mbcacq.files.csv_text import CsvText, Dialect, csv_text, read_csv_text
 from mbcacq.files.table_schema import Column, HeadingError, HeadingMatch, TableSchema, joint_columns, matched, score
 from mbcacq.files.units import AmbiguousUnit, converted, number_with_unit, same_dimension, unit_named
@@ -141,6 +142,16 @@ class Table:
         if empty is not None:
             values = np.where(blank, empty, values)
         return values
+
+    def time(self, name: str) -> np.ndarray:
+        """(rows,) s of a column of numbers, times of day or dates; see ``mbcacq.files.clock``."""
+        cells = self.text(name)
+        if not any(map(is_clock, cells)):
+            return self.number(name)
+        try:
+            return seconds(cells)
+        except ClockError as error:
+            raise ConfigError(f"{self.where(error.row, name)}: '{_short(cells[error.row])}' {error}; correct it") from None
 
     def numbers(self, names: Sequence[str], *, empty: float | None = None) -> np.ndarray:
         """(rows, len(names)) of several columns."""

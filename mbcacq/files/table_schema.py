@@ -41,6 +41,8 @@ class Column:
     assumed
         Unit of a heading that names none; empty: such a heading is refused. Where one is assumed, a word in brackets that is no unit is
         refused.
+    assumed_of_aliases
+        The same of a heading that is one of the aliases: a controller's ``A1`` is in deg, where ``q1`` alone says nothing.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Column:
     aliases: tuple[str, ...] = ()
     required: bool = True
     assumed: str = ""
+    assumed_of_aliases: str = ""
 
     @property
     def preferred(self) -> str:
@@ -139,7 +142,8 @@ def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, Hea
         rank, heading, unit = ranked[0]
         if len(ranked) > 1 and ranked[1][0] == rank:
             raise HeadingError(f"columns {heading} and {ranked[1][1]} both give {column.preferred}; remove one")
-        out[column.name] = HeadingMatch(heading, unit or None)
+        by_alias = column.assumed_of_aliases if rank >= 2 and not unit else ""
+        out[column.name] = HeadingMatch(heading, unit or by_alias or None, assumed=bool(by_alias))
         free.remove(heading)
     return out
 

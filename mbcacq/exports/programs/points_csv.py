@@ -13,6 +13,7 @@ from mbcacq.files.csv_text import read_csv_text
 from mbcacq.files.table import Column, Table, TableSchema, as_table, joint_columns
 from mbcacq.files.table_schema import JOINT_NAMES, HeadingError, matched
 from mbcacq.geometry import se3
+from mbcacq.recording.datasets.csv_columns import refuse_radians
 
 MAX_BYTES = 64 << 20
 POSE = tuple(Column(axis, "mm") for axis in "xyz") + tuple(Column(angle, "rad", written="deg") for angle in "abc")
@@ -60,7 +61,7 @@ def read_points(path: Path, n: int) -> PointTable:
     q = np.full((len(table), n), np.nan)
     if has_joints:
         q = table.numbers([column.name for column in joints])
-        _refuse_radians(table, q)
+        refuse_radians(table, np.degrees(q))
     goals = None
     if has_pose:
         goals = np.array([se3.from_abc(row[:3], row[3:]) for row in table.numbers([column.name for column in POSE])])
@@ -72,17 +73,6 @@ def _has(path: Path, columns: Sequence[Column], headings: Sequence[str]) -> bool
         return len(matched(columns, headings)) == len(columns)
     except HeadingError as error:
         raise ConfigError(f"{path}:1: {error}") from None
-
-
-def _refuse_radians(table: Table, q: np.ndarray) -> None:
-    """Joint angles without a unit that are all within 2 pi: radians, or an arm that hardly moves."""
-    degrees = np.degrees(q)
-    uneven = np.abs(2 * degrees - np.round(2 * degrees)) > 1e-6
-    silent = not any(table.names_unit(f"q{i + 1}") for i in range(q.shape[1]))
-    if silent and np.abs(degrees).max(initial=0.0) <= 2 * np.pi and np.count_nonzero(uneven) >= 2:
-        raise ConfigError(
-            f"{table.path}: all joint angles are within 2 pi and {table.heading('q1')} says no unit; name the columns q1_rad.. or q1_deg.."
-        )
 
 
 def _decimal(value: float) -> str:
