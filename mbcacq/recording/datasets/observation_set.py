@@ -19,7 +19,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.bag import bag_of, observation_columns
 from mbcacq.recording.datasets.cell_yaml import read_cell
-from mbcacq.recording.datasets.columns import columns_of, flange_columns, target_columns
+from mbcacq.recording.datasets.columns import columns_of, flange_columns, flange_group, target_columns
 from mbcacq.recording.datasets.csv_columns import CENTRES, QUATERNION, XYZ, numbered, poses_schema, refuse_radians, rotations
 from mbcacq.recording.datasets.observation_writer import write_observation_set
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
@@ -37,7 +37,8 @@ def read_observation_set(folder: Path | str) -> Observations:
         return Observations(cell=cell, **observation_columns(folder, bag, cell), cell_yaml=text)
     names = columns_of(folder)
     table = read_table(folder / "poses.csv", poses_schema(cell.robot.n, cell.ball_ids), names=names)
-    complete(table, cell)
+    if table.has("q1_deg") or flange_group(table) is not None:  # else the columns that are missing are named first
+        complete(table, cell)
     separate = (folder / "centres.csv").exists()
     wide = None if separate else wide_centres(table, cell)
     cell, poses = _read_poses(table, cell, text)
