@@ -109,11 +109,11 @@ def merge(
       mbcacq data merge flange.csv camera.csv --flange kuka --standstill 1.0
     """
     from mbcacq.recording.datasets.loose_table import UnderstoodTable, understood
-    from mbcacq.recording.datasets.merge import Standstill, merge_logs
+    from mbcacq.recording.datasets.merge import RestRule, merge_logs
 
     folder = _free_folder(out or Path(f"{arm.stem}-set"), force)
     options = options_of(columns, robot, noise, said)
-    merged = merge_logs(arm, measured, options.columns, Standstill(standstill))
+    merged = merge_logs(arm, measured, options.columns, RestRule(standstill))
     found = understood(merged.table, replace(options, columns={}))
     _write(UnderstoodTable(found.observations, (*merged.sentences, *found.sentences)), folder, as_json)
 

@@ -30,7 +30,7 @@ STILL = {"joints": float(np.radians(0.02)), "flange": 0.1}  # rad, mm: range wit
 
 
 @dataclass(frozen=True)
-class Standstill:
+class RestRule:
     """seconds: shortest that counts; settle_s: left out at its begin, while the arm swings."""
 
     seconds: float = 0.5
@@ -68,13 +68,13 @@ class ClockDelay:
         return self.at_s + t + self.rate * (t - self.middle_s)
 
 
-def merge_logs(arm: Path, measured: Path, columns: Mapping[str, str], still: Standstill | None = None) -> MergedLogs:
+def merge_logs(arm: Path, measured: Path, columns: Mapping[str, str], still: RestRule | None = None) -> MergedLogs:
     """Merge the log of an arm (joint angles or poses of the flange) and that of an instrument (points or poses of a target).
 
     columns: names of this program -> names in the files. Raises ConfigError where a log has no times, the speeds agree at no delay or at
     several, or the arm never stands still.
     """
-    still = still or Standstill()
+    still = still or RestRule()
     names = {file: ours for ours, file in columns.items()}
     first, second = (_read(path, names) for path in (arm, measured))
     hand, moving = _arm(first)
@@ -171,7 +171,7 @@ def _vertex(y: np.ndarray, at: int) -> float:
     return float(np.clip(0.5 * (below - above) / bend, -0.5, 0.5)) if bend < 0 else 0.0
 
 
-def standstills(t: np.ndarray, value: np.ndarray, within: float, still: Standstill) -> list[tuple[float, float]]:
+def standstills(t: np.ndarray, value: np.ndarray, within: float, still: RestRule) -> list[tuple[float, float]]:
     """Begin and end (s) of the stretches in which each column of value (T, k) stays within a range, without their settling."""
     rows = max(int(np.ceil(still.seconds / np.median(np.diff(t)))), 2)
     low, high = (of(value, rows, axis=0, mode="nearest") for of in (minimum_filter1d, maximum_filter1d))
