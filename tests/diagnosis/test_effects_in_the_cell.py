@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import simulated
 
+import mbcacq
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, with_effects
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
@@ -111,6 +112,34 @@ def test_an_arm_and_its_effects_hold_on_another_day(plan, recording, fitted):
     assert all(e.gain > 0 for e in tried.effects)
     assert tried.normalised_error.rms < 1.3
     assert type(tried).from_dict(json.loads(json.dumps(tried.to_dict()))) == tried
+
+
+@pytest.mark.parametrize("place", ["fitted", "known"])
+def test_poses_without_a_centre_say_nothing_of_another_day(recording, fitted, place):
+    unseen = np.isin(recording.pose, [0, 3, recording.n_poses - 1])
+    day = replace(recording, pose_id=recording.pose_id + 1000, **{c: getattr(recording, c)[~unseen] for c in ("pose", "ball", "xyz")})
+    without = day.select(np.isin(np.arange(day.n_poses), day.pose))
+
+    tried, expected = (check_transfer(one, fitted, place=place) for one in (day, without))
+
+    assert tried == expected
+    assert tried.poses == recording.n_poses - 3
+
+
+def test_a_check_that_fails_loses_nothing_of_the_diagnosis(recording, plan, tmp_path):
+    few = recording.select(np.arange(recording.n_poses) < 1)
+    found = mbcacq.diagnose(recording, check=[few, recording], workers=1)
+    assert [e.name for e in found.effects] == ["joint_compliance", "gear_transmission_error"]
+    assert len(found.checks) == 1
+    assert [n for n in found.poses.notes if n.startswith("what was found could not be tried on the other recording: ")]
+
+
+def test_a_check_of_another_arm_is_refused_before_the_diagnosis(recording):
+    other = replace(recording, cell=replace(recording.cell, robot=replace(recording.cell.robot, name="another arm")))
+    steps = []
+    with pytest.raises(ConfigError, match="the other recording is of 'another arm'"):
+        mbcacq.diagnose(recording, check=[other], progress=steps.append)
+    assert not steps
 
 
 def test_with_known_places_nothing_is_fitted(recording, fitted):
