@@ -215,13 +215,27 @@ class Advice:
 
 
 @dataclass(frozen=True)
+class ExclusionBand:
+    """Values of a hyper-parameter for which a limit holds, from low to high, but for those that are left out: orders of a gear (periods a
+    turn), numbers of the first pose after a change, breakpoints, time constants.
+    """
+
+    parameter: str
+    low: Number
+    high: Number
+    left_out: tuple[Number, ...] = ()
+
+
+@dataclass(frozen=True)
 class ExclusionLimit:
-    """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence.
+    """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence, everything that it is confused
+    with being free.
 
     parameter: its name, with the unit as suffix; value: None where the free geometry absorbs the effect. workspace_mm: largest error that
     it would make in the workspace. length_mm: error of a length between two postures that 95 % of lengths do not exceed. Both are None for
-    what depends on time or on single balls. in_usual_sizes: the limit relative to the effect's usual size; None where value is, and in
-    older files.
+    what depends on time or on single balls, and where the effect is not tested. in_usual_sizes: the limit relative to the effect's usual
+    size; None where value is, and in older files. tested: whether the limit is within what machines have; a larger one says nothing.
+    holds_for: the values of the effect's hyper-parameter for which the limit holds; None where it has none.
     """
 
     name: str
@@ -231,6 +245,8 @@ class ExclusionLimit:
     workspace_mm: float | None
     length_mm: float | None
     in_usual_sizes: float | None = None
+    tested: bool = True
+    holds_for: ExclusionBand | None = None
 
 
 @dataclass(frozen=True)

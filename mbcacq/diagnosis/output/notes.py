@@ -17,7 +17,7 @@ from mbcacq.diagnosis.result import EffectFound, MismatchEntry
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import FADING
+from mbcacq.effects.effect import FADING, Candidate
 from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.options import Noise
@@ -26,6 +26,7 @@ from mbcacq.model.observations import Observations
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
+LEAST_APART = 0.25  # of two orders that are two causes
 PAUSE_S = 900.0  # from pose to pose, from which the recording is said to pause
 
 
@@ -60,6 +61,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
         *aliased(setup, reported),
         *unfinished_warm_ups(setup, effects),
         *confounded_pauses(setup.linear.obs, effects),
+        *bent_artefacts(setup.linear.obs, effects),
         *(c.advice.format(odds=odds_in_words(odds)) for c, odds in coupled_instead(full.evidence, reported)),
     ]
 
@@ -148,7 +150,8 @@ def aliased(setup: DiagnosisProblem, reported: Hypothesis) -> list[str]:
 def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) -> list[tuple[float, float]]:
     """Orders in the place of a member's, and their odds against it, where these are above a twentieth; most probable first.
 
-    Orders closer than one period over the joint's travel are no others: they are its own uncertainty.
+    Orders closer than one period over the joint's travel are no others: they are its own uncertainty, but for those that a gear has by
+    its construction.
     """
     candidate, own = member.candidate, float(member.hyper or 0.0)
     assert candidate.hyper is not None, "a periodic effect has an order"
@@ -162,12 +165,22 @@ def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) 
     around = np.concatenate([[-np.inf], logs, [-np.inf]])
     resolution = 2 * np.pi / float(np.ptp(setup.context.value(candidate.depends_on)))
     peaks = np.flatnonzero((logs > around[:-2]) & (logs >= around[2:]) & (np.abs(grid - own) > resolution))
-    found = []
+    near = near_built_orders(candidate, own, resolution)
+    others = list(zip(near, log_factors(node, candidate, np.array(near)).tolist(), strict=True)) if near else []
     for j in peaks[np.argsort(-logs[peaks])][: OPTIONS.estimated]:
-        _, (order, log) = refined(node, candidate, float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)]))
-        log_odds = log + weight.get(order, between) - log_own - weight.get(own, between)
-        found.append((order, float(np.exp(min(log_odds, 0.0)))))
+        others.append(refined(node, candidate, float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)]))[1])
+    log_odds = [(order, log + weight.get(order, between) - log_own - weight.get(own, between)) for order, log in others]
+    found = [(order, float(np.exp(min(log, 0.0)))) for order, log in log_odds]
     return sorted((one for one in found if one[1] > OPTIONS.undecided), key=lambda one: -one[1])
+
+
+def near_built_orders(candidate: Candidate, own: float, resolution: float) -> list[float]:
+    """Orders that a gear has by its construction, once and twice a turn above all, within the resolution of a reported one: those are no
+    uncertainty of the order but another cause.
+    """
+    assert candidate.hyper is not None, "a periodic effect has an order"
+    built = dict.fromkeys((1.0, 2.0, *candidate.hyper.preferred))
+    return [order for order in built if LEAST_APART < abs(order - own) <= resolution]
 
 
 def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
@@ -180,6 +193,21 @@ def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound])
             out.append(
                 f"{effect.name} at {effect.where[0]}: the recording is too short for its time constant, and determines its size only "
                 f"together with that; what was measured is the change within the recording"
+            )
+    return out
+
+
+def bent_artefacts(obs: Observations, effects: Sequence[EffectFound]) -> list[str]:
+    """A sentence for each artefact of which several balls were found elsewhere than certified: that has one cause."""
+    moved = [where for e in effects for where in e.where if where.startswith("ball")]
+    out = []
+    for number, artefact in enumerate(obs.cell.artefacts):
+        mine = [f"ball{b}" for b, owner in zip(obs.cell.ball_ids, obs.cell.ball_artefact, strict=True) if owner == number]
+        several = [where for where in moved if where in mine]
+        if len(several) > 1:
+            out.append(
+                f"{', '.join(several)} of {artefact.name}: where an artefact bends, sags or has another certificate several balls are off, "
+                "what is stated of each is not proven by itself; have it certified anew as it is mounted"
             )
     return out
 

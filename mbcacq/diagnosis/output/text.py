@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbcacq.diagnosis.output.noise_floor import ABSURD, NoiseFloor, is_trend
+from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
 from mbcacq.diagnosis.result import (
     Alternative,
     BetweenRecordings,
@@ -122,28 +123,40 @@ def proposal_lines(proposals: Sequence[Proposal]) -> list[str]:
 
 def limit_lines(limits: Sequence[ExclusionLimit]) -> list[str]:
     """The largest effects that could still hide, a line each; those that these poses do not test at all together in one."""
-    untested = [limit for limit in limits if limit.in_usual_sizes is not None and limit.in_usual_sizes > ABSURD]
-    out = [hidden(limit) for limit in [one for one in limits if one not in untested][:MOST_LIMITS]]
+    untested = [limit for limit in limits if not limit.tested]
+    out = [hidden(limit) for limit in [limit for limit in limits if limit.tested][:MOST_LIMITS]]
     if untested:
-        names = ", ".join(f"{one.name} at {'+'.join(one.where)} ({split_unit(one.parameter)[0]})" for one in untested[:MOST_LIMITS])
-        more = f" and {len(untested) - MOST_LIMITS} more" if len(untested) > MOST_LIMITS else ""
-        out.append(f"Not tested by these poses (only what is over {ABSURD:.0f} times the usual size would show): {names}{more}")
+        listed_ones = list(dict.fromkeys(f"{limited(one)} ({split_unit(one.parameter.rpartition('.')[2])[0]})" for one in untested))
+        more = f" and {len(listed_ones) - MOST_LIMITS} more" if len(listed_ones) > MOST_LIMITS else ""
+        within = f"only what is over {DIAGNOSIS.largest_usual:.0f} times the usual size would show"
+        out.append(f"Not tested by these poses ({within}): {'; '.join(listed_ones[:MOST_LIMITS])}{more}")
     return out
 
 
 def hidden(limit: ExclusionLimit) -> str:
     """What could still hide, in one line."""
-    at = f"{limit.name} at {'+'.join(limit.where)}"
-    if limit.value is None:
-        return f"Not excluded at any size: {at}, which the free geometry absorbs"
     words, unit, factor = split_unit(limit.parameter.rpartition(".")[2])
-    size = f"{words} {with_unit(significant(factor * limit.value, 2), unit)}"
+    size = f"{words} {with_unit(significant(factor * (limit.value or 0.0), 2), unit)}"
     if limit.in_usual_sizes is not None:
         size += f" ({significant(limit.in_usual_sizes, 2)} times the usual size)"
+    said = f"Not excluded (95 %): {limited(limit)} up to {size}"
     if limit.workspace_mm is None or limit.length_mm is None:
-        return f"Not excluded (95 %): {at} up to {size}"
-    errors = f"{significant(limit.workspace_mm, 2)} mm in the workspace, {significant(limit.length_mm, 2)} mm in a length"
-    return f"Not excluded (95 %): {at} up to {size}, {errors}"
+        return said
+    return f"{said}, {significant(limit.workspace_mm, 2)} mm in the workspace, {significant(limit.length_mm, 2)} mm in a length"
+
+
+def limited(limit: ExclusionLimit) -> str:
+    """The effect, its location, and the values of its hyper-parameter for which the limit holds."""
+    at = f"{effect_in_words(limit.name)} at {'+'.join(limit.where)}"
+    band = limit.holds_for
+    if band is None:
+        return at
+    if band.parameter == "at_pose":
+        but = f", but at {len(band.left_out)} moments between" if band.left_out else ""
+        return f"{at} at any pose from {band.low:.0f} to {band.high:.0f}{but}"
+    words, unit, factor = split_unit(band.parameter)
+    ends = " to ".join(dict.fromkeys(significant(factor * end, 2) for end in (band.low, band.high)))
+    return f"{at} of {words} {with_unit(ends, unit)}"
 
 
 def describe(effect: EffectFound) -> list[str]:
