@@ -50,3 +50,18 @@ def test_orders_that_look_alike_at_the_angles_of_a_recording_are_all_named(postu
     assert len(orders) > 1
     for order in (effect.parameters["A4.order"].value, *orders):
         assert min((order - 7) % 24, (order + 7) % 24, (7 - order) % 24, (-7 - order) % 24) < 0.3
+
+
+def test_order_and_amplitude_of_half_a_period_are_uncertain_together(postures):
+    """Over half a turn an error of order one is nearly one of order two with another amplitude."""
+    q = postures.copy()
+    q[:, 3] = np.random.default_rng(5).uniform(-1.7, 1.7, len(q))
+
+    found = diagnose(simulated.observe(simulated.tracked(q), 10, [("gear_transmission_error", ("A4",), [1.2e-4, 8e-5], 1.0)]))
+
+    (effect,) = found.effects
+    assert (effect.name, effect.where) == ("gear_transmission_error", ("A4",))
+    order, amplitude = effect.parameters["A4.order"], effect.parameters["A4.amplitude_deg"]
+    assert abs(order.value - 1.0) < 3 * order.std
+    assert abs(amplitude.value - np.degrees(np.hypot(1.2e-4, 8e-5))) < 3 * amplitude.std
+    assert order.std < 1.0
