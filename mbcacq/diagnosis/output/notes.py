@@ -13,7 +13,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import EffectFound, MismatchEntry
+from mbcacq.diagnosis.result import EffectFound, MismatchEntry, NoiseDependence
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
@@ -23,6 +23,7 @@ from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import micrometres, p_value, significant
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
@@ -69,8 +70,8 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
 def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
     """One sentence where the estimated noise is not what is stated of the instrument; None where it is, or where nothing is stated."""
     linear = full.geometry_only.linear
-    if linear.obs.cell.noise_mm is None:
-        return None
+    if linear.obs.cell.noise_mm is None or linear.obs.noise_scale is not None:
+        return None  # one figure would be wrong wherever it is stated
     ratio = float(np.exp(np.mean(np.log(full.noise.point / stated.point))))
     sd = 1.0 / np.sqrt(2.0 * max(full.geometry_only.dof, 1.0))
     if abs(np.log(ratio)) < max(np.log(OPTIONS.noticeable), SIGNIFICANT * sd):
@@ -79,6 +80,20 @@ def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
     found = np.sqrt(np.mean(full.noise.point**2))
     factor = f"{ratio:.2g} times" if ratio > 1 else f"1/{1 / ratio:.2g} of"
     return f"the noise of the {instrument} is {factor} what is stated: {found:.2g} mm an axis; correct noise_mm in cell.yaml"
+
+
+def noise_in_words(found: Sequence[NoiseDependence]) -> list[str]:
+    """A sentence for each noise that depends on the place."""
+    out = []
+    for one in found:
+        what = "the noise of the instrument" if one.of == "instrument" else "the noise of whole poses, of joints and instrument,"
+        ratio = max(one.sigma_low_mm, one.sigma_high_mm) / min(one.sigma_low_mm, one.sigma_high_mm)
+        grows = "grows" if one.sigma_high_mm > one.sigma_low_mm else "falls"
+        ends = f"from {one.low:.0f} to {one.high:.0f} {one.unit} it is {significant(ratio, 2)} times as large ({p_value(one.p_value)})"
+        ends = ends if grows == "grows" else ends.replace("times as large", "times smaller")
+        sizes = f": {micrometres(one.sigma_low_mm)} and {micrometres(one.sigma_high_mm)} an axis" if one.of == "instrument" else ""
+        out.append(f"{what} {grows} with the {one.covariate}: {ends}{sizes}; each pose is weighted by its own")
+    return out
 
 
 def unproven_places(setup: DiagnosisProblem) -> list[str]:
