@@ -91,7 +91,8 @@ def _diagnose(
     refitted = pool.beside(refit, judged.model) if refit is not None and judged.model is not None else None
     result = conclude(problem, judged)
     if formulas:
-        result = replace(result, proposals=propose(problem, full, result.effects, progress))
+        proposed = propose(problem, full, result.effects, progress)
+        result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))
     dependences = tuple(one.entry for one in variations)
     result = replace(result, notes=(*noise_in_words(dependences), *result.notes, *notes), noise_depends_on=dependences)
     if refitted is None:
