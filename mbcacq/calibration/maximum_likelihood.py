@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from mbcacq.calibration.causes import misdescribed
+from mbcacq.calibration.contradiction import contradiction, refuse_contradiction
+from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
+from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
-from mbcacq.description import with_likely_cause
+from mbcacq.calibration.with_discrepancy import with_discrepancy
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
@@ -25,9 +30,11 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     """
     options = options or CalibrationOptions()
     try:
-        return _calibrate(observations, options)
+        with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
+            return _calibrate(observations, options)
     except ContradictionError as error:
-        raise with_likely_cause(error, observations) from error
+        cause = misdescribed(observations)
+        raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
             f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
@@ -47,9 +54,36 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     obs = select_phases(observations, options)
     refuse_insufficient(obs, options)
     fitted = adjust_recording(obs, options)
+    if options.kinematics:
+        return _arm_and_hand_eye(obs, options, fitted)
+    result = Calibration.adjusted(obs, options, fitted)
+    return _hand_eye_alone(result, fitted) if options.discrepancy else result
+
+
+def _hand_eye_alone(result: Calibration, fitted: Adjustment) -> Calibration:
+    """With the nominal arm as it is; refused, or with a warning, where the recording contradicts its description."""
+    found = contradiction(fitted, result.options)
+    if found is not None:
+        refuse_contradiction(found, result.observations, result.options)
+        said = {"contradiction": found.to_dict(), "warnings": [found.sentence(result.cell)]}
+        result = replace(result, extra={**result.extra, **said})
+    result = with_nominal_arm(result, fitted.lineariser)
+    refuse_unusable(result)
+    return result
+
+
+def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
+    """With smooth errors of the joints where the evidence asks for them, and a warning where their noise is beyond the data sheet."""
     result = Calibration.adjusted(obs, options, fitted)
     refuse_unusable(result)
-    return _with_joint_noise_check(result, fitted) if options.kinematics else result  # a nominal arm's errors are noise there
+    # Terms that are given are somebody's account of what the arm does beyond its geometry.
+    found = with_discrepancy(obs, options, fitted) if options.discrepancy and not options.terms else None
+    if found is not None:
+        fitted = found.adjustment
+        result = Calibration.adjusted(obs, found.options, fitted)
+        extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
+        result = replace(result, options=options, effects=with_estimates(found.model, result), extra=extra)
+    return _with_joint_noise_check(result, fitted)
 
 
 def refuse_unusable(result: Calibration) -> None:
