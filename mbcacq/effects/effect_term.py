@@ -23,6 +23,7 @@ GAP = np.radians(5.0)  # between visited angles from which the angles between co
 MARGIN = 0.02  # of a range, by which a value may leave it
 FADES_OVER = np.radians(10.0)  # beyond the visited angles: two such steps on nothing is left of what was learnt
 FADES_OVER_SHARE = 0.1  # the same, of the range of any other covariate
+SMOOTH = "smooth"  # variant of the discrepancy of a calibration: told from the groups of a diagnosis
 GIVES_WAY = "rad/Nm"  # unit of what turns in proportion to a load
 COMMON_PATTERN = "common pattern"  # variant of what several joints share: each learns of it in the range of the others
 
@@ -177,9 +178,10 @@ class EffectTerm:
     @property
     def fades(self) -> bool:
         """Whether it shrinks to nothing outside of where it was learnt: a smooth function says nothing of what lies beyond its data. What
-        gives way to a load is no such function, and is held at the end of its range.
+        gives way to a load is no such function, and is held at the end of its range. The discrepancy of a calibration goes on, with the
+        uncertainty of its coefficients.
         """
-        return self.name == UNKNOWN and self.variant != COMMON_PATTERN and GIVES_WAY not in self.units
+        return self.name == UNKNOWN and self.variant not in (COMMON_PATTERN, SMOOTH) and GIVES_WAY not in self.units
 
     def _within(self, here: Covariates, part: DescribedPart) -> np.ndarray:
         """(rows,) of a part: 1 where all its covariates are as they were when it was learnt, falling to nought beyond."""
