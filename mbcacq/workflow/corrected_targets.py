@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +13,7 @@ from mbcacq.calibration import CalibratedCell, Calibration
 from mbcacq.calibration.joint_targets import joint_targets
 from mbcacq.calibration.place_errors import ArmImprovement, arm_improvement
 from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.sealed_json import digest
 from mbcacq.calibration.uncertainty import frames, measuring_covariance
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CalibrationError, ConfigError
@@ -110,8 +109,7 @@ def corrected_targets(loaded: LoadedPlan, poses: Sequence[PlannedPose], calibrat
                 f"{where}: the calibrated arm stays {left:.3f} mm short of its place, {reason}; move the station or change the view"
             )
     noise_mm = np.sqrt(np.trace(measuring_covariance(arm, nominal, np.zeros((len(nominal), 3))), axis1=1, axis2=2))
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-    return CorrectedTargets(digest, nominal, found.q, moved_mm, noise_mm, _took_part(calibrated, nominal))
+    return CorrectedTargets(digest(content), nominal, found.q, moved_mm, noise_mm, _took_part(calibrated, nominal))
 
 
 def _took_part(calibrated: CalibratedArm, q: np.ndarray) -> np.ndarray | None:

@@ -1,0 +1,150 @@
+"""What may have changed in a cell, as columns of the rows of a check: mastering, mount, links, artefact, every effect of the catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.effects.catalogue import candidates
+from mbcacq.effects.context import Context
+from mbcacq.effects.described import parts_of
+from mbcacq.effects.effect import FADING, MOMENT, Candidate
+from mbcacq.estimation import forward_model, terms
+from mbcacq.estimation.forward_model import CellState, Prediction
+from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.interim_check.options import OPTIONS, CheckOptions
+from mbcacq.model.observations import Observations
+
+UNNAMED = "unnamed"
+TWIST = ("x", "y", "z", "rx", "ry", "rz")
+LEAST = 1e-9  # of a column against the noise: below, the rows do not show it at all
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Something that may have changed. name: 'mastering', 'mount', 'artefact', 'link', the name of an effect, or 'unnamed'; where: its
+    location; parameters, units: of its k coefficients; usual: (k,) their usual change; columns: (R, k) what that does to the rows.
+    weight: prior probability beside the others."""
+
+    name: str
+    where: str
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    usual: np.ndarray
+    columns: np.ndarray
+    weight: float = 1.0
+
+    def select(self, keep: np.ndarray) -> Rival:
+        """At the rows where ``keep`` (R,) bool holds."""
+        return replace(self, columns=self.columns[keep])
+
+
+def rivals(obs: Observations, state: CellState, prediction: Prediction, standing: bool, options: CheckOptions = OPTIONS) -> list[Rival]:
+    """All that may change, at the poses and centres of a planned check. standing: artefacts stay where they stand between checks.
+
+    Prior probabilities are equal between names, and among the locations and variants of each.
+    """
+    found = [*_masterings(obs, state, prediction, options), _mount(obs, prediction, options), *_links(obs, state, prediction, options)]
+    if standing:
+        found += _artefacts(obs, prediction, options)
+    found += _catalogued(obs, state, prediction, options)
+    found.append(_unnamed(obs, state, prediction, options))
+    visible = [r for r in found if np.abs(r.columns).max(initial=0.0) > LEAST]
+    count: dict[str, int] = {}
+    for rival in visible:
+        count[rival.name] = count.get(rival.name, 0) + 1
+    return [replace(r, weight=1 / len(count) / count[r.name]) for r in visible]
+
+
+def rows_of(each: np.ndarray) -> np.ndarray:
+    """Columns (M, R, k) of centres as columns of rows (M R, k)."""
+    return each.reshape(-1, each.shape[-1])
+
+
+def _masterings(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames))
+    usual = np.array([options.mastering])
+    return [
+        Rival("mastering", f"A{j + 1}", (f"A{j + 1} zero",), ("rad",), usual, rows_of(J[:, :, j : j + 1] * options.mastering))
+        for j in range(state.chain.n)
+    ]
+
+
+def twist_columns(obs: Observations, prediction: Prediction, place: str, index: int) -> np.ndarray:
+    """(M, R, 6): by the local twist of a frame of the arm, or of an artefact's placement."""
+    return np.stack([terms.unit(obs, prediction, place, index, c) for c in range(6)], axis=2)
+
+
+def _mount(obs: Observations, prediction: Prediction, options: CheckOptions) -> Rival:
+    usual = np.repeat([options.mount_mm, options.mount_rad], 3)
+    columns = twist_columns(obs, prediction, "frame", obs.cell.robot.n) * usual
+    return Rival("mount", "scanner on the flange", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns))
+
+
+def _artefacts(obs: Observations, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+    usual = np.repeat([options.station_mm, options.station_rad], 3)
+    out = []
+    for s in np.unique(obs.station):
+        here = (obs.station[obs.pose] == s)[:, None, None]
+        columns = twist_columns(obs, prediction, "station", 0) * usual * here
+        out.append(Rival("artefact", f"station {obs.cell.stations[s].id}", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns)))
+    return out
+
+
+def _links(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+    """Each link by itself: its length, offset and twist."""
+    twists = state.chain.parameter_twists(prediction.frames, obs.q)
+    out = []
+    chosen = [PARAMETERS.index(p) for p in ("d", "a", "alpha")]
+    usual = np.array([options.link_mm, options.link_mm, options.link_rad])
+    for i in range(state.chain.n):
+        columns = forward_model.arm_jacobian(obs, prediction, twists[:, i, chosen]) * usual
+        out.append(Rival("link", f"link {i + 1}", ("d", "a", "alpha"), ("mm", "mm", "rad"), usual, rows_of(columns)))
+    return out
+
+
+def _catalogued(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+    context = Context(obs, state, prediction)
+    found, _ = candidates(context)
+    out = []
+    for candidate in found:
+        if candidate.hyper is not None and candidate.hyper.kind in (MOMENT, FADING):
+            continue  # what happens within one check says nothing about days
+        for hyper in hypers(candidate, options.hypers):
+            one = terms.term(candidate.name, parts_of(candidate, context, hyper))
+            columns = rows_of(terms.columns(obs, prediction, one)) * candidate.typical
+            what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
+            names = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k))
+            units = ("",) * candidate.k
+            out.append(Rival(candidate.name, "+".join(candidate.where) + what, names, units, candidate.typical, columns))
+    return out
+
+
+def hypers(candidate: Candidate, count: int) -> Sequence[float | None]:
+    """``count`` values of an effect's hyper-parameter over its range; None where it has none."""
+    if candidate.hyper is None:
+        return [None]
+    values = candidate.hyper.values
+    return [float(v) for v in values[np.unique(np.linspace(0, len(values) - 1, count).astype(int))]]
+
+
+def _unnamed(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> Rival:
+    """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
+    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * options.unnamed
+    n = J.shape[2]
+    columns = np.zeros((*J.shape[:2], obs.n_poses * n))
+    for p in range(obs.n_poses):
+        here = obs.pose == p
+        columns[here, :, p * n : (p + 1) * n] = J[here]
+    k = columns.shape[2]
+    return Rival(UNNAMED, "the arm", ("",) * k, ("rad",) * k, np.full(k, options.unnamed), rows_of(columns))
+
+
+def jitter(obs: Observations, state: CellState, prediction: Prediction, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
+    """(R, R) covariance of the rows by the noise of a centre (3,) mm and of the joints (n,) rad, which moves all of a pose together."""
+    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * joint
+    flat = J.reshape(-1, J.shape[2])
+    pose = np.repeat(obs.pose, J.shape[1])
+    return (flat @ flat.T) * (pose[:, None] == pose) + np.diag(np.tile(np.asarray(point, dtype=float) ** 2, len(obs.pose)))
