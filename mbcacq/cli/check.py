@@ -105,13 +105,10 @@ def lines_of(done: CheckResult) -> list[str]:
     v, days = done.verdict, len(done.history.days)
     sentence = done.sentence
     out = [f"{sentence[0].upper()}{sentence[1:]}."]
-    alarm = odds(v.log_threshold)
-    out.append(
-        f"evidence for a change since the first check {odds(v.log_e[-1])}, since the calibration {odds(v.log_e_calibration)}; alarm at {alarm}"
-    )
-    out.append(
-        f"checks: {days}, of {len(done.history.poses)} poses; noise {v.noise:g} times the calibration's, days {v.day:g} times the usual"
-    )
+    since, before, alarm = (odds(value) for value in (v.log_e[-1], v.log_e_calibration, v.log_threshold))
+    out.append(f"evidence for a change since the first check {since}, since the calibration {before}; alarm at {alarm}")
+    levels = f"noise {v.noise:g} times the calibration's, changes from day to day {v.day:g} times the usual"
+    out.append(f"checks: {days}, of {len(done.history.poses)} poses; {levels}")
     for s in v.suspects:
         out.append(f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := size_of(s)) else ""))
     if not done.changed and days > 1:

@@ -24,7 +24,7 @@ def read_day_to_day(fleet: Path | str, robot: str) -> DayToDay:
     often enough.
     """
     kind = next((k for k in arm_types(read_table(Path(fleet))) if k.robot == robot), None)
-    rows = () if kind is None else kind.rows
+    rows = [] if kind is None else list(kind.rows)
     if sum(a["arm"] == b["arm"] for a, b in zip(rows[1:], rows[:-1], strict=True)) < FEWEST:
         raise ConfigError(f"{fleet} has too few arms of type '{robot}' with several recordings to say what changes from day to day")
     usual = DayToDay()

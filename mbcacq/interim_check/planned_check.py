@@ -97,7 +97,7 @@ def choose_poses(check: PlannedCheck, options: CheckOptions = OPTIONS) -> list[i
     """
     best: tuple[float, list[int]] | None = None
     for s in np.unique(check.obs.station):
-        here = [p for p in np.flatnonzero(check.obs.station == s) if (check.obs.pose == p).sum() >= 3]
+        here = [int(p) for p in np.flatnonzero(check.obs.station == s) if (check.obs.pose == p).sum() >= 3]
         if len(here) < options.fewest:
             continue
         grams, first, free = _pose_grams(check, here)

@@ -134,11 +134,11 @@ def _unnamed(obs: Observations, state: CellState, prediction: Prediction, option
     """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
     J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * options.unnamed
     n = J.shape[2]
-    columns = np.zeros((*J.shape[:2], obs.n_poses * n))
+    k = obs.n_poses * n
+    columns = np.zeros((J.shape[0], J.shape[1], k))
     for p in range(obs.n_poses):
         here = obs.pose == p
         columns[here, :, p * n : (p + 1) * n] = J[here]
-    k = columns.shape[2]
     return Rival(UNNAMED, "the arm", ("",) * k, ("rad",) * k, np.full(k, options.unnamed), rows_of(columns))
 
 
