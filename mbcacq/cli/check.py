@@ -105,7 +105,7 @@ def lines_of(done: CheckResult) -> list[str]:
     v, days = done.verdict, len(done.history.days)
     sentence = done.sentence
     out = [f"{sentence[0].upper()}{sentence[1:]}."]
-    since, before, alarm = (odds(value) for value in (v.log_e[-1], v.log_e_calibration, v.log_threshold))
+    since, before, alarm = (odds(value) for value in (v.log_e, v.log_e_calibration, v.log_threshold))
     out.append(f"evidence for a change since the first check {since}, since the calibration {before}; alarm at {alarm}")
     levels = f"noise {v.noise:g} times the calibration's, changes from day to day {v.day:g} times the usual"
     out.append(f"checks: {days}, of {len(done.history.poses)} poses; {levels}")

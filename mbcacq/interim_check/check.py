@@ -142,8 +142,9 @@ def check(
             run = Path(measured)
         operator.progress("judging")
         past = with_observations(planned, past, load_observations(run), run)
-        past.write(file)
         verdict = verdict_of(planned, past)
+        past = past.judged(verdict.log_e, verdict.log_e_calibration)
+        past.write(file)
         operator.progress("")
         return CheckResult(verdict, past, file, run)
 

@@ -19,7 +19,7 @@ of a change after day n is S = n T / t - C, with information n (t - n) / t times
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +69,7 @@ class EProcess:
         self.log_weight = np.log(weights)
         self.first = np.cumsum([0, *(c.shape[1] for c in columns[:-1])])  # where each rival's columns begin
         self.levels = tuple(self._level(s, g) for s in options.noise_levels for g in options.day_levels)
+        self.usual = [(lv.noise, lv.day) for lv in self.levels].index((1.0, 1.0))  # as the calibration and the usual days have it
 
     def _level(self, noise: float, day: float) -> Level:
         weight, log_det = weight_of(noise**2 * self.rows.noise + day**2 * self.rows.daily @ self.rows.daily.T, self.rows.free)
@@ -88,17 +89,26 @@ class EProcess:
         each = [-0.5 * (np.einsum("tr,rs,ts->t", u, lv.weight, u, optimize=True) + lv.log_det) for lv in self.levels]
         return np.concatenate([np.zeros((len(self.levels), 1)), np.cumsum(each, axis=1)], axis=1)
 
-    def likely(self, null: np.ndarray) -> np.ndarray:
-        """Of log densities (H,) of the null: the levels that take part."""
-        return np.flatnonzero(null > null.max() + np.log(self.options.unlikely))
+    def possible(self, days: np.ndarray) -> list[int]:
+        """The levels that take part beside the rivals: the others are hopeless by the scatter from each day to the next, of which a change
+        spoils one at most. Leaving a level out can only lessen the e-process."""
+        v = np.diff(days, axis=0) / np.sqrt(2)
+        each = [-0.5 * (np.einsum("tr,tr->t", v @ lv.weight, v) + lv.log_det) for lv in self.levels]
+        score = len(v) * np.median(each, axis=1)
+        return np.flatnonzero(score > score.max() - self.options.hopeless).tolist()
 
-    def log_factors(self, level: int, sums: np.ndarray, t: int) -> np.ndarray:
-        """(onsets, sizes, A) log Bayes factors of every rival against no change after t days; sums: (t, K) cumulated scores of the days.
+    def follow(self, days: np.ndarray) -> Followed:
+        """The e-process of measured days (T, R), T at least two."""
+        possible = self.possible(days)
+        return Followed(self, self.null(days), {h: np.cumsum(days @ self.levels[h].scores, axis=0) for h in possible})
 
-        Onset k is a change after k + 1 days.
+    def log_factors(self, level: int, sums: np.ndarray, t: int, after: np.ndarray | None = None) -> np.ndarray:
+        """(onsets, sizes, A) log Bayes factors of every rival against no change after t days.
+
+        sums: (t, K) cumulated scores of the days. after: after how many days the change is, default 1, 2, ... t - 1.
         """
-        n = np.arange(1, t)
-        S = (n / t)[:, None] * sums[t - 1] - sums[: t - 1]
+        n = np.arange(1, t) if after is None else after
+        S = (n / t)[:, None] * sums[t - 1] - sums[n - 1]
         information = (n * (t - n) / t)[:, None] * self.levels[level].information
         out = []
         for size in self.options.sizes:
@@ -106,26 +116,37 @@ class EProcess:
             out.append(np.add.reduceat(0.5 * v * S**2 / (1 + v * information) - 0.5 * np.log1p(v * information), self.first, axis=1))
         return np.stack(out, axis=1)
 
-    def log_onsets(self, t: int) -> np.ndarray:
-        """(t - 1,) log prior probability of a change after 1, 2, ... days; over all days to come they sum to one."""
-        c, n = self.options.onset_days, np.arange(1, t)
-        return np.log(c) - np.log(c + n - 1) - np.log(c + n)
+    def log_onsets(self, after: np.ndarray) -> np.ndarray:
+        """log prior probability of a change after so many days; over all days to come it sums to one."""
+        c = self.options.onset_days
+        return np.log(c) - np.log(c + after - 1) - np.log(c + after)
 
-    def log_e(self, days: np.ndarray) -> np.ndarray:
-        """(T,) log of the e-process at every day; zero on the first. days: (T, R)."""
-        null, T = self.null(days), len(days)
-        sums = [np.cumsum(days @ lv.scores, axis=0) for lv in self.levels]
-        out = np.zeros(T)
-        for t in range(2, T + 1):
-            out[t - 1] = self.log_e_at(null[:, t - 1], sums, t)
-        return out
 
-    def log_e_at(self, null: np.ndarray, sums: Sequence[np.ndarray], t: int) -> float:
-        """log of the e-process after t days, by the null's log densities (H,) and the cumulated scores of each level."""
-        likely = self.likely(null)
-        prior = self.log_onsets(t)[:, None, None] + self.log_weight - np.log(len(self.options.sizes) * len(self.levels))
-        parts = [null[h] + logsumexp(prior + self.log_factors(h, sums[h], t)) for h in likely]
+@dataclass(frozen=True)
+class Followed:
+    """The e-process of measured days. null: (H, T) log densities of the null; sums: (T, K) cumulated scores of each level that
+    takes part."""
+
+    process: EProcess
+    null: np.ndarray
+    sums: Mapping[int, np.ndarray]
+
+    def log_e(self, t: int, after: np.ndarray | None = None, onsets: np.ndarray | None = None) -> float:
+        """log of the e-process after t days, t at least two. after, onsets: changes after so many days that are summed over, and the log
+        prior probability of each; default all of them."""
+        process = self.process
+        after = np.arange(1, t) if after is None else after
+        onsets = process.log_onsets(after) if onsets is None else onsets
+        prior = onsets[:, None, None] + process.log_weight - np.log(len(process.options.sizes) * len(process.levels))
+        null = self.null[:, t - 1]
+        parts = [null[h] + logsumexp(prior + process.log_factors(h, sums, t, after)) for h, sums in self.sums.items()]
         return float(logsumexp(parts) - null.max())
+
+    def level(self, t: int) -> int:
+        """The level under which a change is most probable after t days."""
+        process, null = self.process, self.null[:, t - 1]
+        best = {h: null[h] + float(process.log_factors(h, sums, t).max()) for h, sums in self.sums.items()}
+        return max(best, key=lambda h: best[h])
 
 
 def weight_of(covariance: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, float]:

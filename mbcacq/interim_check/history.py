@@ -23,16 +23,19 @@ MICROMETRE = 5  # decimals of a residual in mm
 @dataclass(frozen=True)
 class CheckedDay:
     """One check. time: ISO 8601, UTC; run: its folder; residual: (pose number, ball id) -> (3,) mm in the scanner frame, measured minus
-    predicted by the calibrated cell with the stations of the history."""
+    predicted by the calibrated cell with the stations of the history. log_e, log_e_calibration: as judged on that day, None before."""
 
     time: str
     run: str
     residual: Mapping[tuple[int, int], np.ndarray]
+    log_e: float | None = None
+    log_e_calibration: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content."""
         rows = [[p, b, *(round(float(v), MICROMETRE) for v in xyz)] for (p, b), xyz in self.residual.items()]
-        return {"time": self.time, "run": self.run, "residual": rows}
+        said = {"log_e": self.log_e, "log_e_calibration": self.log_e_calibration}
+        return {"time": self.time, "run": self.run, **said, "residual": rows}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> CheckedDay:
@@ -40,7 +43,8 @@ class CheckedDay:
         rows = {(int(p), int(b)): np.array([x, y, z], dtype=float) for p, b, x, y, z in content["residual"]}
         if not all(np.isfinite(v).all() for v in rows.values()):
             raise ValueError("a residual is no number")
-        return cls(str(content["time"]), str(content["run"]), rows)
+        log_e, since = (None if content[key] is None else float(content[key]) for key in ("log_e", "log_e_calibration"))
+        return cls(str(content["time"]), str(content["run"]), rows, log_e, since)
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,10 @@ class CheckHistory:
     def with_day(self, day: CheckedDay) -> CheckHistory:
         """With one more check."""
         return replace(self, days=(*self.days, day))
+
+    def judged(self, log_e: float, log_e_calibration: float) -> CheckHistory:
+        """With what was judged on the last day."""
+        return replace(self, days=(*self.days[:-1], replace(self.days[-1], log_e=log_e, log_e_calibration=log_e_calibration)))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content."""

@@ -24,7 +24,7 @@ LEAST = 1e-9  # of a column against the noise: below, the rows do not show it at
 
 @dataclass(frozen=True)
 class Rival:
-    """Something that may have changed. name: 'mastering', 'mount', 'artefact', 'link', the name of an effect, or 'unnamed'; where: its
+    """Something that may have changed. name: 'mastering', 'mount', 'artefact', 'link', 'tool', 'unnamed', or that of an effect; where: its
     location; parameters, units: of its k coefficients; usual: (k,) their usual change; columns: (R, k) what that does to the rows.
     weight: prior probability beside the others."""
 
@@ -106,20 +106,45 @@ def _links(obs: Observations, state: CellState, prediction: Prediction, options:
 
 
 def _catalogued(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+    """Every effect of the catalogue at its usual size, by itself and, where it acts at one place of several, at all of them at once."""
     context = Context(obs, state, prediction)
     found, _ = candidates(context)
-    out = []
+    out: list[Rival] = []
+    together: dict[tuple[str, str, int], list[Rival]] = {}
     for candidate in found:
         if candidate.hyper is not None and candidate.hyper.kind in (MOMENT, FADING):
             continue  # what happens within one check says nothing about days
-        for hyper in hypers(candidate, options.hypers):
+        for number, hyper in enumerate(hypers(candidate, options.hypers)):
             one = terms.term(candidate.name, parts_of(candidate, context, hyper))
             columns = rows_of(terms.columns(obs, prediction, one)) * candidate.typical
             what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
             names = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k))
-            units = ("",) * candidate.k
-            out.append(Rival(candidate.name, "+".join(candidate.where) + what, names, units, candidate.typical, columns))
-    return out
+            rival = Rival(candidate.name, "+".join(candidate.where) + what, names, ("",) * candidate.k, candidate.typical, columns)
+            out.append(rival)
+            if len(candidate.where) == 1:
+                together.setdefault((candidate.name, candidate.variant, number), []).append(rival)
+    return [*out, *(_together(several) for several in together.values() if len(several) > 1), *_tool(context, prediction, options)]
+
+
+def _together(several: list[Rival]) -> Rival:
+    """One effect at all of its places, each with coefficients of its own: gears wear together."""
+    columns, usual = np.concatenate([r.columns for r in several], axis=1), np.concatenate([r.usual for r in several])
+    parameters = tuple(f"{name} at {r.where}" for r in several for name in r.parameters)
+    what = several[0].where.partition(",")
+    return Rival(several[0].name, f"several places{what[1]}{what[2]}", parameters, ("",) * len(usual), usual, columns)
+
+
+def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+    """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
+    if not context.masses_known:
+        return []
+    J = forward_model.arm_jacobian(context.obs, prediction, context.state.chain.joint_twists(prediction.frames))
+    bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
+    usual = options.tool_kg * options.elastic
+    columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
+    shown = np.abs(columns).max(axis=0) > LEAST
+    parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
+    return [Rival("tool", "its weight", parameters, ("",) * len(parameters), np.full(len(parameters), usual), columns[:, shown])]
 
 
 def hypers(candidate: Candidate, count: int) -> Sequence[float | None]:

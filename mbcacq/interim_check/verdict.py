@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
 
-from mbcacq.interim_check.e_process import EProcess, weight_of
+from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS, CheckOptions
 from mbcacq.interim_check.planned_check import PlannedCheck
@@ -21,7 +22,8 @@ SHOWN = 6  # suspects in a sentence
 
 @dataclass(frozen=True)
 class Suspect:
-    """One thing that may have changed. probability: among all rivals, given a change; size, std: of its coefficients, in ``units``."""
+    """One thing that may have changed. probability: among all rivals, given a change; size, std: of its coefficients, in ``units``.
+    explains: share of what is seen of the change, in that of the best description."""
 
     name: str
     where: str
@@ -30,6 +32,7 @@ class Suspect:
     units: tuple[str, ...]
     size: tuple[float, ...]
     std: tuple[float, ...]
+    explains: float = 1.0
 
     @property
     def label(self) -> str:
@@ -38,14 +41,14 @@ class Suspect:
 
 @dataclass(frozen=True)
 class CheckVerdict:
-    """verdict: 'as_before' or 'changed'. log_e: of the e-process since the first check, after each; log_e_calibration: of that since the
+    """verdict: 'as_before' or 'changed'. log_e: of the e-process since the first check; log_e_calibration: of that since the
     calibration; log_threshold: of either. suspects: the most probable one first, and all that are not told from it. since: index of the
     first check after the change, most probably; between: the same, from and to with 90 %; None while nothing changed. noticed: what change
     of each is noticed within a week with 90 %: (name, where, size, unit). noise: level of the noise that fits best, in that of the
     calibration; day: of the changes from day to day, in the usual ones."""
 
     verdict: str
-    log_e: tuple[float, ...]
+    log_e: float
     log_e_calibration: float
     log_threshold: float
     suspects: tuple[Suspect, ...]
@@ -83,41 +86,37 @@ def evidence_of(check: PlannedCheck, history: CheckHistory, options: CheckOption
 
 def verdict_of(check: PlannedCheck, history: CheckHistory, options: CheckOptions = OPTIONS) -> CheckVerdict:
     """What all checks so far say together."""
-    evidence = evidence_of(check, history, options)
+    with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
+        return _verdict(evidence_of(check, history, options), check, options)
+
+
+def _verdict(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -> CheckVerdict:
     process, T = evidence.process, len(evidence.days)
-    null = process.null(evidence.days)
-    level = int(np.argmax(null[:, -1]))
-    log_e = process.log_e(evidence.days)
-    factors, scores = _since_calibration(check, evidence, process.levels[level].noise, process.levels[level].day, options)
+    if T > 1:
+        followed = process.follow(evidence.days)
+        log_e, level, null = followed.log_e(T), followed.level(T), int(np.argmax(followed.null[:, -1]))
+    else:
+        log_e, level, null = 0.0, process.usual, process.usual
+    factors, estimates = _since_calibration(check, evidence, process.levels[null], options)
     log_first = float(logsumexp(factors))
     threshold = float(np.log(2 / options.false_alarms))
-    changed = max(log_e[-1], log_first) >= threshold
+    changed = max(log_e, log_first) >= threshold
     suspects: tuple[Suspect, ...] = ()
     since = between = None
-    if changed and log_e[-1] >= log_first:
+    if changed and log_e >= log_first:
         suspects, since, between = _suspects_since(evidence, level, T, options)
     elif changed:
-        suspects, since, between = _ranked(evidence.rivals, factors, scores, options), 0, (0, 0)
-    return CheckVerdict(
-        CHANGED if changed else AS_BEFORE,
-        tuple(float(v) for v in log_e),
-        log_first,
-        threshold,
-        suspects,
-        since,
-        between,
-        noticed(evidence, level, T, options),
-        process.levels[level].noise,
-        process.levels[level].day,
-    )
+        suspects, since, between = _ranked(evidence.rivals, factors, estimates, options), 0, (0, 0)
+    shown = process.levels[level if changed else null]
+    noise = (shown.noise, shown.day)
+    verdict = CHANGED if changed else AS_BEFORE
+    return CheckVerdict(verdict, log_e, log_first, threshold, suspects, since, between, noticed(evidence, null, T, options), *noise)
 
 
-Estimates = list[tuple[np.ndarray, np.ndarray]]
+Estimates = list[tuple[np.ndarray, np.ndarray, float]]
 
 
-def _since_calibration(
-    check: PlannedCheck, evidence: Evidence, noise: float, day: float, options: CheckOptions
-) -> tuple[np.ndarray, Estimates]:
+def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level, options: CheckOptions) -> tuple[np.ndarray, Estimates]:
     """(A,) log of weight times Bayes factor that each rival changed between the calibration and the first check, and its estimate.
 
     The mean of all days against the prediction, whose uncertainty is the calibration's covariance, what a good arm is off beyond its model,
@@ -134,7 +133,7 @@ def _since_calibration(
     J = J.reshape(-1, J.shape[2])[evidence.keep]
     pose = np.repeat(obs.pose, 3)[evidence.keep]
     rows = evidence.process.rows
-    covariance = (noise**2 * rows.noise + day**2 * rows.daily @ rows.daily.T) / len(evidence.days)
+    covariance = (level.noise**2 * rows.noise + level.day**2 * rows.daily @ rows.daily.T) / len(evidence.days)
     covariance = covariance + A @ cell.covariance @ A.T + (J @ J.T) * (pose[:, None] == pose)
     weight, _ = weight_of(covariance, _station_columns(check)[evidence.keep])
     mean = evidence.days.mean(axis=0)
@@ -161,17 +160,19 @@ def _log_factor(S: np.ndarray, b: np.ndarray, size: float) -> float:
     return float(0.5 * size**2 * b @ np.linalg.solve(M, b) - 0.5 * np.linalg.slogdet(M)[1])
 
 
-def _estimate(rival: Rival, S: np.ndarray, b: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (k,) of a rival and their standard deviations, in its units."""
+def _estimate(rival: Rival, S: np.ndarray, b: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Coefficients (k,) of a rival and their standard deviations, in its units, and the chi square that they explain."""
     covariance = np.linalg.inv(np.eye(len(b)) / size**2 + S)
-    return rival.usual * (covariance @ b), rival.usual * np.sqrt(np.diag(covariance))
+    a = covariance @ b
+    return rival.usual * a, rival.usual * np.sqrt(np.diag(covariance)), float(2 * a @ b - a @ S @ a)
 
 
 def _suspects_since(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tuple[tuple[Suspect, ...], int, tuple[int, int]]:
     """Suspects, the first check after the change, and from and to with 90 %."""
     process, lv = evidence.process, evidence.process.levels[level]
     sums = np.cumsum(evidence.days @ lv.scores, axis=0)
-    joint = process.log_factors(level, sums, T) + process.log_onsets(T)[:, None, None] + process.log_weight - np.log(len(options.sizes))
+    prior = process.log_onsets(np.arange(1, T))[:, None, None] + process.log_weight
+    joint = process.log_factors(level, sums, T) + prior
     by_onset = logsumexp(joint, axis=(1, 2))
     share = np.cumsum(np.exp(by_onset - logsumexp(by_onset)))
     onset = int(np.argmax(by_onset))
@@ -189,16 +190,20 @@ def _suspects_since(evidence: Evidence, level: int, T: int, options: CheckOption
 
 
 def _ranked(rivals: tuple[Rival, ...], log: np.ndarray, estimates: Estimates, options: CheckOptions) -> tuple[Suspect, ...]:
-    """The most probable rival, and those that are not told from it."""
+    """The most probable rival, and those that are not told from it; where it has no name, the most probable name too."""
     probability = np.exp(log - logsumexp(log))
-    order = np.argsort(-probability)
+    order = [int(k) for k in np.argsort(-log)]
     chosen = [k for k in order if probability[k] * options.class_odds >= probability[order[0]]]
+    if all(rivals[k].name == UNNAMED for k in chosen):
+        chosen.append(next(k for k in order if rivals[k].name != UNNAMED))
+    most = max(chi2 for *_, chi2 in estimates)
     out = []
     for k in chosen:
-        r, (size, std) = rivals[k], estimates[k]
+        r, (size, std, chi2) = rivals[k], estimates[k]
         named = r.name != UNNAMED
         sizes, stds = (tuple(float(v) for v in x) if named else () for x in (size, std))
-        out.append(Suspect(r.name, r.where, float(probability[k]), r.parameters if named else (), r.units if named else (), sizes, stds))
+        names, units = (r.parameters, r.units) if named else ((), ())
+        out.append(Suspect(r.name, r.where, float(probability[k]), names, units, sizes, stds, chi2 / max(most, 1e-300)))
     return tuple(out)
 
 
@@ -207,7 +212,7 @@ def noticed(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tu
     process, lv = evidence.process, evidence.process.levels[level]
     days, week = max(T, 7), 7
     n = days * week / (days + week)
-    onset = process.log_onsets(days + week + 1)[days - 1]
+    onset = float(process.log_onsets(np.array([days]))[0])
     out = []
     for rival, weight in zip(evidence.rivals, process.log_weight, strict=True):
         if rival.name not in ("mastering", "mount", "artefact"):
@@ -230,13 +235,13 @@ def to_dict(verdict: CheckVerdict, history: CheckHistory) -> dict[str, Any]:
         "format": "mbcacq-check-result/1",
         "verdict": verdict.verdict,
         "checks": len(days),
-        "log_e": verdict.log_e[-1],
+        "log_e": verdict.log_e,
         "log_e_since_calibration": verdict.log_e_calibration,
         "log_threshold": verdict.log_threshold,
-        "log_e_by_day": list(verdict.log_e),
+        "log_e_by_check": [day.log_e for day in history.days],
         "suspects": [
             {"name": s.name, "where": s.where, "probability": s.probability, "parameters": list(s.parameters), "units": list(s.units)}
-            | {"size": list(s.size), "std": list(s.std)}
+            | {"size": list(s.size), "std": list(s.std), "explains": s.explains}
             for s in verdict.suspects
         ],
         "since": None if verdict.since is None else days[verdict.since],

@@ -39,9 +39,13 @@ def sentence_of(verdict: CheckVerdict, history: CheckHistory) -> str:
     n = len(history.days)
     if not verdict.changed:
         return f"as before: nothing changed in {n} check{'s' if n > 1 else ''} that {len(history.poses)} poses would have noticed"
-    names = [s.label for s in verdict.suspects if s.name != UNNAMED]
+    first, names = verdict.suspects[0], [s.label for s in verdict.suspects if s.name != UNNAMED]
     shown = " or ".join(names[:MOST]) + (f" or {len(names) - MOST} others like them" if len(names) > MOST else "")
-    what = f"the cell changed: {shown}" if shown else "the cell changed in a way that no name on the list describes"
+    if first.name == UNNAMED:
+        near = next(s for s in verdict.suspects if s.name != UNNAMED)
+        what = f"the cell changed in a way that no name on the list describes (nearest: {near.label}, which explains {near.explains:.0%})"
+    else:
+        what = f"the cell changed: {shown}"
     if verdict.since == 0:
         when = "between its calibration and the first check"
     else:
@@ -49,5 +53,5 @@ def sentence_of(verdict: CheckVerdict, history: CheckHistory) -> str:
         when = f"before the check of {history.days[verdict.since or 0].time}"
         if low != high:
             when += f" (with 90 % before one of those from {history.days[low].time} to {history.days[high].time})"
-    size = size_of(verdict.suspects[0]) if names else ""
+    size = size_of(first)
     return f"{what}, {when}" + (f"; if it is the first: {size}" if size and len(names) > 1 else f"; {size}" if size else "")
