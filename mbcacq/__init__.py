@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from mbcacq.exports.format import Targets
     from mbcacq.fleet.evaluate import Fleet, evaluate_fleet
     from mbcacq.fleet.evaluation import FleetTask
-    from mbcacq.interim_check.check import CheckResult, CheckSettings, check
+    from mbcacq.interim_check.check import CheckSettings, InterimCheck, check
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
@@ -60,7 +60,7 @@ __all__ = [
     "CalibratedCell",
     "Calibration",
     "CalibrationOptions",
-    "CheckResult",
+    "InterimCheck",
     "CheckSettings",
     "Comparison",
     "DiagnosisResult",
@@ -106,7 +106,7 @@ _MODULES = {
     "exports.format": ("Targets",),
     "fleet.evaluate": ("Fleet", "evaluate_fleet"),
     "fleet.evaluation": ("FleetTask",),
-    "interim_check.check": ("CheckResult", "CheckSettings", "check"),
+    "interim_check.check": ("InterimCheck", "CheckSettings", "check"),
     "model.observations": ("Observations",),
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),

@@ -14,7 +14,7 @@ from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
 
 if TYPE_CHECKING:
-    from mbcacq.interim_check.check import CheckResult
+    from mbcacq.interim_check.check import InterimCheck
 
 
 @click.command("check")
@@ -67,7 +67,7 @@ def command(
     from mbcacq.cli.stepping import KeyPause
     from mbcacq.interim_check.check import CheckSettings
     from mbcacq.interim_check.day_to_day import read_day_to_day
-    from mbcacq.interim_check.options import DayToDay
+    from mbcacq.interim_check.options import UsualChanges
 
     end_in_order_on_signals()
     steps = StepProgress()
@@ -81,7 +81,7 @@ def command(
         began=lambda folder: on_failure("where all poses were measured, judge them", f"mbcacq check {result} {plan} --from {folder}"),
     )
     loaded = mbcacq.load_plan(plan)
-    days = DayToDay() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)
+    days = UsualChanges() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)
     settings = CheckSettings(poses, not placed_anew, days, out)
     with steps:
         done = mbcacq.check(
@@ -98,7 +98,7 @@ def command(
     done.refuse_changed()
 
 
-def lines_of(done: CheckResult) -> list[str]:
+def lines_of(done: InterimCheck) -> list[str]:
     """What a person reads: the verdict, the evidence, the suspects, and what would have been noticed."""
     from mbcacq.interim_check.words import in_degrees, odds, size_of
 

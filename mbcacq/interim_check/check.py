@@ -17,7 +17,7 @@ from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CellChanged, ConfigError
 from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
 from mbcacq.interim_check.measured_day import fit_stations, refuse_incomplete, residuals_of
-from mbcacq.interim_check.options import OPTIONS, DayToDay
+from mbcacq.interim_check.options import OPTIONS, UsualChanges
 from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
 from mbcacq.interim_check.verdict import CheckVerdict, to_dict, verdict_of
 from mbcacq.interim_check.words import sentence_of
@@ -42,12 +42,12 @@ class CheckSettings:
 
     poses: int = OPTIONS.poses
     standing: bool = True
-    days: DayToDay = OPTIONS.usual_days
+    days: UsualChanges = OPTIONS.usual_days
     folder: Path | None = None
 
 
 @dataclass(frozen=True)
-class CheckResult:
+class InterimCheck:
     """What a check gave. history: all checks so far; file: where they are kept; run: folder of this check's recording."""
 
     verdict: CheckVerdict
@@ -84,7 +84,7 @@ def check(
     seed: int = 0,
     operator: Operator | None = None,
     settings: CheckSettings | None = None,
-) -> CheckResult:
+) -> InterimCheck:
     """Measure the few poses of a plan that notice most of what may have changed, and say whether anything did since the calibration, or
     since the first check.
 
@@ -146,7 +146,7 @@ def check(
         past = past.judged(verdict.log_e, verdict.log_e_calibration)
         past.write(file)
         operator.progress("")
-        return CheckResult(verdict, past, file, run)
+        return InterimCheck(verdict, past, file, run)
 
 
 def with_observations(planned: PlannedCheck, history: CheckHistory, obs: Observations, run: Path) -> CheckHistory:

@@ -12,11 +12,11 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.fleet.control_chart import FEWEST, arm_types, column, excess_variance
 from mbcacq.fleet.store import read_table
-from mbcacq.interim_check.options import DayToDay
+from mbcacq.interim_check.options import UsualChanges
 from mbcacq.interim_check.rivals import TWIST
 
 
-def read_day_to_day(fleet: Path | str, robot: str) -> DayToDay:
+def read_day_to_day(fleet: Path | str, robot: str) -> UsualChanges:
     """Standard deviations from the table of a fleet that has several recordings of arms of a type. robot: name of the type.
 
     As in the fleet's control charts, they are such that the median moving range is as expected: one arm that drifts, or a few bad
@@ -27,7 +27,7 @@ def read_day_to_day(fleet: Path | str, robot: str) -> DayToDay:
     rows = [] if kind is None else list(kind.rows)
     if sum(a["arm"] == b["arm"] for a, b in zip(rows[1:], rows[:-1], strict=True)) < FEWEST:
         raise ConfigError(f"{fleet} has too few arms of type '{robot}' with several recordings to say what changes from day to day")
-    usual = DayToDay()
+    usual = UsualChanges()
     joints = [f"theta_{i + 1}" for i in range(len(rows[0]["nominal"]) // 5)]
     figures = {
         "joint": _spread(rows, joints),

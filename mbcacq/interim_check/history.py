@@ -13,7 +13,7 @@ import numpy as np
 from mbcacq.calibration.sealed_json import sealed_text, unsealed
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import write_file
-from mbcacq.interim_check.options import DayToDay
+from mbcacq.interim_check.options import UsualChanges
 from mbcacq.model.json_text import damage, read_json
 
 FORMAT = "mbcacq-check/1"
@@ -58,7 +58,7 @@ class CheckHistory:
     poses: tuple[int, ...]
     q: np.ndarray
     standing: bool
-    usual_days: DayToDay
+    usual_days: UsualChanges
     stations: Mapping[str, np.ndarray] = field(default_factory=dict)
     days: tuple[CheckedDay, ...] = ()
 
@@ -114,7 +114,7 @@ def _history(content: Mapping[str, Any]) -> CheckHistory:
     stations = {str(name): np.array(T, dtype=float).reshape(4, 4) for name, T in content["stations"].items()}
     poses = tuple(int(p) for p in content["poses"])
     q = np.array(content["q_rad"], dtype=float).reshape(len(poses), -1)
-    usual = DayToDay(**content["usual_days"])
+    usual = UsualChanges(**content["usual_days"])
     figures = [v for v in asdict(usual).values() if not isinstance(v, str)]
     if not (np.isfinite(q).all() and all(math.isfinite(float(v)) and v >= 0 for v in figures)):
         raise ValueError("a figure is no number")

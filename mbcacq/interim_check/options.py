@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class DayToDay:
+class UsualChanges:
     """What a cell changes from one day to the next without a cause that anybody would look for: standard deviations.
 
     joint: rad, of each joint's zero; mount_mm, mount_rad: of the scanner on the flange, per axis; station_mm, station_rad: of an artefact
@@ -43,7 +43,7 @@ class CheckOptions:
         2.0,
         2.5,
     )  # of the calibration's noise (fewer exposures have more); the null is the best
-    day_levels: tuple[float, ...] = (0.0, 1.0, 3.0, 10.0)  # of ``DayToDay``; the null is the best of them
+    day_levels: tuple[float, ...] = (0.0, 1.0, 3.0, 10.0)  # of ``UsualChanges``; the null is the best of them
     sizes: tuple[float, ...] = (0.3, 2.0)  # of a usual change: a slight one and a plain one, equally probable
     onset_days: float = 100.0  # half of all changes begin within so many checks; later ones fade slowly, as 1 / day^2
     class_odds: float = 20.0  # a name is given alone where the next one is less probable by this
@@ -61,7 +61,7 @@ class CheckOptions:
     unnamed: float = 3e-5  # rad of each joint, each pose by itself: what no name describes
     hypers: int = 3  # values of an effect's hyper-parameter that are tried
     station_rounds: int = 4  # Gauss-Newton steps for the place of an artefact
-    usual_days: DayToDay = field(default_factory=DayToDay)
+    usual_days: UsualChanges = field(default_factory=UsualChanges)
 
 
 OPTIONS = CheckOptions()

@@ -15,7 +15,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState, Prediction
 from mbcacq.interim_check.e_process import Rows, weight_of
-from mbcacq.interim_check.options import OPTIONS, CheckOptions, DayToDay
+from mbcacq.interim_check.options import OPTIONS, CheckOptions, UsualChanges
 from mbcacq.interim_check.rivals import Rival, jitter, rivals, rows_of, twist_columns
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
@@ -45,7 +45,12 @@ class PlannedCheck:
 
 
 def planned_check(
-    loaded: LoadedPlan, poses: Sequence[PlannedPose], cell: CalibratedCell, standing: bool, days: DayToDay, options: CheckOptions = OPTIONS
+    loaded: LoadedPlan,
+    poses: Sequence[PlannedPose],
+    cell: CalibratedCell,
+    standing: bool,
+    days: UsualChanges,
+    options: CheckOptions = OPTIONS,
 ) -> PlannedCheck:
     """A check by these poses. Raises ConfigError where the result is of another arm, or the plan's instrument does not ride on the arm."""
     refuse_other_arm("the result is of", cell.robot, cell.preliminary.chain, loaded.cell.robot, "the plan")
@@ -80,7 +85,7 @@ def _of_stations(obs: Observations, prediction: Prediction) -> list[np.ndarray]:
 
 
 def _daily(
-    obs: Observations, state: CellState, prediction: Prediction, stations: list[np.ndarray], standing: bool, days: DayToDay
+    obs: Observations, state: CellState, prediction: Prediction, stations: list[np.ndarray], standing: bool, days: UsualChanges
 ) -> np.ndarray:
     """(R, d): what one standard deviation of each change from day to day does."""
     joints = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * days.joint

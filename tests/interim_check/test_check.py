@@ -16,10 +16,10 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.cli.app import app
 from mbcacq.errors import CellChanged, ConfigError, DeviceFault, ExitCode
-from mbcacq.interim_check.check import CheckResult, CheckSettings, check, with_observations
+from mbcacq.interim_check.check import CheckSettings, InterimCheck, check, with_observations
 from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
 from mbcacq.interim_check.measured_day import refuse_incomplete
-from mbcacq.interim_check.options import CheckOptions, DayToDay
+from mbcacq.interim_check.options import CheckOptions, UsualChanges
 from mbcacq.interim_check.planned_check import _pose_grams, _worth, choose_poses, planned_check
 from mbcacq.interim_check.verdict import verdict_of
 from mbcacq.plan import expand, load
@@ -40,7 +40,7 @@ def learnt(tmp_path_factory):
 @pytest.fixture(scope="module")
 def planned(learnt):
     loaded = load(ROOT / "plans" / "quick.yaml")
-    return planned_check(loaded, expand(loaded), CalibratedCell.from_json(learnt), True, DayToDay())
+    return planned_check(loaded, expand(loaded), CalibratedCell.from_json(learnt), True, UsualChanges())
 
 
 def history_of(planned, days):
@@ -50,7 +50,7 @@ def history_of(planned, days):
         for t, rows in enumerate(days)
     ]
     q = np.array([p.q for p in planned.poses])
-    return CheckHistory("result", "plan", tuple(p.number for p in planned.poses), q, True, DayToDay(), {}, tuple(kept))
+    return CheckHistory("result", "plan", tuple(p.number for p in planned.poses), q, True, UsualChanges(), {}, tuple(kept))
 
 
 def noise(planned, days, seed=0):
@@ -76,7 +76,7 @@ def test_what_changed_is_named_dated_and_sized(planned):
     first = found.suspects[0]
     assert (first.name, len(found.suspects)) == ("mount", 1)
     assert np.abs((np.array(first.size) - true) / np.array(first.std)).max() < 4
-    done = CheckResult(found, history_of(planned, days), Path("check.json"), Path("run"))
+    done = InterimCheck(found, history_of(planned, days), Path("check.json"), Path("run"))
     assert "mount (scanner on the flange), before the check of 2026-03-09" in done.sentence
     with pytest.raises(CellChanged) as caught:
         done.refuse_changed()
@@ -115,7 +115,7 @@ def test_a_change_between_calibration_and_first_check_is_seen_on_the_first_day(p
 
 def test_the_poses_that_are_chosen_are_of_one_station_and_notice_more_than_others(learnt):
     loaded = load(ROOT / "plans" / "quick.yaml")
-    everything = planned_check(loaded, expand(loaded), CalibratedCell.from_json(learnt), True, DayToDay())
+    everything = planned_check(loaded, expand(loaded), CalibratedCell.from_json(learnt), True, UsualChanges())
     numbers = choose_poses(everything, CheckOptions(poses=6))
     assert len(numbers) == 6
     grams, first, free = _pose_grams(everything, range(10))
@@ -129,7 +129,7 @@ def test_measured_days_leave_the_noise_that_is_expected(learnt):
     """The fake cell as it was calibrated: residuals by the calibrated cell are the noise of measuring, with the artefact where it stands."""
     loaded = load(ROOT / "plans" / "quick.yaml")
     poses = [replace(p, exposures=load(ROOT / "plans" / "kuka.yaml").plan.exposures) for p in expand(loaded)]
-    planned = planned_check(loaded, poses, CalibratedCell.from_json(learnt), True, DayToDay())
+    planned = planned_check(loaded, poses, CalibratedCell.from_json(learnt), True, UsualChanges())
     history = replace(history_of(planned, np.zeros((0, 3 * planned.obs.n_centres))), poses=tuple(p.number for p in poses))
     for day in range(2):
         obs, _ = observe(loaded, poses, NOTHING, [], noise_seed=day)
