@@ -6,10 +6,9 @@
 
 A cell is calibrated from a recording of plans/seeing.yaml by the array path (the fake cell's world without protocols), its twelve poses
 are chosen, and days of these are recorded by the same path: a pool of days as they are, and for each change and each of its sizes its
-trace, the difference of two days of one noise with and without it. Years are made of days of the pool, drawn anew, with what changes from day to day
-added to them; a change stands from day 30 on. Every day is looked at. Of changes more than twenty checks back the simulation takes every
-fifth with the weight of five, which is within a tenth of a unit of log E. Figures are kept in runs/check-benchmark, so that a call goes on
-where another ended.
+trace, the difference of two days of one noise with and without it. Years are made of days of the pool, drawn anew, with what changes from
+day to day added to them; a change stands from day 30 on. Every day is looked at. Of changes more than twenty checks back the simulation
+takes every fifth with the weight of five. Figures are kept in runs/check-benchmark, so that a call goes on where another ended.
 """
 
 from __future__ import annotations
@@ -83,8 +82,8 @@ class Bench:
             self.check: PlannedCheck = planned_check(self.loaded, self.poses, cell, True, UsualChanges())
         self.stations = fit_stations(self.check, self.recorded(10_000))
         self.pool = np.array([self.rows(self.recorded(day)) for day in range(POOL)])
-        rivals = self.check.rivals
-        self.process = EProcess(self.check.rows, [r.columns for r in rivals], np.array([r.weight for r in rivals]))
+        changes = self.check.changes
+        self.process = EProcess(self.check.rows, [r.columns for r in changes], np.array([r.weight for r in changes]))
 
     def recorded(self, day: int, hidden=()):
         return observe(self.loaded, self.poses, CLEAN, list(hidden), noise_seed=20_000 + day)[0]
@@ -205,9 +204,8 @@ def page() -> None:
         largest = np.array([y["largest"] for y in years if y["usual"] == usual])
         alarms = int((largest >= threshold).sum())
         print(f"| {usual:g} x usual | {len(largest)} | {len(largest) * (YEAR - 1)} | {alarms} | {np.exp(largest.max()):.2g} |")
-    print(
-        "\n| change | size | moves the balls by / µm | alarms | after checks (median, 90 %) | named a week later |\n|---|--:|--:|--:|--:|---|"
-    )
+    print("\n| change | size | moves the balls by / µm | alarms | after checks (median, 90 %) | named a week later |")
+    print("|---|--:|--:|--:|--:|---|")
     for one in kept("power").values():
         after = [a for a in one["after"] if a is not None]
         when = f"{np.median(after):.0f}, {np.quantile(after, 0.9):.0f}" if after else "–"

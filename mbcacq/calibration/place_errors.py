@@ -41,7 +41,7 @@ class MissedBy:
 @dataclass(frozen=True)
 class ArmImprovement:
     """What corrected targets changed, at poses of one recording. before, after: over the poses that count; noise_mm: rms that the scanner
-    and the joints' repeatability alone would leave; poses: how many count; new: whether they are places that took no part in the
+    and the joints' repeatability alone would leave; poses: how many count; new: whether none of these places took part in the
     calibration (None: not known). pose, before_mm, after_mm: of each pose that counts."""
 
     before: MissedBy
@@ -88,7 +88,7 @@ def arm_improvement(
 
     nominal, corrected: (P, n) rad, the joint angles that each pose was planned by and those that the arm was sent to. noise_mm: (P,) 3D
     standard deviation of one measured point. took_part: (P,) bool, whether the place took part in the calibration; None: not known. Places
-    that took no part are judged where there are as many as a station needs, else all. None where no station has enough poses. Raises
+    that the calibration did not measure are judged where there are as many as a station needs, else all. None where no station has enough poses. Raises
     CalibrationError where hand-eye and stations cannot be adjusted.
     """
     measured = np.bincount(observations.pose, minlength=observations.n_poses) > 0

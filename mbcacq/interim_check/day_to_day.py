@@ -13,7 +13,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.fleet.control_chart import FEWEST, arm_types, column, excess_variance
 from mbcacq.fleet.store import read_table
 from mbcacq.interim_check.options import UsualChanges
-from mbcacq.interim_check.rivals import TWIST
+from mbcacq.interim_check.possible_changes import TWIST
 
 
 def read_day_to_day(fleet: Path | str, robot: str) -> UsualChanges:

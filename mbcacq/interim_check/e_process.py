@@ -1,14 +1,14 @@
 """Whether repeated measurements changed: a test martingale over days, valid at every look.
 
 A check measures the same R rows every day: r_t = mu + noise of the day, N(0, Sigma_h). The null says that mu is one and the same on all
-days, whatever it is; Sigma_h is one of several levels h of the noise of measuring and of changes from day to day. A rival k with onset
+days, whatever it is; Sigma_h is one of several levels h of the noise of measuring and of changes from day to day. A change k with onset
 after n of the days says that mu moves there by G_k a, a ~ N(0, size^2).
 
 What is compared are densities of the differences between days (a maximal invariant under shifts of mu), so that mu needs no prior: with the
-flat prior both have, their ratio is a likelihood ratio whatever mu is (Perez-Ortiz, Lardy, de Heide and Grunwald 2024). Over rivals, sizes
+flat prior both have, their ratio is a likelihood ratio whatever mu is (Perez-Ortiz, Lardy, de Heide and Grunwald 2024). Over changes, sizes
 and onsets it is averaged; over the levels of noise the null takes its best (universal inference; Wasserman, Ramdas and Balakrishnan 2020):
 
-    E_t = sum over k, h, sizes, onsets of weight x density of the rival / max over h of the density of the null
+    E_t = sum over k, h, sizes, onsets of weight x density of the change / max over h of the density of the null
 
 Under the null of any mu and any level h, E is at most a martingale of mean one: P(E_t >= 1 / alpha for any t) <= alpha (Ville 1939).
 That is a bound where the noise is normal with one of the levels. Which name gets the odds is calibration: it depends on sizes and list.
@@ -44,10 +44,10 @@ class Rows:
 
 @dataclass(frozen=True)
 class Level:
-    """One level of the noise, with the rivals' columns turned so that those of a rival are independent under it.
+    """One level of the noise, with the changes' columns turned so that those of a change are independent under it.
 
     weight: (R, R) inverse covariance, without what is free; log_det: of the covariance; scores: (R, K) of all columns, y = scores' r;
-    information: (K,) of each. turned: of each rival (k, k), its columns in the turned ones.
+    information: (K,) of each. turned: of each change (k, k), its columns in the turned ones.
     """
 
     noise: float
@@ -60,14 +60,14 @@ class Level:
 
 
 class EProcess:
-    """The e-process of a set of rows and rivals. columns: of each rival (R, k), of one usual size of each coefficient; weights: (A,) prior
-    probability of each rival, summing to one."""
+    """The e-process of a set of rows and changes. columns: of each change (R, k), of one usual size of each coefficient; weights: (A,)
+    prior probability of each change, summing to one."""
 
     def __init__(self, rows: Rows, columns: Sequence[np.ndarray], weights: np.ndarray, options: CheckOptions = OPTIONS) -> None:
         self.options, self.rows = options, rows
         self.columns = tuple(columns)
         self.log_weight = np.log(weights)
-        self.first = np.cumsum([0, *(c.shape[1] for c in columns[:-1])])  # where each rival's columns begin
+        self.first = np.cumsum([0, *(c.shape[1] for c in columns[:-1])])  # where each change's columns begin
         self.levels = tuple(self._level(s, g) for s in options.noise_levels for g in options.day_levels)
         self.usual = [(lv.noise, lv.day) for lv in self.levels].index((1.0, 1.0))  # as the calibration and the usual days have it
 
@@ -90,7 +90,7 @@ class EProcess:
         return np.concatenate([np.zeros((len(self.levels), 1)), np.cumsum(each, axis=1)], axis=1)
 
     def possible(self, days: np.ndarray) -> list[int]:
-        """The levels that take part beside the rivals: the others are hopeless by the scatter from each day to the next, of which a change
+        """The levels that take part beside the changes: the others are hopeless by the scatter from each day to the next, of which a change
         spoils one at most. Leaving a level out can only lessen the e-process."""
         v = np.diff(days, axis=0) / np.sqrt(2)
         each = [-0.5 * (np.einsum("tr,tr->t", v @ lv.weight, v) + lv.log_det) for lv in self.levels]
@@ -103,7 +103,7 @@ class EProcess:
         return Followed(self, self.null(days), {h: np.cumsum(days @ self.levels[h].scores, axis=0) for h in possible})
 
     def log_factors(self, level: int, sums: np.ndarray, t: int, after: np.ndarray | None = None) -> np.ndarray:
-        """(onsets, sizes, A) log Bayes factors of every rival against no change after t days.
+        """(onsets, sizes, A) log Bayes factors of every change against no change after t days.
 
         sums: (t, K) cumulated scores of the days. after: after how many days the change is, default 1, 2, ... t - 1.
         """

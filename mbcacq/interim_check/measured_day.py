@@ -12,7 +12,7 @@ from mbcacq.estimation import forward_model
 from mbcacq.geometry import se3
 from mbcacq.interim_check.options import OPTIONS, CheckOptions
 from mbcacq.interim_check.planned_check import PlannedCheck
-from mbcacq.interim_check.rivals import jitter, rows_of, twist_columns
+from mbcacq.interim_check.possible_changes import jitter, rows_of, twist_columns
 from mbcacq.model.observations import Observations
 
 Residuals = Mapping[tuple[int, int], np.ndarray]

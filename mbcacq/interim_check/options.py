@@ -47,7 +47,7 @@ class CheckOptions:
     sizes: tuple[float, ...] = (0.3, 2.0)  # of a usual change: a slight one and a plain one, equally probable
     onset_days: float = 100.0  # half of all changes begin within so many checks; later ones fade slowly, as 1 / day^2
     class_odds: float = 20.0  # a name is given alone where the next one is less probable by this
-    hopeless: float = 40.0  # log odds of a level of noise against the best, from which on it takes no part beside the rivals
+    hopeless: float = 40.0  # log odds of a level of noise against the best, from which on it takes no part beside the changes
     discrepancy: float = 1.5e-5  # rad, what a joint of a good arm is off beyond its calibrated model (one-sigma, by posture)
     mastering: float = float(np.radians(0.01))  # usual changes: a joint's zero after a new mastering or a slipped belt
     mount_mm: float = 0.05

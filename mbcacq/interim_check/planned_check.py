@@ -16,7 +16,7 @@ from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState, Prediction
 from mbcacq.interim_check.e_process import Rows, weight_of
 from mbcacq.interim_check.options import OPTIONS, CheckOptions, UsualChanges
-from mbcacq.interim_check.rivals import Rival, jitter, rivals, rows_of, twist_columns
+from mbcacq.interim_check.possible_changes import PossibleChange, jitter, possible_changes, rows_of, twist_columns
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, path
@@ -25,7 +25,8 @@ from mbcacq.plan import LoadedPlan, PlannedPose, path
 @dataclass(frozen=True)
 class PlannedCheck:
     """Poses of a plan as a check. poses: in the order of the plan; state: the calibrated cell with the stations as planned; obs: what the
-    nominal cell would record, M centres, R = 3 M rows; prediction: by the calibrated cell with its effects; rows, rivals: of the e-process.
+    nominal cell would record, M centres, R = 3 M rows; prediction: by the calibrated cell with its effects; rows, changes: of the
+    e-process.
     standing: artefacts stay where they stand between checks; otherwise each is placed anew, and its place is not judged.
     """
 
@@ -35,7 +36,7 @@ class PlannedCheck:
     obs: Observations
     prediction: Prediction
     rows: Rows
-    rivals: tuple[Rival, ...]
+    changes: tuple[PossibleChange, ...]
     standing: bool
 
     @property
@@ -64,7 +65,7 @@ def planned_check(
     free = np.zeros((3 * obs.n_centres, 0)) if standing else np.concatenate(stations, axis=1)
     noise = jitter(obs, state, prediction, cell.noise.point, cell.noise.joint)
     rows = Rows(noise, _daily(obs, state, prediction, stations, standing, days), free)
-    found = rivals(obs, state, prediction, standing, options)
+    found = possible_changes(obs, state, prediction, standing, options)
     return PlannedCheck(tuple(poses), cell, state, obs, prediction, rows, tuple(found), standing)
 
 
@@ -97,7 +98,7 @@ def _daily(
 def choose_poses(check: PlannedCheck, options: CheckOptions = OPTIONS) -> list[int]:
     """Numbers of the poses that notice most of what may have changed: of one station, nested by backward elimination.
 
-    The criterion is the sum over all rivals of log(1 + information of their usual change), as ``optimality_criteria`` has it for a design;
+    The criterion is the sum over all changes of log(1 + information of their usual change), as ``optimality_criteria`` has it for a design;
     each pose's part is computed once. The artefact moves not at all within a check. Raises ConfigError where no station has enough poses.
     """
     best: tuple[float, list[int]] | None = None
@@ -109,9 +110,9 @@ def choose_poses(check: PlannedCheck, options: CheckOptions = OPTIONS) -> list[i
         kept = list(range(len(here)))
         while len(kept) > options.poses:
             total = grams[kept].sum(axis=0)
-            worth = [_worth(total - grams[k], first, free) for k in kept]
-            kept.pop(int(np.argmax(worth)))
-        value = _worth(grams[kept].sum(axis=0), first, free)
+            criteria = [_criterion(total - grams[k], first, free) for k in kept]
+            kept.pop(int(np.argmax(criteria)))
+        value = _criterion(grams[kept].sum(axis=0), first, free)
         if best is None or value > best[0]:
             best = value, [int(check.obs.pose_id[here[k]]) for k in kept]
     if best is None:
@@ -122,9 +123,9 @@ def choose_poses(check: PlannedCheck, options: CheckOptions = OPTIONS) -> list[i
 
 
 def _pose_grams(check: PlannedCheck, poses: Sequence[int]) -> tuple[np.ndarray, np.ndarray, int]:
-    """Information of each pose (P, K, K) about all columns but the unnamed ones, first about the f that are free; where each rival's begin;
-    and f."""
-    named = [r.columns for r in check.rivals if r.name != "unnamed"]
+    """Information of each pose (P, K, K) about all columns but the unnamed ones, first about the f that are free; where those of
+    each change begin; and f."""
+    named = [r.columns for r in check.changes if r.name != "unnamed"]
     free = check.rows.free
     columns = np.concatenate([free, *named], axis=1)
     first = free.shape[1] + np.cumsum([0, *(c.shape[1] for c in named)])
@@ -136,8 +137,8 @@ def _pose_grams(check: PlannedCheck, poses: Sequence[int]) -> tuple[np.ndarray, 
     return np.array(grams), first, free.shape[1]
 
 
-def _worth(gram: np.ndarray, first: np.ndarray, free: int) -> float:
-    """Sum over the rivals of the log determinants of one plus their information, what is free absorbed."""
+def _criterion(gram: np.ndarray, first: np.ndarray, free: int) -> float:
+    """Sum over the changes of the log determinants of one plus their information, what is free absorbed."""
     if free:
         own = gram[:free, :free] + 1e-9 * np.trace(gram[:free, :free]) / free * np.eye(free)
         gram = gram - gram[:, :free] @ np.linalg.solve(own, gram[:free])

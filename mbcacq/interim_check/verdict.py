@@ -13,7 +13,7 @@ from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS, CheckOptions
 from mbcacq.interim_check.planned_check import PlannedCheck
-from mbcacq.interim_check.rivals import UNNAMED, Rival
+from mbcacq.interim_check.possible_changes import UNNAMED, PossibleChange
 
 AS_BEFORE, CHANGED = "as_before", "changed"
 POWER = 1.2816  # quantile of the normal distribution: a change is noticed with a probability of 90 %
@@ -22,7 +22,7 @@ SHOWN = 6  # suspects in a sentence
 
 @dataclass(frozen=True)
 class Suspect:
-    """One thing that may have changed. probability: among all rivals, given a change; size, std: of its coefficients, in ``units``.
+    """One thing that may have changed. probability: among all changes, given a change; size, std: of its coefficients, in ``units``.
     explains: share of what is seen of the change, in that of the best description."""
 
     name: str
@@ -68,7 +68,7 @@ class Evidence:
     """The measured days of a history as rows, with the e-process of the rows that all days have. keep: (R,) bool of the planned rows."""
 
     process: EProcess
-    rivals: tuple[Rival, ...]
+    changes: tuple[PossibleChange, ...]
     days: np.ndarray
     keep: np.ndarray
 
@@ -79,9 +79,9 @@ def evidence_of(check: PlannedCheck, history: CheckHistory, options: CheckOption
     kept = [key in common for key in check.keys]
     keep = np.repeat(kept, 3)
     days = np.array([np.concatenate([day.residual[key] for key, k in zip(check.keys, kept, strict=True) if k]) for day in history.days])
-    rivals = tuple(r.select(keep) for r in check.rivals)
-    process = EProcess(check.rows.select(keep), [r.columns for r in rivals], np.array([r.weight for r in rivals]), options)
-    return Evidence(process, rivals, days, keep)
+    changes = tuple(r.select(keep) for r in check.changes)
+    process = EProcess(check.rows.select(keep), [r.columns for r in changes], np.array([r.weight for r in changes]), options)
+    return Evidence(process, changes, days, keep)
 
 
 def verdict_of(check: PlannedCheck, history: CheckHistory, options: CheckOptions = OPTIONS) -> CheckVerdict:
@@ -106,7 +106,7 @@ def _verdict(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -> 
     if changed and log_e >= log_first:
         suspects, since, between = _suspects_since(evidence, level, T, options)
     elif changed:
-        suspects, since, between = _ranked(evidence.rivals, factors, estimates, options), 0, (0, 0)
+        suspects, since, between = _ranked(evidence.changes, factors, estimates, options), 0, (0, 0)
     shown = process.levels[level if changed else null]
     noise = (shown.noise, shown.day)
     verdict = CHANGED if changed else AS_BEFORE
@@ -117,7 +117,7 @@ Estimates = list[tuple[np.ndarray, np.ndarray, float]]
 
 
 def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level, options: CheckOptions) -> tuple[np.ndarray, Estimates]:
-    """(A,) log of weight times Bayes factor that each rival changed between the calibration and the first check, and its estimate.
+    """(A,) log of weight times Bayes factor that each change changed between the calibration and the first check, and its estimate.
 
     The mean of all days against the prediction, whose uncertainty is the calibration's covariance, what a good arm is off beyond its model,
     and where the artefacts stand, which nobody knew. That the calibration's statement is true is assumed, not bounded.
@@ -138,16 +138,16 @@ def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level, op
     weight, _ = weight_of(covariance, _station_columns(check)[evidence.keep])
     mean = evidence.days.mean(axis=0)
     log, estimates = [], []
-    for rival in evidence.rivals:
-        b, S = rival.columns.T @ weight @ mean, rival.columns.T @ weight @ rival.columns
+    for change in evidence.changes:
+        b, S = change.columns.T @ weight @ mean, change.columns.T @ weight @ change.columns
         each = [_log_factor(S, b, size) for size in options.sizes]
-        log.append(logsumexp(each) - np.log(len(each)) + np.log(rival.weight))
-        estimates.append(_estimate(rival, S, b, options.sizes[int(np.argmax(each))]))
+        log.append(logsumexp(each) - np.log(len(each)) + np.log(change.weight))
+        estimates.append(_estimate(change, S, b, options.sizes[int(np.argmax(each))]))
     return np.array(log), estimates
 
 
 def _station_columns(check: PlannedCheck) -> np.ndarray:
-    from mbcacq.interim_check.rivals import rows_of, twist_columns
+    from mbcacq.interim_check.possible_changes import rows_of, twist_columns
 
     columns = twist_columns(check.obs, check.prediction, "station", 0)
     stations = [columns * (check.obs.station[check.obs.pose] == s)[:, None, None] for s in np.unique(check.obs.station)]
@@ -160,11 +160,11 @@ def _log_factor(S: np.ndarray, b: np.ndarray, size: float) -> float:
     return float(0.5 * size**2 * b @ np.linalg.solve(M, b) - 0.5 * np.linalg.slogdet(M)[1])
 
 
-def _estimate(rival: Rival, S: np.ndarray, b: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Coefficients (k,) of a rival and their standard deviations, in its units, and the chi square that they explain."""
+def _estimate(change: PossibleChange, S: np.ndarray, b: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Coefficients (k,) of a change and their standard deviations, in its units, and the chi square that they explain."""
     covariance = np.linalg.inv(np.eye(len(b)) / size**2 + S)
     a = covariance @ b
-    return rival.usual * a, rival.usual * np.sqrt(np.diag(covariance)), float(2 * a @ b - a @ S @ a)
+    return change.usual * a, change.usual * np.sqrt(np.diag(covariance)), float(2 * a @ b - a @ S @ a)
 
 
 def _suspects_since(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tuple[tuple[Suspect, ...], int, tuple[int, int]]:
@@ -177,29 +177,29 @@ def _suspects_since(evidence: Evidence, level: int, T: int, options: CheckOption
     share = np.cumsum(np.exp(by_onset - logsumexp(by_onset)))
     onset = int(np.argmax(by_onset))
     low, high = int(np.searchsorted(share, 0.05)), int(np.searchsorted(share, 0.95 - 1e-12))
-    by_rival = logsumexp(joint, axis=(0, 1))
+    by_change = logsumexp(joint, axis=(0, 1))
     estimates = []
-    for k, rival in enumerate(evidence.rivals):
+    for k, change in enumerate(evidence.changes):
         n, size = np.unravel_index(int(np.argmax(joint[:, :, k])), joint.shape[:2])
         days_before = int(n) + 1
         moved = evidence.days[days_before:].mean(axis=0) - evidence.days[:days_before].mean(axis=0)
         W = lv.weight * (days_before * (T - days_before) / T)
-        S, b = rival.columns.T @ W @ rival.columns, rival.columns.T @ W @ moved
-        estimates.append(_estimate(rival, S, b, options.sizes[int(size)]))
-    return _ranked(evidence.rivals, by_rival, estimates, options), onset + 1, (low + 1, min(high, T - 2) + 1)
+        S, b = change.columns.T @ W @ change.columns, change.columns.T @ W @ moved
+        estimates.append(_estimate(change, S, b, options.sizes[int(size)]))
+    return _ranked(evidence.changes, by_change, estimates, options), onset + 1, (low + 1, min(high, T - 2) + 1)
 
 
-def _ranked(rivals: tuple[Rival, ...], log: np.ndarray, estimates: Estimates, options: CheckOptions) -> tuple[Suspect, ...]:
-    """The most probable rival, and those that are not told from it; where it has no name, the most probable name too."""
+def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Estimates, options: CheckOptions) -> tuple[Suspect, ...]:
+    """The most probable change, and those that are not told from it; where that is unnamed, the most probable name too."""
     probability = np.exp(log - logsumexp(log))
     order = [int(k) for k in np.argsort(-log)]
     chosen = [k for k in order if probability[k] * options.class_odds >= probability[order[0]]]
-    if all(rivals[k].name == UNNAMED for k in chosen):
-        chosen.append(next(k for k in order if rivals[k].name != UNNAMED))
+    if all(changes[k].name == UNNAMED for k in chosen):
+        chosen.append(next(k for k in order if changes[k].name != UNNAMED))
     most = max(chi2 for *_, chi2 in estimates)
     out = []
     for k in chosen:
-        r, (size, std, chi2) = rivals[k], estimates[k]
+        r, (size, std, chi2) = changes[k], estimates[k]
         named = r.name != UNNAMED
         sizes, stds = (tuple(float(v) for v in x) if named else () for x in (size, std))
         names, units = (r.parameters, r.units) if named else ((), ())
@@ -214,16 +214,16 @@ def noticed(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tu
     n = days * week / (days + week)
     onset = float(process.log_onsets(np.array([days]))[0])
     out = []
-    for rival, weight in zip(evidence.rivals, process.log_weight, strict=True):
-        if rival.name not in ("mastering", "mount", "artefact"):
+    for change, weight in zip(evidence.changes, process.log_weight, strict=True):
+        if change.name not in ("mastering", "mount", "artefact"):
             continue
-        information = n * np.einsum("rk,rs,sk->k", rival.columns, lv.weight, rival.columns, optimize=True)
+        information = n * np.einsum("rk,rs,sk->k", change.columns, lv.weight, change.columns, optimize=True)
         cost = np.log(2 / options.false_alarms) - onset - weight + np.log(len(options.sizes) * len(process.levels))
-        cost = cost + 0.5 * len(rival.usual) * np.log1p(information)
-        size = rival.usual * (np.sqrt(2 * cost) + POWER) / np.sqrt(np.maximum(information, 1e-300))
+        cost = cost + 0.5 * len(change.usual) * np.log1p(information)
+        size = change.usual * (np.sqrt(2 * cost) + POWER) / np.sqrt(np.maximum(information, 1e-300))
         out += [
-            (rival.name, f"{rival.where} {p}" if len(size) > 1 else rival.where, float(v), u)
-            for p, v, u in zip(rival.parameters, size, rival.units, strict=True)
+            (change.name, f"{change.where} {p}" if len(size) > 1 else change.where, float(v), u)
+            for p, v, u in zip(change.parameters, size, change.units, strict=True)
         ]
     return tuple(out)
 

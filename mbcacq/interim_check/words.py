@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.interim_check.history import CheckHistory
-from mbcacq.interim_check.rivals import UNNAMED
+from mbcacq.interim_check.possible_changes import UNNAMED
 from mbcacq.interim_check.verdict import CheckVerdict, Suspect
 from mbcacq.quantities import K, measured
 

@@ -20,7 +20,7 @@ from mbcacq.interim_check.check import CheckSettings, InterimCheck, check, with_
 from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
 from mbcacq.interim_check.measured_day import refuse_incomplete
 from mbcacq.interim_check.options import CheckOptions, UsualChanges
-from mbcacq.interim_check.planned_check import _pose_grams, _worth, choose_poses, planned_check
+from mbcacq.interim_check.planned_check import _criterion, _pose_grams, choose_poses, planned_check
 from mbcacq.interim_check.verdict import verdict_of
 from mbcacq.plan import expand, load
 
@@ -59,14 +59,14 @@ def noise(planned, days, seed=0):
     return rng.standard_normal((days, len(root))) @ root.T + rng.standard_normal((days, planned.rows.daily.shape[1])) @ planned.rows.daily.T
 
 
-def rival(planned, name, where):
-    return next(r for r in planned.rivals if (r.name, r.where) == (name, where))
+def change(planned, name, where):
+    return next(r for r in planned.changes if (r.name, r.where) == (name, where))
 
 
 def test_what_changed_is_named_dated_and_sized(planned):
     days = noise(planned, 12)
     assert not verdict_of(planned, history_of(planned, days)).changed
-    mount = rival(planned, "mount", "scanner on the flange")
+    mount = change(planned, "mount", "scanner on the flange")
     true = np.array([0.05, -0.03, 0.0, 0.0, 0.0, np.radians(0.02)])
     days[8:] += mount.columns @ (true / mount.usual)
     found = verdict_of(planned, history_of(planned, days))
@@ -85,7 +85,7 @@ def test_what_changed_is_named_dated_and_sized(planned):
 
 def test_a_joint_that_lost_its_zero_is_named_and_so_is_what_looks_like_it(planned):
     days = noise(planned, 8, seed=1)
-    zero = rival(planned, "mastering", "A4")
+    zero = change(planned, "mastering", "A4")
     days[5:] += zero.columns[:, 0] * np.radians(0.005) / zero.usual[0]
     found = verdict_of(planned, history_of(planned, days))
     assert found.changed
@@ -96,7 +96,7 @@ def test_a_joint_that_lost_its_zero_is_named_and_so_is_what_looks_like_it(planne
 
 def test_a_change_without_a_name_is_not_given_one(planned):
     days = noise(planned, 8, seed=2)
-    unnamed = rival(planned, "unnamed", "the arm")
+    unnamed = change(planned, "unnamed", "the arm")
     days[4:] += unnamed.columns @ np.random.default_rng(4).standard_normal(unnamed.columns.shape[1])
     found = verdict_of(planned, history_of(planned, days))
     assert found.changed
@@ -107,7 +107,7 @@ def test_a_change_without_a_name_is_not_given_one(planned):
 def test_a_change_between_calibration_and_first_check_is_seen_on_the_first_day(planned):
     days = noise(planned, 1, seed=3)
     assert not verdict_of(planned, history_of(planned, days)).changed
-    zero = rival(planned, "mastering", "A5")
+    zero = change(planned, "mastering", "A5")
     found = verdict_of(planned, history_of(planned, days + zero.columns[:, 0] * np.radians(0.05) / zero.usual[0]))
     assert found.changed
     assert found.since == 0
@@ -119,8 +119,10 @@ def test_the_poses_that_are_chosen_are_of_one_station_and_notice_more_than_other
     numbers = choose_poses(everything, CheckOptions(poses=6))
     assert len(numbers) == 6
     grams, first, free = _pose_grams(everything, range(10))
-    worth = [_worth(grams[list(k)].sum(axis=0), first, free) for k in ([0, 1, 2, 3, 4, 5], [4, 5, 6, 7, 8, 9], [0, 2, 4, 6, 8, 9], numbers)]
-    assert np.argmax(worth) == 3
+    criteria = [
+        _criterion(grams[list(k)].sum(axis=0), first, free) for k in ([0, 1, 2, 3, 4, 5], [4, 5, 6, 7, 8, 9], [0, 2, 4, 6, 8, 9], numbers)
+    ]
+    assert np.argmax(criteria) == 3
     with pytest.raises(ConfigError, match="no station of this plan has"):
         choose_poses(everything, CheckOptions(poses=12, fewest=11))
 

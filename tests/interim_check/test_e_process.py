@@ -31,7 +31,7 @@ def dense_log_e(of, days):
     B = of.rows.free
     P = np.linalg.svd(B)[0][:, B.shape[1] :].T if B.shape[1] else np.eye(R)
     x = (D @ days @ P.T).reshape(-1)
-    null, rival = [], []
+    null, change = [], []
     for lv in of.levels:
         S = P @ (lv.noise**2 * of.rows.noise + lv.day**2 * of.rows.daily @ of.rows.daily.T) @ P.T
         C = np.kron(D @ D.T, S)
@@ -42,8 +42,8 @@ def dense_log_e(of, days):
                     g = np.kron((D @ (np.arange(T) >= n).astype(float))[:, None], size * P @ columns)
                     c = of.options.onset_days
                     prior = np.exp(of.log_weight[k]) * c / (c + n - 1) / (c + n) / len(of.options.sizes) / len(of.levels)
-                    rival.append(np.log(prior) + multivariate_normal.logpdf(x, cov=C + g @ g.T))
-    return np.logaddexp.reduce(rival) - max(null)
+                    change.append(np.log(prior) + multivariate_normal.logpdf(x, cov=C + g @ g.T))
+    return np.logaddexp.reduce(change) - max(null)
 
 
 @pytest.mark.parametrize("free", [0, 2])

@@ -23,7 +23,7 @@ LEAST = 1e-9  # of a column against the noise: below, the rows do not show it at
 
 
 @dataclass(frozen=True)
-class Rival:
+class PossibleChange:
     """Something that may have changed. name: 'mastering', 'mount', 'artefact', 'link', 'tool', 'unnamed', or that of an effect; where: its
     location; parameters, units: of its k coefficients; usual: (k,) their usual change; columns: (R, k) what that does to the rows.
     weight: prior probability beside the others."""
@@ -36,12 +36,14 @@ class Rival:
     columns: np.ndarray
     weight: float = 1.0
 
-    def select(self, keep: np.ndarray) -> Rival:
+    def select(self, keep: np.ndarray) -> PossibleChange:
         """At the rows where ``keep`` (R,) bool holds."""
         return replace(self, columns=self.columns[keep])
 
 
-def rivals(obs: Observations, state: CellState, prediction: Prediction, standing: bool, options: CheckOptions = OPTIONS) -> list[Rival]:
+def possible_changes(
+    obs: Observations, state: CellState, prediction: Prediction, standing: bool, options: CheckOptions = OPTIONS
+) -> list[PossibleChange]:
     """All that may change, at the poses and centres of a planned check. standing: artefacts stay where they stand between checks.
 
     Prior probabilities are equal between names, and among the locations and variants of each.
@@ -53,8 +55,8 @@ def rivals(obs: Observations, state: CellState, prediction: Prediction, standing
     found.append(_unnamed(obs, state, prediction, options))
     visible = [r for r in found if np.abs(r.columns).max(initial=0.0) > LEAST]
     count: dict[str, int] = {}
-    for rival in visible:
-        count[rival.name] = count.get(rival.name, 0) + 1
+    for change in visible:
+        count[change.name] = count.get(change.name, 0) + 1
     return [replace(r, weight=1 / len(count) / count[r.name]) for r in visible]
 
 
@@ -63,11 +65,11 @@ def rows_of(each: np.ndarray) -> np.ndarray:
     return each.reshape(-1, each.shape[-1])
 
 
-def _masterings(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+def _masterings(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
     J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames))
     usual = np.array([options.mastering])
     return [
-        Rival("mastering", f"A{j + 1}", (f"A{j + 1} zero",), ("rad",), usual, rows_of(J[:, :, j : j + 1] * options.mastering))
+        PossibleChange("mastering", f"A{j + 1}", (f"A{j + 1} zero",), ("rad",), usual, rows_of(J[:, :, j : j + 1] * options.mastering))
         for j in range(state.chain.n)
     ]
 
@@ -77,23 +79,25 @@ def twist_columns(obs: Observations, prediction: Prediction, place: str, index: 
     return np.stack([terms.unit(obs, prediction, place, index, c) for c in range(6)], axis=2)
 
 
-def _mount(obs: Observations, prediction: Prediction, options: CheckOptions) -> Rival:
+def _mount(obs: Observations, prediction: Prediction, options: CheckOptions) -> PossibleChange:
     usual = np.repeat([options.mount_mm, options.mount_rad], 3)
     columns = twist_columns(obs, prediction, "frame", obs.cell.robot.n) * usual
-    return Rival("mount", "scanner on the flange", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns))
+    return PossibleChange("mount", "scanner on the flange", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns))
 
 
-def _artefacts(obs: Observations, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+def _artefacts(obs: Observations, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
     usual = np.repeat([options.station_mm, options.station_rad], 3)
     out = []
     for s in np.unique(obs.station):
         here = (obs.station[obs.pose] == s)[:, None, None]
         columns = twist_columns(obs, prediction, "station", 0) * usual * here
-        out.append(Rival("artefact", f"station {obs.cell.stations[s].id}", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns)))
+        out.append(
+            PossibleChange("artefact", f"station {obs.cell.stations[s].id}", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns))
+        )
     return out
 
 
-def _links(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+def _links(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
     """Each link by itself: its length, offset and twist."""
     twists = state.chain.parameter_twists(prediction.frames, obs.q)
     out = []
@@ -101,16 +105,16 @@ def _links(obs: Observations, state: CellState, prediction: Prediction, options:
     usual = np.array([options.link_mm, options.link_mm, options.link_rad])
     for i in range(state.chain.n):
         columns = forward_model.arm_jacobian(obs, prediction, twists[:, i, chosen]) * usual
-        out.append(Rival("link", f"link {i + 1}", ("d", "a", "alpha"), ("mm", "mm", "rad"), usual, rows_of(columns)))
+        out.append(PossibleChange("link", f"link {i + 1}", ("d", "a", "alpha"), ("mm", "mm", "rad"), usual, rows_of(columns)))
     return out
 
 
-def _catalogued(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+def _catalogued(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
     """Every effect of the catalogue at its usual size, by itself and, where it acts at one place of several, at all of them at once."""
     context = Context(obs, state, prediction)
     found, _ = candidates(context)
-    out: list[Rival] = []
-    together: dict[tuple[str, str, int], list[Rival]] = {}
+    out: list[PossibleChange] = []
+    together: dict[tuple[str, str, int], list[PossibleChange]] = {}
     for candidate in found:
         if candidate.hyper is not None and candidate.hyper.kind in (MOMENT, FADING):
             continue  # what happens within one check says nothing about days
@@ -119,22 +123,24 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction, opt
             columns = rows_of(terms.columns(obs, prediction, one)) * candidate.typical
             what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
             names = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k))
-            rival = Rival(candidate.name, "+".join(candidate.where) + what, names, ("",) * candidate.k, candidate.typical, columns)
-            out.append(rival)
+            change = PossibleChange(
+                candidate.name, "+".join(candidate.where) + what, names, ("",) * candidate.k, candidate.typical, columns
+            )
+            out.append(change)
             if len(candidate.where) == 1:
-                together.setdefault((candidate.name, candidate.variant, number), []).append(rival)
+                together.setdefault((candidate.name, candidate.variant, number), []).append(change)
     return [*out, *(_together(several) for several in together.values() if len(several) > 1), *_tool(context, prediction, options)]
 
 
-def _together(several: list[Rival]) -> Rival:
+def _together(several: list[PossibleChange]) -> PossibleChange:
     """One effect at all of its places, each with coefficients of its own: gears wear together."""
     columns, usual = np.concatenate([r.columns for r in several], axis=1), np.concatenate([r.usual for r in several])
     parameters = tuple(f"{name} at {r.where}" for r in several for name in r.parameters)
     what = several[0].where.partition(",")
-    return Rival(several[0].name, f"several places{what[1]}{what[2]}", parameters, ("",) * len(usual), usual, columns)
+    return PossibleChange(several[0].name, f"several places{what[1]}{what[2]}", parameters, ("",) * len(usual), usual, columns)
 
 
-def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> list[Rival]:
+def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
     """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
     if not context.masses_known:
         return []
@@ -144,7 +150,7 @@ def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> li
     columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
     shown = np.abs(columns).max(axis=0) > LEAST
     parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
-    return [Rival("tool", "its weight", parameters, ("",) * len(parameters), np.full(len(parameters), usual), columns[:, shown])]
+    return [PossibleChange("tool", "its weight", parameters, ("",) * len(parameters), np.full(len(parameters), usual), columns[:, shown])]
 
 
 def hypers(candidate: Candidate, count: int) -> Sequence[float | None]:
@@ -155,7 +161,7 @@ def hypers(candidate: Candidate, count: int) -> Sequence[float | None]:
     return [float(v) for v in values[np.unique(np.linspace(0, len(values) - 1, count).astype(int))]]
 
 
-def _unnamed(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> Rival:
+def _unnamed(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> PossibleChange:
     """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
     J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * options.unnamed
     n = J.shape[2]
@@ -164,7 +170,7 @@ def _unnamed(obs: Observations, state: CellState, prediction: Prediction, option
     for p in range(obs.n_poses):
         here = obs.pose == p
         columns[here, :, p * n : (p + 1) * n] = J[here]
-    return Rival(UNNAMED, "the arm", ("",) * k, ("rad",) * k, np.full(k, options.unnamed), rows_of(columns))
+    return PossibleChange(UNNAMED, "the arm", ("",) * k, ("rad",) * k, np.full(k, options.unnamed), rows_of(columns))
 
 
 def jitter(obs: Observations, state: CellState, prediction: Prediction, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
