@@ -120,6 +120,7 @@ def check(
     """
     operator, settings, loaded, content = operator or Operator(), settings or CheckSettings(), as_plan(plan), as_result(result)
     cell = CalibratedCell.from_dict(content)
+    refuse_uncalibrated(cell, dry_run or measured is not None or on_loopback_only(loaded.plan.robot.options))
     file = _history_file(result, history)
     if not dry_run and measured is None:
         refuse_impossible_devices(loaded)
@@ -179,7 +180,6 @@ def _new_history(
     options = replace(OPTIONS, poses=settings.poses)
     if settings.poses < options.fewest:
         raise ConfigError(f"a check of {settings.poses} poses tells hardly any change from another; give {options.fewest} or more")
-    refuse_uncalibrated(cell, True)
     everything = planned_check(loaded, [p for p in poses if p.balls], cell, settings.standing, settings.days)
     numbers = choose_poses(everything, options)
     q = np.array([p.q for p in poses if p.number in numbers])

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
+from mbcacq.errors import DeviceFault
 from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS, CheckOptions
@@ -16,6 +17,7 @@ from mbcacq.interim_check.planned_check import PlannedCheck
 from mbcacq.interim_check.possible_changes import UNNAMED, PossibleChange
 
 AS_BEFORE, CHANGED = "as_before", "changed"
+LEAST_COMMON = 0.5  # of the centres of a check: with fewer it is another check
 POWER = 1.2816  # quantile of the normal distribution: a change is noticed with a probability of 90 %
 SHOWN = 6  # suspects in a sentence
 
@@ -78,6 +80,10 @@ def evidence_of(check: PlannedCheck, history: CheckHistory, options: CheckOption
     common = set(check.keys).intersection(*(day.residual.keys() for day in history.days))
     kept = [key in common for key in check.keys]
     keep = np.repeat(kept, 3)
+    if sum(kept) < LEAST_COMMON * len(kept):
+        raise DeviceFault(
+            f"only {sum(kept)} of {len(kept)} balls of the check were found on all of its days; clear the views and begin a new --history"
+        )
     days = np.array([np.concatenate([day.residual[key] for key, k in zip(check.keys, kept, strict=True) if k]) for day in history.days])
     changes = tuple(r.select(keep) for r in check.changes)
     process = EProcess(check.rows.select(keep), [r.columns for r in changes], np.array([r.weight for r in changes]), options)
