@@ -142,6 +142,7 @@ def check_transfer(
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
     refuse_other_arm("the result is of", cell.robot, cell.preliminary.chain, observations.cell.robot, recording or "the recording")
+    observations = observations.measured()
     left_out: tuple[str, ...] = ()
     if place == "known":
         observations, left_out = at_known_stations(observations, cell)
@@ -228,7 +229,9 @@ class _Trial:
         """Base, tool and stations for a given arm with given effects; with known places, everything as in the calibrated cell."""
         displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
         obs = with_arm(self.obs, chain)
-        options = CalibrationOptions(kinematics=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs))
+        options = CalibrationOptions(
+            kinematics=False, discrepancy=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs)
+        )
         if self.place == "fitted":
             return _PlacedFit.of(calibrate(obs, options))
         known = self._known(obs)

@@ -151,7 +151,7 @@ def _points(path: Path, n: int) -> _Points:
     def rows(found: JointTargets) -> bytes:
         return table.written(found.q, found.error_mm, found.reached, found.reasons)
 
-    return _Points(table.q, table.goals, tuple(f"line {line}" for line in table.lines), table.lines, (), table.notes, rows)
+    return _Points(table.q, table.goals, tuple(f"line {line}" for line in table.lines), table.lines, (), (), rows)
 
 
 def _from_anywhere(arm: CalibratedCell, goals: np.ndarray, bounds: np.ndarray | None) -> JointTargets:
