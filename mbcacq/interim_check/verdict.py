@@ -93,10 +93,11 @@ def evidence_of(check: PlannedCheck, history: CheckHistory, options: CheckOption
 def verdict_of(check: PlannedCheck, history: CheckHistory, options: CheckOptions = OPTIONS) -> CheckVerdict:
     """What all checks so far say together."""
     with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
-        return _verdict(evidence_of(check, history, options), check, options)
+        return verdict_by(evidence_of(check, history, options), check, options)
 
 
-def _verdict(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -> CheckVerdict:
+def verdict_by(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -> CheckVerdict:
+    """What the rows of all days say together."""
     process, T = evidence.process, len(evidence.days)
     if T > 1:
         followed = process.follow(evidence.days)
