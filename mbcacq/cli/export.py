@@ -103,7 +103,8 @@ def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> 
 
     if results is not None:
         from mbcacq.exports.marks import geometry_alone
+        from mbcacq.exports.mount import remark
 
         result = load_result(run)
-        return [*caveats(result), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
+        return [*caveats(result), *remark(result), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
     return [SIMULATED] if any(one.get("simulated") for one in written) else []

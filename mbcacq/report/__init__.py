@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from mbcacq.report.content import Content, FleetContent, ReportVerdict
 
 __all__ = [
+    "accuracy_in_words",
     "content_of",
     "judged",
     "read_run_identity",
@@ -41,6 +42,13 @@ def content_of(result: Mapping[str, Any], observations: Observations | None = No
     from mbcacq.report.sources import from_result
 
     return from_result.content_of(result, observations, run_info)
+
+
+def accuracy_in_words(result: Mapping[str, Any]) -> tuple[str, str] | None:
+    """What the calibration expects of a point in the workspace, and a remark on the misfit in it: as page one has them."""
+    from mbcacq.report.verdict import expected_accuracy
+
+    return expected_accuracy(result)
 
 
 def judged(result: Mapping[str, Any]) -> tuple[ReportVerdict, list[tuple[str, str, str]], str]:
