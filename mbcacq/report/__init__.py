@@ -16,6 +16,7 @@ __all__ = [
     "accuracy_in_words",
     "content_of",
     "judged",
+    "pdf_from_result",
     "read_run_identity",
     "read_run_info",
     "report_from_result",
@@ -65,6 +66,18 @@ def write_report_page(content: Content, path: str | Path) -> Path:
     from mbcacq.report.page import render, write
 
     return write(render(content), path)
+
+
+def pdf_from_result(
+    result: Mapping[str, Any], *, path: str | Path, observations: Observations | None = None, run_info: Mapping[str, Any] | None = None
+) -> Path:
+    """Write the report of a result.json as PDF; as ``report_from_result``.
+
+    Raises ConfigError too where the libraries for it are missing.
+    """
+    from mbcacq.report.paper import write_pdf
+
+    return write_pdf(content_of(result, observations, run_info), path)
 
 
 def write_diagnosis_page(

@@ -266,7 +266,7 @@ def test_the_accuracy_that_the_page_states_includes_the_misfit_that_it_shows(tmp
     stated = page(tmp_path, result | {"noise": result["noise"] | {"check_factor": [1.0, 1.1, 1.0]}})
     misfit = page(tmp_path, result | {"noise": result["noise"] | {"check_factor": [5.0, 4.0, 3.0]}})
     assert "30 µm" in stated.words
-    assert "200 µm with 98 µm (3D rms) of the residual" in misfit.words  # 2 sqrt(0.015² + 0.1² (1 - 1 / 5²)) = 0.198 mm, two digits
+    assert "200 µm with 98.0 µm (3D rms) of the residual" in misfit.words  # 2 sqrt(0.015² + 0.1² (1 - 1 / 5²)) = 0.198 mm, two digits
     assert "30 µm" not in misfit.words
 
 
