@@ -132,7 +132,10 @@ class Acquisition:
             self.loaded.files, self.cell, self.loaded.path, None if self.corrected is None else self.corrected.to_dict()
         )
         keep_plan(self.folder, self.loaded.text, plan_files)
-        with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
+        with (
+            closing(Recorder(self.folder, live=live, part=self.part, all_points=self.loaded.plan.scanner.keep_clouds == "all")) as recorder,
+            closing(Journal(self.folder)) as journal,
+        ):
             if recorder.live_url:
                 message(f"watch it live: rerun {recorder.live_url}")
             Runner(
