@@ -142,6 +142,7 @@ def check_transfer(
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
     refuse_other_arm("the result is of", cell.robot, cell.preliminary.chain, observations.cell.robot, recording or "the recording")
+    observations = observations.measured()
     left_out: tuple[str, ...] = ()
     if place == "known":
         observations, left_out = at_known_stations(observations, cell)
@@ -263,7 +264,7 @@ class _Trial:
         if self.place == "known":
             return None
         try:
-            own = calibrate(self.obs, CalibrationOptions(refuse=False, phases=_all_phases(self.obs)))
+            own = calibrate(self.obs, CalibrationOptions(discrepancy=False, refuse=False, phases=_all_phases(self.obs)))
         except CalibrationError:
             return None
         return self.figures(_PlacedFit.of(own), used)

@@ -21,6 +21,9 @@ class DiagnosisOptions:
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
     preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
 
+    # Exclusion limits
+    largest_usual: float = 10.0  # typical sizes, beyond which no machine is believed to be: a limit there says nothing
+
     # Verdict. Noise alone is above e in at most 1/e of the recordings (Markov's inequality), and in fact in far fewer: above two in 4 of
     # 1000 with 50 poses and more, above ten in 2 of 1000 with fewer (benchmarks/recording_sizes.md).
     least_e_value: float = 2.0  # of all effects together, for an effect to be there

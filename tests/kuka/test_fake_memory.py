@@ -103,7 +103,7 @@ def test_ctrl_c_while_a_controller_starts_leaves_nothing(fake, moment, monkeypat
     ["mbcacq_fakes.protocols.krc.process", "mbcacq_fakes.protocols.krc.eki_process", "mbcacq_fakes.cell.process", "mbcacq_kuka.rsi.cycle"],
 )
 def test_a_process_whose_starter_was_interrupted_ends_without_a_word(module):
-    done = subprocess.run([sys.executable, "-m", module], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-m", module], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=900)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
@@ -112,7 +112,7 @@ def test_a_full_or_read_only_dev_shm_is_a_sentence_and_no_sigbus(mounted, reason
     if shutil.which("unshare") is None:
         pytest.skip("unshare is not installed: no /dev/shm of its own for the test")
     command = ["unshare", "--mount", "sh", "-c", SEPARATE.format(mounted), sys.executable]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900)
     if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("a mount of its own is not permitted here")
     assert done.returncode == 0, done

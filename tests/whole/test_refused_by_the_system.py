@@ -73,7 +73,7 @@ def test_ctrl_c_three_times_ends_the_run_as_once(tmp_path, change):
     until(lambda: process.poll() is not None or "run_stopped" in journal.read_text())
     for _ in range(2):  # while it closes
         process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=240)
+    _, errors = process.communicate(timeout=900)
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
     assert "BufferError" not in errors
