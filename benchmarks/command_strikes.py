@@ -11,6 +11,7 @@ compared. Linux, gcc.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import random
 import resource
@@ -69,10 +70,18 @@ def content(folder: Path) -> Files:
 
 def inputs(work: Path) -> dict[str, Callable[[str, Path], Callable[[], object]]]:
     """Commands by name: of the data 'a' or 'b', writing into a folder."""
+    from mbcacq.calibration.sealed_json import sealed_text
+
     for seed, name in enumerate("ab"):
         simulate = ("simulate", ROOT / "plans" / "kuka.yaml", "--noise", "--seed", seed, "--out", work / name)
         assert in_child(command(*simulate)) == 0
-        assert in_child(command("calibrate", work / name, "--out", work / f"{name}.json")) == 0
+    assert in_child(command("calibrate", work / "a", "--out", work / "a.json")) == 0
+    other = json.loads((work / "a.json").read_text())
+    other["T_flange_scanner"][2][3] += 1.0
+    for angle in range(6):
+        other["robot"]["calibrated"]["theta"][angle] += 1e-4
+    (work / "b.json").write_text(sealed_text(other))
+    print("ready", flush=True)
     (work / "points.csv").write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n" + f"{JOINTS}\n" * 20)
     (work / "scan.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 2000\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
