@@ -217,8 +217,21 @@ class EvidenceSearch:
         self.known[found.key] = found
         return max(best, found, key=lambda h: h.log_posterior)
 
+    def generalise(self, best: Hypothesis) -> None:
+        """Sets without one of the named effects that came last, and with an unmodelled effect in its most general form: a name that only
+        mends the shape of something unmodelled is unnecessary then.
+        """
+        for named in best.catalogued[-OPTIONS.beam :]:
+            for plain in best.unmodelled:
+                others = tuple(m for m in best.members if m is not named and m is not plain)
+                process = self.unmodelled.process(conditioned(best.point, others), plain)
+                members = others if process is None else (*others, process)
+                if process is not None and key_of(members) not in self.known:
+                    self.known[key_of(members)] = estimated(members, best.point, self.log_prior(members))
+
     def exchange(self, best: Hypothesis) -> None:
         """Sets with another effect in the place of one of the best set's: what else it could be."""
+        self.generalise(best)
         for rest in without_each(best.members):
             node = first_order(rest, best.point, self.log_prior(rest))
             self.known.setdefault(node.key, node)
