@@ -125,7 +125,7 @@ class Acquisition:
 
         (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
-        plan_files = plan_files_text(self.loaded.files, self.cell, self.loaded.path)
+        plan_files = plan_files_text(self.loaded.files, self.cell, self.loaded.path, self.loaded.grown_from)
         keep_plan(self.folder, self.loaded.text, plan_files)
         with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
             if recorder.live_url:
