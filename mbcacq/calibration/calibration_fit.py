@@ -14,7 +14,7 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.estimation.parameters import ParameterBlock, ParameterLayout
 from mbcacq.estimation.solver import Solution, Weights
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Cell
@@ -26,7 +26,8 @@ CORRELATED = 0.95
 @dataclass(frozen=True)
 class Parameter:
     """value: as the model uses it (hand-eye rotation: rotation vector of the change since the first guess). error: value minus nominal.
-    status: 'free', 'prior' (free within a certificate or a prior) or 'held' (reason says why; std is None)."""
+    status: 'free', 'prior' (free within a certificate or a prior), 'marginal' (the nominal value stays; std says by how much it may be off,
+    which every other uncertainty takes into account) or 'held' (reason says why; std is None)."""
 
     name: str
     value: float
@@ -197,7 +198,7 @@ class CalibrationFit:
                 free = bool(block.free[i])
                 if not free and name not in block.why:
                     continue
-                status = ("prior" if np.isfinite(block.sigma[i]) else "free") if free else "held"
+                status = _status(block, i)
                 out.append(
                     Parameter(
                         name, float(value[i]), float(error[i]), block.units[i], next(std) if free else None, status, block.why.get(name, "")
@@ -214,6 +215,14 @@ class CalibrationFit:
             block = np.ix_(hand_eye, hand_eye)
             C[block] = R @ C[block] @ R.T
         return np.sqrt(np.diag(C)).tolist()
+
+
+def _status(block: ParameterBlock, i: int) -> str:
+    if not block.free[i]:
+        return "held"
+    if block.name == "chain" and block.group is not None:
+        return "marginal"
+    return "prior" if np.isfinite(block.sigma[i]) else "free"
 
 
 def positive_inverse(H: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from mbcacq.calibration import notebook
+from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.cross_validation import about_best_station, prediction_error
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.calibration.verification import verify
@@ -112,16 +113,16 @@ def compare(
 
 
 def _row(
-    name: str, fit: Callable[[Observations], CellState], obs: Observations, whole: Observations, held_out: bool, seed: int
+    name: str, fit: Callable[[Observations], CellState | Calibrated], obs: Observations, whole: Observations, held_out: bool, seed: int
 ) -> ComparisonRow:
     begin = time.perf_counter()
     try:
-        state = fit(obs)
+        cell = fit(obs)
     except CalibrationError as error:
         return ComparisonRow(name, why=str(error))
     seconds = time.perf_counter() - begin
-    d, _ = about_best_station(obs, state)
-    bar = verify(whole, state)
+    d, _ = about_best_station(obs, cell)
+    bar = verify(whole, cell)
     errors = np.abs(bar.errors("after")) if bar.places else None
     held_out_mm, why = None, ""
     try:
@@ -137,7 +138,7 @@ def posture_range(obs: Observations) -> float:
     return max(float(np.ptp(obs.q[obs.station == s], axis=0).max()) for s in np.unique(obs.station))
 
 
-def _held_out(fit: Callable[[Observations], CellState], obs: Observations, seed: int) -> float:
+def _held_out(fit: Callable[[Observations], CellState | Calibrated], obs: Observations, seed: int) -> float:
     """Stations in FOLDS groups, each left out once; with fewer than three stations, random poses. Raises CalibrationError where the rest
     does not determine the method's unknowns."""
     rng = np.random.default_rng(seed)
@@ -147,8 +148,8 @@ def _held_out(fit: Callable[[Observations], CellState], obs: Observations, seed:
     square, freedom, count = 0.0, 0, 0
     for part in np.array_split(rng.permutation(np.unique(unit)), min(FOLDS, len(np.unique(unit)))):
         test = np.isin(unit, part)
-        state = fit(obs.select(~test))
-        d, used = about_best_station(obs.select(test), state) if by_station else (prediction_error(obs.select(test), state), 0)
+        cell = fit(obs.select(~test))
+        d, used = about_best_station(obs.select(test), cell) if by_station else (prediction_error(obs.select(test), cell), 0)
         square, freedom, count = square + float(np.sum(d**2)), freedom + used, count + len(d)
     if 3 * count <= freedom:
         raise CalibrationError("the centres left out are too few to judge anything by; measure more poses")

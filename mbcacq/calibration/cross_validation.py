@@ -11,7 +11,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.verification import points_in_base
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
@@ -20,7 +22,6 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Weights, solve
-from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
@@ -75,13 +76,13 @@ def held_out(
     masks = _masks(obs, split, size, fits, seed)
     distances, freedom, rms, scatter = [], 0, [], []
     for test in masks:
-        state = calibrate(obs.select(~test), options).state
+        fitted = calibrate(obs.select(~test), options)
         held = obs.select(test)
         if split == "station":
-            d, used = about_best_station(held, state)
-            scatter.append(ball_spread(held, state))
+            d, used = about_best_station(held, fitted)
+            scatter.append(ball_spread(held, fitted))
         else:
-            d, used = prediction_error(held, state), 0
+            d, used = prediction_error(held, fitted), 0
         distances.append(d)
         freedom += used
         rms.append(_rms(d, used))
@@ -103,33 +104,40 @@ def held_out(
     )
 
 
-def prediction_error(obs: Observations, state: CellState) -> np.ndarray:
-    """(M,) mm distance of measured and predicted centres."""
-    layout = parameters.build(obs, CalibrationOptions(kinematics=False, balls=False))
-    _, residual = Lineariser(obs, layout, CalibrationOptions()).residual(parameters.Estimate(state))
+def prediction_error(obs: Observations, cell: CellState | Calibrated) -> np.ndarray:
+    """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
+    state, options = _as_it_is(obs, cell)
+    _, residual = Lineariser(obs, parameters.build(obs, options), options).residual(parameters.Estimate(state))
     return np.linalg.norm(residual[:, :3], axis=1)
 
 
-def about_best_station(obs: Observations, state: CellState) -> tuple[np.ndarray, int]:
+def about_best_station(obs: Observations, cell: CellState | Calibrated) -> tuple[np.ndarray, int]:
     """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
+    state, options = _as_it_is(obs, cell)
     placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
     start = CellState(state.chain, state.T_flange_scanner, placed, state.balls)
-    options = CalibrationOptions(kinematics=False, balls=False, hold=tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE))
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
     noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
     solution = solve(lineariser, parameters.Estimate(start), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))
     return np.linalg.norm(solution.linear.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
 
 
-def ball_spread(obs: Observations, state: CellState) -> np.ndarray:
+def ball_spread(obs: Observations, cell: CellState | Calibrated) -> np.ndarray:
     """(M,) mm distance of each ball, brought into the base, from the mean place of that ball at that station."""
-    T = state.chain.flange(obs.q) @ state.T_flange_scanner
     if obs.cell.measurement == TARGET_IN_BASE:
-        return about_best_station(obs, state)[0]
-    base = se3.apply(T[obs.pose], obs.xyz)
+        return about_best_station(obs, cell)[0]
+    base = points_in_base(obs, cell, None) if isinstance(cell, CellState) else points_in_base(obs, cell.state, cell.effects)
     _, group = np.unique(obs.station[obs.pose] * len(obs.cell.ball_ids) + obs.ball, return_inverse=True)
     mean = np.stack([np.bincount(group, base[:, j]) for j in range(3)], axis=1) / np.bincount(group)[:, None]
     return np.linalg.norm(base - mean[group], axis=1)
+
+
+def _as_it_is(obs: Observations, cell: CellState | Calibrated) -> tuple[CellState, CalibrationOptions]:
+    """A cell's state, and options under which nothing but the stations is free and its effects displace the recording."""
+    state, effects = (cell, None) if isinstance(cell, CellState) else (cell.state, cell.effects)
+    displaced = tuple(zip(effects.at(obs), effects.coefficients, strict=True)) if effects else ()
+    hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
+    return state, CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=hold, displaced=displaced)
 
 
 def _masks(obs: Observations, split: str, size: int | None, fits: int | None, seed: int) -> list[np.ndarray]:

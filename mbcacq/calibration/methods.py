@@ -1,4 +1,5 @@
-"""Methods of calibration that are compared on the same data, each as a function from observations to a ``CellState``.
+"""Methods of calibration that are compared on the same data: functions from observations to a ``CellState``, or to a calibrated cell
+where it has effects.
 
 Where a method does not apply to a recording, it raises CalibrationError with the reason.
 """
@@ -10,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.hand_eye_equations import LEAST_TURN, MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import CalibrationError
@@ -132,12 +134,17 @@ def distances_only(obs: Observations) -> CellState:
     return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
 
 
-def maximum_likelihood(obs: Observations) -> CellState:
+def maximum_likelihood(obs: Observations) -> Calibrated:
     """Everything at once by maximum likelihood."""
-    return calibrate(obs).state
+    return calibrate(obs)
 
 
-COMPARED_METHODS: dict[str, Callable[[Observations], CellState]] = {
+def geometry_alone(obs: Observations) -> CellState:
+    """All parameters by maximum likelihood; whatever else the arm does counts as noise."""
+    return calibrate(obs, CalibrationOptions(discrepancy=False)).state
+
+
+COMPARED_METHODS: dict[str, Callable[[Observations], CellState | Calibrated]] = {
     "nominal": nominal,
     **{f"AX=XB {name}": by_motions(name) for name in MOTION_METHODS},
     **{f"AX=ZB {name}": by_poses(name) for name in POSE_METHODS},
@@ -146,6 +153,7 @@ COMPARED_METHODS: dict[str, Callable[[Observations], CellState]] = {
     "paper (four balls)": staged_method("four"),
     "paper (all pairs)": staged_method("all"),
     "distances only": distances_only,
+    "geometry alone": geometry_alone,
     "maximum likelihood": maximum_likelihood,
 }
 

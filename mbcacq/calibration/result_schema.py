@@ -47,7 +47,7 @@ class ResultParameter(Open):
     error: float = Field(description="value minus nominal")
     unit: str
     std: float | None
-    status: Literal["free", "prior", "held"]
+    status: Literal["free", "prior", "marginal", "held"]
     reason: str = ""
 
 

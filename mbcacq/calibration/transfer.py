@@ -228,7 +228,9 @@ class _Trial:
         """Base, tool and stations for a given arm with given effects; with known places, everything as in the calibrated cell."""
         displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
         obs = with_arm(self.obs, chain)
-        options = CalibrationOptions(kinematics=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs))
+        options = CalibrationOptions(
+            kinematics=False, discrepancy=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs)
+        )
         if self.place == "fitted":
             return _PlacedFit.of(calibrate(obs, options))
         known = self._known(obs)

@@ -132,9 +132,21 @@ def distance_rows(calibration: Calibrated, qa: np.ndarray, a: np.ndarray, qb: np
 
 
 def expected_accuracy(calibration: CalibrationFit, postures: int = 300, seed: int = 1) -> float:
-    """rms (mm) over postures within the joint limits of the uncertainty of a measured point, a rigid motion of everything aside."""
-    information = identifiability.workspace_information(calibration.observations, calibration.state, calibration.layout, postures, seed)
-    return float(np.sqrt(max(np.sum(information * calibration.covariance), 0.0)))
+    """rms (mm) over postures within the joint limits of the uncertainty of a measured point, effects included, a rigid motion of everything
+    aside."""
+    obs, state, layout = calibration.observations, calibration.state, calibration.layout
+    if not calibration.effects:
+        information = identifiability.workspace_information(obs, state, layout, postures, seed)
+        return float(np.sqrt(max(np.sum(information * calibration.covariance), 0.0)))
+    seen = identifiability.typical_points(obs)
+    low, high = state.chain.drawn_between(obs.cell.robot.limits)
+    drawn = np.random.default_rng(seed).uniform(low, high, size=(postures, obs.cell.robot.n))
+    q, xyz = np.repeat(drawn, len(seen), axis=0), np.tile(seen, (postures, 1))
+    A = point_columns(calibration, q, xyz).reshape(3 * len(q), -1)
+    points = to_base(calibration, q, xyz)
+    rigid = np.concatenate([np.tile(np.eye(3), (len(q), 1, 1)), -1e-3 * se3.skew(points)], axis=2).reshape(3 * len(q), 6)
+    A = A - rigid @ np.linalg.lstsq(rigid, A, rcond=None)[0]
+    return float(np.sqrt(max(np.sum((A @ calibration.covariance) * A), 0.0) / len(q)))
 
 
 def predict_uncertainty(calibration: Calibrated, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:

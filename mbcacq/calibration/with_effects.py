@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.result import REFIT, Calibration
 from mbcacq.calibration.same_arm import refuse_other_arm
@@ -72,7 +73,9 @@ def calibrate_with_effects(
 
 
 def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> Calibration:
-    """The observations calibrated with effects by ``fit``, which calibrates them under any options."""
+    """The observations calibrated with effects by ``fit``, which calibrates them under any options. The effects are the account of what
+    the arm does beyond its geometry: no discrepancy is sought beside them."""
+    options = replace(options, discrepancy=False)
     alone = fit(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
     if hold:
         known = tuple(zip(model.at(obs), model.coefficients, strict=True))
@@ -156,16 +159,6 @@ def _beside(alone: Calibration, fitted: Calibration) -> Calibration:
 def refuse_effects_of_other_arm(obs: Observations, model: EffectModel, recording: str = "the recording") -> None:
     """Raises ConfigError where effects were learnt on another arm than that of a recording."""
     refuse_other_arm("these effects were learnt on", model.robot.name, model.robot.chain, obs.cell.robot, recording)
-
-
-def with_estimates(model: EffectModel, fitted: Calibration) -> EffectModel:
-    """The model with the coefficients of a calibration that has its terms."""
-    std = np.sqrt(np.maximum(np.diag(fitted.covariance), 0.0))
-    free = {name: float(std[j]) for j, name in enumerate(fitted.names)}
-    blocks = fitted.layout.blocks[len(fitted.layout.blocks) - len(fitted.coefficients) :]
-    value = {name: float(v) for b, c in zip(blocks, fitted.coefficients, strict=True) for name, v in zip(b.names, c, strict=True)}
-    coefficients = [np.array([value[name] for name in t.names]) for t in model.terms]
-    return model.with_coefficients(coefficients, [np.array([free.get(name, 0.0) for name in t.names]) for t in model.terms])
 
 
 def sized_groups(

@@ -30,7 +30,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
     """
     import numpy as np
 
-    from mbcacq.calibration.caveats import caveats
+    from mbcacq.calibration.caveats import with_warnings
     from mbcacq.errors import ConfigError
     from mbcacq.exports.clouds import write_cloud
     from mbcacq.exports.result_json import load_result
@@ -74,7 +74,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
             )
         )
         return
-    for sentence in caveats(known):
+    for sentence in with_warnings(known):
         echo(f"*** {sentence} ***", err=True)
     for note in notes:
         echo(f"note: {note}", err=True)

@@ -97,7 +97,7 @@ def command(
 
 def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> list[str]:
     """What must be known before the files are used."""
-    from mbcacq.calibration.caveats import caveats
+    from mbcacq.calibration.caveats import with_warnings
     from mbcacq.exports.result_json import load_result
     from mbcacq.model.cell import SIMULATED
 
@@ -105,5 +105,5 @@ def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> 
         from mbcacq.exports.marks import geometry_alone
 
         result = load_result(run)
-        return [*caveats(result), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
+        return [*with_warnings(result), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
     return [SIMULATED] if any(one.get("simulated") for one in written) else []

@@ -77,9 +77,21 @@ def arm_parameters(result: dict[str, Any]) -> set[str]:
 
 
 def identifies_arm(result: dict[str, Any]) -> bool:
-    """Whether any MD-H parameter was free."""
+    """Whether any MD-H parameter was estimated."""
     arm = arm_parameters(result)
-    return any(p["name"] in arm and p["status"] != "held" for p in result["parameters"])
+    return any(p["name"] in arm and p["status"] in ("free", "prior") for p in result["parameters"])
+
+
+def link_errors(result: dict[str, Any]) -> str:
+    """How far the links of an arm that stays nominal may be off, as the rest of a sentence; '' where that was not asked."""
+    found = {unit: [p["std"] for p in result["parameters"] if p["status"] == "marginal" and p["unit"] == unit] for unit in ("mm", "rad")}
+    if not all(found.values()):
+        return ""
+    mm, rad = (float(np.sqrt(np.mean(np.square(found[unit])))) for unit in ("mm", "rad"))
+    return (
+        f"; they may be off by {uncertainty(1e3 * K * mm)} µm and {uncertainty(1e6 * K * rad)} µrad each (U, k = 2, estimated here), "
+        "which every uncertainty takes into account"
+    )
 
 
 def _cell(parameter: dict[str, Any] | None) -> str:
@@ -134,11 +146,12 @@ def hand_eye(result: dict[str, Any]) -> Table:
 def fit(result: dict[str, Any]) -> list[str]:
     """How well the cell fits, how accurate it is expected to be, and the noise that was found."""
     fitted, noise = result["fit"], result["noise"]
-    chi2 = f", χ²/dof {fitted['chi2_dof']:.2f}" if fitted.get("chi2_dof") is not None else ""
+    chi2 = _chi2(result)
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
     out = [f"Fit: {size}, residual {micrometres(fitted['rms_mm'])} (3D rms){chi2}, rank {fitted['rank']}"]
     if (expected := fitted.get("expected_accuracy_mm")) is not None:
-        aside = "noise of measuring aside" if identifies_arm(result) else "noise of measuring and the arm's own errors aside"
+        known = identifies_arm(result) or link_errors(result)
+        aside = "noise of measuring aside" if known else "noise of measuring and the arm's own errors aside"
         out.append(f"Expected accuracy of a point in the workspace: {uncertainty(1e3 * K * expected)} µm (U, k = 2; {aside})")
     if noise:
         turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
@@ -147,6 +160,14 @@ def fit(result: dict[str, Any]) -> list[str]:
         if result["method"] == "paper":
             out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
     return out
+
+
+def _chi2(result: dict[str, Any]) -> str:
+    """Chi square per degree of freedom under the noise that was stated; of one that is estimated from the same residual it says nothing."""
+    if (stated := result.get("stated_chi2_dof")) is not None:
+        return f", χ²/dof {stated:.2f} under the stated noise"
+    own = result["fit"].get("chi2_dof")
+    return "" if own is None else f", χ²/dof {own:.2f} under the noise that is estimated below"
 
 
 def _repeatability(result: dict[str, Any]) -> str:
@@ -168,14 +189,15 @@ def remarks(result: dict[str, Any]) -> list[str]:
     if not identifies_arm(result):
         arm = arm_parameters(result)
         if not result["robot"].get("flange_poses"):
-            out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values")
+            out.append(f"Held: the arm's {len(arm)} parameters, at their nominal values{link_errors(result)}")
         held = {name: why for name, why in held.items() if name not in arm}
     reasons: dict[str, list[str]] = {}
     for name, why in held.items():
         reasons.setdefault(why, []).append(name)
     for why, names in reasons.items():
         out.append(f"Held: {', '.join(names)}: {why}")
-    for alike in (result.get("correlated") or [])[:5]:
+    marginal = {p["name"] for p in result["parameters"] if p["status"] == "marginal"}
+    for alike in [c for c in result.get("correlated") or [] if not marginal & set(c["parameters"])][:5]:
         a, b = alike["parameters"]
         out.append(f"Hard to separate: {a} and {b} (correlation {signed(alike['correlation'])})")
     rejected = result.get("rejected") or []

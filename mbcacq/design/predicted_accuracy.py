@@ -81,7 +81,7 @@ def predicted_accuracy(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Pred
     pairs = verify(observations, calibration).places if sound else ()
     distances = tuple((p.station, p.expected_mm) for p in pairs if p.expected_mm is not None)
     used = _arm_parameters(calibration)
-    lost = [u for u in calibration.undetermined if not u.name.startswith("ball_")]
+    lost = [u for u in calibration.undetermined if not u.name.startswith("ball_") and (scope.kinematics or u.name.startswith("hand_eye"))]
     return PredictedAccuracy(
         parameters=len(used) + len(lost),
         determined=len(used),
@@ -105,7 +105,7 @@ def predicted_calibration(
     obs = select_phases(observations, options)
     state = planned_state(loaded)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
-    layout, estimate = blocks.build(obs, options), Estimate(state)
+    layout, estimate = blocks.build(obs, options).resized(blocks.ORDINARY_LINKS), Estimate(state)
     first = system(Lineariser(obs, layout, options), estimate, noise, weights)
     layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
     lineariser = Lineariser(obs, layout, options)
@@ -121,7 +121,9 @@ def _calibration_share(calibration: Calibration, observations: Observations) -> 
 
 
 def _arm_parameters(calibration: Calibration) -> list[str]:
-    return [name for name in calibration.names if not name.startswith("ball_")]
+    """Names of the parameters that are identified: without balls, and without links of an arm that stays nominal."""
+    marginal = {p.name for p in calibration.parameters if p.status == "marginal"}
+    return [name for name in calibration.names if not name.startswith("ball_") and name not in marginal]
 
 
 def _weakest(calibration: Calibration, count: int = 3) -> tuple[tuple[str, float, str], ...]:
@@ -129,5 +131,6 @@ def _weakest(calibration: Calibration, count: int = 3) -> tuple[tuple[str, float
     std = np.sqrt(np.diag(calibration.covariance))
     share = std / calibration.layout.gather("scale")
     unit = [u for b in calibration.layout.blocks for u, free in zip(b.units, b.free, strict=True) if free]
-    order = [i for i in np.argsort(-share) if not calibration.names[i].startswith("ball_")]
+    identified = set(_arm_parameters(calibration))
+    order = [i for i in np.argsort(-share) if calibration.names[i] in identified]
     return tuple((calibration.names[i], float(std[i]), unit[i]) for i in order[:count])

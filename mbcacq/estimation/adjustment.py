@@ -20,7 +20,8 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
-from mbcacq.estimation.solver import LINEAR_ROTATION, Solution, Weights, evaluated, gauss_newton_step, solve, system
+from mbcacq.estimation.random_effect_sizes import sizes_of_groups
+from mbcacq.estimation.solver import LINEAR_ROTATION, Solution, Weights, evaluated, gauss_newton_step, solve, system, with_prior_of
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
@@ -33,6 +34,9 @@ CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the dat
 # Median shift of a pose's joints (rad, root of the sum of squares) that would explain its misfit, beyond which the same holds: an artefact
 # at a free station never misses by much more than its size, however wrong the arm. Where an arm misses by 25 mm, 0.03 rad explain it.
 CONTRADICTION_RAD = 0.05
+# Sizes of random effects, as factors of their sigma at the start, which is large already.
+LEAST_SIZE, LARGEST_SIZE, SIZE_CONVERGED = 1e-4, 4.0, 0.05
+SIZE_TURNS, SIZE_ROUNDS = 12, 60  # turns of noise and sizes; steps of the fixed point in each
 THIN = 200  # poses that settle geometry and noise before all of a large recording are looked at
 
 
@@ -75,7 +79,9 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         noise = variance_components.first_noise(obs.cell)
     else:
         preliminary, whole = (starting.with_all_stations(obs, state) for state in (first.preliminary, first.state))
-        start, noise = Estimate(whole), first.noise
+        start, noise = Estimate(whole, tuple(np.zeros(t.size) for t in options.terms)), first.noise
+        if any(t.sized for t in options.terms):
+            noise = variance_components.first_noise(obs.cell)  # what random effects explain is in the other's noise
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     at = system(lineariser, start, noise, weights)
@@ -84,7 +90,8 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
     if found:
         lineariser = Lineariser(obs, layout, options)
     solution, weights = robust_solve(lineariser, start if found else at, noise, weights, options, COARSE)
-    solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
+    lineariser, solution, noise, weights = settle_variances(lineariser, solution, noise, weights, options)
+    layout = lineariser.layout
     # Noise larger than expected may leave more undetermined than the first look showed.
     layout, more = hold_undetermined(layout, solution.normal.information, obs, solution.estimate.state)
     if more:
@@ -92,7 +99,8 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         found = [*found, *more]
         lineariser = Lineariser(obs, layout, options)
         solution = solve(lineariser, _back_to_nominal(solution.estimate, layout, obs), noise, weights, tolerance=COARSE)
-        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
+        lineariser, solution, noise, weights = settle_variances(lineariser, solution, noise, weights, options)
+        layout = lineariser.layout
     exact = evaluated(lineariser, solution)
     if exact.normal.decrease(gauss_newton_step(exact.normal, layout.gather("scale"), 0.0)) > COARSE:
         # The problem is less linear than its steps promised.
@@ -120,7 +128,7 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     if options.start is not None:
         return options.start
     first = Estimate(starting.start(obs))
-    held = replace(options, kinematics=False, balls=False, hold=(), release=(), terms=())
+    held = replace(options, kinematics=False, discrepancy=False, balls=False, hold=(), release=(), terms=())
     # Kinematic errors are the noise here; their size matters little.
     lever = obs.cell.robot.chain.lever
     noise = Noise(np.full(3, 0.02), 4e-4 * lever.max() / lever, 5e-4)
@@ -178,6 +186,28 @@ def robust_solve(
             # What is left determines less than everything did: the noise is taken for too small, and its estimate comes first.
             return solve(lineariser, solution, noise, everything, tolerance=tolerance, within_linear=True, reuse=reuse), everything
     return solution, weights
+
+
+def settle_variances(
+    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions
+) -> tuple[Lineariser, Solution, Noise, Weights]:
+    """Noise, and the sizes of the random effects that have none of their own, by turns until both are settled; the lineariser has them as
+    priors. Sizes begin large: the noise then holds only what no random effect explains.
+    """
+    first = lineariser.layout
+    size = dict.fromkeys(first.sized, 1.0)
+    for _ in range(SIZE_TURNS if size else 1):
+        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
+        if not size:
+            break
+        before, present = size, LEAST_SIZE / min(size.values())
+        factor = sizes_of_groups(solution.normal, solution.prior, lineariser.layout.sized, (present, LARGEST_SIZE), SIZE_ROUNDS)
+        size = {name: float(np.clip(factor[name] * s, LEAST_SIZE, LARGEST_SIZE)) for name, s in size.items()}
+        lineariser = lineariser.with_layout(first.resized(size))
+        solution = solve(lineariser, with_prior_of(lineariser, solution), noise, weights, tolerance=COARSE)
+        if max(abs(np.log(size[name] / before[name])) for name in size) < SIZE_CONVERGED:
+            break
+    return lineariser, solution, noise, weights
 
 
 def settle_noise(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,6 +66,12 @@ class Lineariser:
     def unweighted(self, rows: np.ndarray) -> np.ndarray:
         """The inverse of ``weighted``, of rows (M, R)."""
         return rows if self.own_weight is None else np.linalg.solve(self.own_weight, rows[..., None])[..., 0]
+
+    def with_layout(self, layout: ParameterLayout) -> Lineariser:
+        """The same recording with other priors of the same free parameters."""
+        out = copy(self)
+        out.layout = layout
+        return out
 
     def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
         """Prediction and residual (M, R) at an estimate."""
@@ -165,7 +172,7 @@ class Lineariser:
 
     def _of_recordings(self, mount: np.ndarray, poses: np.ndarray) -> np.ndarray:
         """(P, 6 R, 6) twists of the R tools from those (P, 6, 6) of each pose's own."""
-        which, count = self.obs.recording, self.obs.n_recordings
+        which, count = self.obs.recording, len(self.layout.blocks[1].free) // 6  # a part of the poses may lack a whole recording
         if which is None or count == 1:
             return mount
         out = np.zeros((len(mount), count, 6, 6))

@@ -127,7 +127,7 @@ class PoseSystem:
         H = normal.information
         step = np.linalg.solve(H + 1e-14 * np.diag(H).max(initial=1.0) * np.eye(normal.size), normal.gradient)
         residual = self.poses.residual_after(step, normal.station_step(step))
-        return replace(self, poses=self.poses.with_residual(replace(columns, residual=residual)))
+        return replace(self, poses=self.poses.with_residual(replace(columns, residual=residual)), normal=normal.after(step))
 
 
 def inverse_of_lower(factor: np.ndarray) -> np.ndarray:

@@ -36,6 +36,8 @@ class CalibrationOptions:
     virtual point; 'all' pairs of all balls.
     phases: use only poses of these phases; None: all but 'verification', or all where there is nothing else.
     kinematics: identify MD-H errors; otherwise only hand-eye and stations.
+    discrepancy: what the model lacks is a random effect beside the noise: the errors of the links of an arm that is not to be identified,
+    smooth functions of posture of one that is. Without it, such an arm is exactly as nominal, and all that a model lacks counts as noise.
     hold, release: names of parameters to keep at their nominal value, or to free although they would be held ('d_2', 'hand_eye.rz').
     balls: estimate the ball centres within the certificate's uncertainty.
     noise: 'auto' (a stated scanner noise is a prior of 30 %, joint repeatability is estimated), 'given' (stated figures are
@@ -52,6 +54,7 @@ class CalibrationOptions:
     pairs: str = "four"
     phases: tuple[str, ...] | None = None
     kinematics: bool = True
+    discrepancy: bool = True
     hold: tuple[str, ...] = ()
     release: tuple[str, ...] = ()
     balls: bool = True

@@ -6,6 +6,7 @@ eliminated, six each).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -24,12 +25,20 @@ HAND_EYE = ("x", "y", "z", "rx", "ry", "rz")
 # Size that an error of each kind may plausibly have; scales the parameters for the rank check and says what "undetermined" means.
 PLAUSIBLE = {"theta": 0.02, "d": 3.0, "a": 3.0, "alpha": 0.01, "beta": 0.01}
 PLAUSIBLE_HAND_EYE = np.array([30.0, 30.0, 30.0, 0.2, 0.2, 0.2])
+# Groups of random effects whose common size is estimated: the links' errors of an arm that is not to be identified.
+LENGTHS, ANGLES = "link lengths", "link angles"
+LINK_GROUP = {"theta": ANGLES, "d": LENGTHS, "a": LENGTHS, "alpha": ANGLES, "beta": ANGLES}
+# sigma at the start, far larger than arms have (0.1 to 0.3 mm, 0.3 to 0.5 mrad): sizes that begin small may stay there.
+LINK_START = {LENGTHS: 1.0, ANGLES: 3e-3}
+# Of an industrial arm as it is delivered (absolute accuracy 0.5 to 1 mm), as a factor of the sigma at the start: 0.2 mm, 0.5 mrad.
+ORDINARY_LINKS = {LENGTHS: 0.2 / LINK_START[LENGTHS], ANGLES: 5e-4 / LINK_START[ANGLES]}
 
 
 @dataclass(frozen=True)
 class ParameterBlock:
     """k parameters of one kind. names, units: (k,); free: (k,) bool; sigma: (k,) prior about ``centre``, inf = none; scale: (k,) plausible
-    size; why: reason of each held one; centre: (k,) of the prior of the errors, None: zero."""
+    size; why: reason of each held one; centre: (k,) of the prior of the errors, None: zero; group: (k,) name of the random effects whose
+    common size is estimated and multiplies sigma, '' for a parameter with a sigma of its own; None: none is estimated."""
 
     name: str
     names: tuple[str, ...]
@@ -39,6 +48,7 @@ class ParameterBlock:
     scale: np.ndarray
     why: dict[str, str] = field(default_factory=dict)
     centre: np.ndarray | None = None
+    group: tuple[str, ...] | None = None
 
     def hold(self, index: int, why: str) -> ParameterBlock:
         free = self.free.copy()
@@ -70,6 +80,21 @@ class ParameterLayout:
     @cached_property
     def _gathered(self) -> dict[str, np.ndarray]:
         return {}
+
+    @cached_property
+    def sized(self) -> dict[str, np.ndarray]:
+        """Groups of random effects whose size is estimated: their indices in the solver's vector by name."""
+        names = [g for b in self.blocks for g, free in zip(b.group or ("",) * len(b.names), b.free, strict=True) if free]
+        return {name: np.flatnonzero(np.array(names) == name) for name in dict.fromkeys(names) if name}
+
+    def resized(self, factor: Mapping[str, float]) -> ParameterLayout:
+        """The layout with the sigma of each named group multiplied."""
+        blocks = []
+        for b in self.blocks:
+            if b.group is not None:
+                b = replace(b, sigma=b.sigma * np.array([factor.get(g, 1.0) for g in b.group]))
+            blocks.append(b)
+        return ParameterLayout(tuple(blocks))
 
     @cached_property
     def turning(self) -> np.ndarray:
@@ -118,7 +143,8 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     chain, n = cell.robot.chain, cell.robot.n
     names = tuple(f"{p}_{i + 1}" for i in range(n) for p in PARAMETERS)
     why: dict[str, str] = {}
-    if not options.kinematics:
+    uncertain = not options.kinematics and options.discrepancy and not cell.robot.of_flange_poses  # those have no links of their own
+    if not options.kinematics and not uncertain:
         why = dict.fromkeys(names, "kinematics not asked for")
     else:
         if not any(s.T_base_station is not None for s in cell.stations):
@@ -137,6 +163,10 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     scale = np.tile([PLAUSIBLE[p] for p in PARAMETERS], n)
     units = ("rad", "mm", "mm", "rad", "rad") * n
     prior = arm_prior(cell, options)
+    if prior is None and uncertain:
+        group = tuple(LINK_GROUP[p] for p in PARAMETERS) * n
+        start = np.array([LINK_START[g] for g in group])
+        return ParameterBlock("chain", names, units, free, start, scale, why, group=group)
     if prior is None:
         return ParameterBlock("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
     return ParameterBlock("chain", names, units, free, prior.sigma.reshape(-1), scale, why, prior.mean.reshape(-1))
@@ -187,7 +217,8 @@ def _balls(obs: Observations, options: CalibrationOptions) -> ParameterBlock:
 def term_block(term: Term) -> ParameterBlock:
     """The block of a term's coefficients, all free."""
     scale = np.where(np.isfinite(term.sigma), term.sigma, 1.0)
-    return ParameterBlock(term.name, term.names, term.units, np.ones(term.size, bool), term.sigma, scale)
+    group = (term.name,) * term.size if term.sized else None
+    return ParameterBlock(term.name, term.names, term.units, np.ones(term.size, bool), term.sigma, scale, group=group)
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ their posterior covariance / size^2) (MacKay 1992, Bayesian interpolation): the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from mbcacq.estimation.normal_equations import inverse_of_lower
+from mbcacq.estimation.normal_equations import Normal, Prior, inverse_of_lower
 
 CONVERGED = 0.05  # change of a logarithm of a variance
 LEAST_DETERMINED = 1e-4  # coefficients of a group that the data determine: fewer are none
@@ -54,6 +54,55 @@ def sizes_by_marginal_likelihood(
         if np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
             break
     return np.sqrt(variance)
+
+
+def sizes_of_groups(
+    normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], limits: tuple[float, float], rounds: int
+) -> dict[str, float]:
+    """The size of each group in its present size, by the linear problem of a solution under fixed noise.
+
+    groups: (k,) indices of each group's coefficients among the parameters, whose prior has mean zero; limits: smallest and largest size.
+    """
+    S, b, slices = _conditioned(normal, prior, groups)
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), rounds)
+    return {name: max(float(size), limits[0]) for name, size in zip(groups, found, strict=True)}
+
+
+def gain_of_groups(
+    normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], largest: float, rounds: int
+) -> tuple[float, dict[str, float]]:
+    """Log marginal likelihood that groups add, under fixed noise, at the sizes that maximise it; and these, in their present size."""
+    S, b, slices = _conditioned(normal, prior, groups)
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, largest), rounds)
+    size = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, found, strict=True)])
+    alive, by_name = size > 0, dict(zip(groups, found.tolist(), strict=True))
+    if not alive.any():
+        return 0.0, by_name
+    root = size[alive]
+    factor = cholesky(root[:, None] * S[np.ix_(alive, alive)] * root + np.eye(len(root)), lower=True)
+    explained = solve_triangular(factor, root * b[alive], lower=True)
+    return float(0.5 * explained @ explained - np.sum(np.log(np.diag(factor)))), by_name
+
+
+def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[slice]]:
+    """Normal equations S (k, k), b (k,) of the groups' coefficients, without their priors and in units of their present sigma, the other
+    parameters eliminated; and the slice of each group."""
+    index = np.concatenate(list(groups.values()))
+    ends = np.cumsum([0] + [len(i) for i in groups.values()])
+    sigma, now = prior.sigma[index], np.zeros(normal.size)
+    now[index] = prior.offset[index]
+    weight = np.zeros(normal.size)
+    weight[index] = sigma**-2.0
+    information = normal.information - np.diag(weight)
+    right = normal.gradient + weight * now + information @ now  # for the coefficients themselves, not for their change
+    rest = np.setdiff1d(np.arange(normal.size), index)
+    S, b = information[np.ix_(index, index)], right[index]
+    if len(rest):
+        scale = 1 / np.sqrt(np.maximum(np.diag(information)[rest], 1e-300))
+        root = cholesky(scale[:, None] * information[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)), lower=True)
+        taken = solve_triangular(root, scale[:, None] * np.c_[information[np.ix_(rest, index)], right[rest]], lower=True)
+        S, b = S - taken[:, :-1].T @ taken[:, :-1], b - taken[:, :-1].T @ taken[:, -1]
+    return sigma[:, None] * S * sigma, sigma * b, [slice(int(a), int(z)) for a, z in zip(ends[:-1], ends[1:], strict=True)]
 
 
 def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -120,6 +120,13 @@ def reweighted(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weig
     return replace(at, poses=poses, normal=normal, noise=noise, weights=weights)
 
 
+def with_prior_of(lineariser: Lineariser, at: Solution) -> Solution:
+    """The system at the same estimate, with the prior of the lineariser's layout."""
+    at = evaluated(lineariser, at)
+    prior = prior_rows(lineariser.obs.cell, lineariser.layout, at.estimate, lineariser.rows.stations)
+    return replace(at, prior=prior, normal=Normal(lineariser.rows, at.poses.normal_equations(), prior))
+
+
 def stepped(lineariser: Lineariser, at: Solution, step: np.ndarray) -> Solution:
     """The same linear problem after a step (g,) of the parameters and the best stations; ``at`` must be exact."""
     rows, columns = lineariser.rows, at.linear.columns

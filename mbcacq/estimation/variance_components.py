@@ -116,6 +116,14 @@ def log_restricted_posterior(system: PoseSystem, noise: Noise, prior: NoisePrior
     return prior.log_density(noise) - 0.5 * (log_det + normal.cost)
 
 
+def log_evidence(system: PoseSystem, noise: Noise, prior: NoisePrior, sigma: np.ndarray) -> float:
+    """Log marginal likelihood of a model with random effects, up to a constant that is common to models with the same flat parameters.
+
+    sigma: (g,) prior of the parameters, inf where flat.
+    """
+    return log_restricted_posterior(system, noise, prior) - float(np.sum(np.log(sigma[np.isfinite(sigma)])))
+
+
 def reml_score_and_information(system: PoseSystem, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     """Gradient (K,) and average information (K, K) of the restricted log likelihood by the log sigmas.
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import yaml
+
 from mbcacq.errors import ConfigError
+from mbcacq.model.cell import RobotModel
+from mbcacq.model.cell_schema import RobotSpec
 
 
 def folder() -> Path:
@@ -39,6 +43,12 @@ def robot_file(name: str) -> Path:
     if name not in robots():
         raise ConfigError(f"there is no robot '{name}' among those of the tool ({', '.join(robots())}); correct the name or give its links")
     return folder() / "robots" / f"{name}.yaml"
+
+
+def robot(name: str) -> RobotModel:
+    """The arm of that name as it is shipped. Raises ConfigError naming the choices."""
+    content = yaml.safe_load(robot_file(name).read_text(encoding="utf-8"))
+    return RobotSpec.model_validate(content).model()
 
 
 def named_file(kind: str, name: str) -> Path:

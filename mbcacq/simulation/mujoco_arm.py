@@ -76,6 +76,7 @@ def load_arm(path: Path | str) -> MujocoArm:
     robot = RobotSpec.model_validate(yaml12.load(imported.text)).model()
     try:
         spec = engine.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # of a URDF, links on fixed joints are to stay bodies of their own
         model = spec.compile()
     except (ValueError, OSError) as error:
         raise ConfigError(f"{path}: MuJoCo cannot read it: {str(error).splitlines()[0]}; correct the file") from None
@@ -84,6 +85,12 @@ def load_arm(path: Path | str) -> MujocoArm:
         raise ConfigError(f"{path}: the joint of {missing[0]} is without a name; name all joints of the arm")
     _resolve_frames(spec, model, imported.joints)
     return MujocoArm(path, spec, imported.joints, robot, imported, _servos(engine, spec, model, imported.joints))
+
+
+def base_body(arm: MujocoArm, model: Any) -> int:
+    """Number of the body that is the base of the imported arm. MuJoCo makes the root link of a URDF one with the world."""
+    found = mujoco_engine().mj_name2id(model, mujoco_engine().mjtObj.mjOBJ_BODY, arm.imported.base)
+    return max(found, 0)
 
 
 def _resolve_frames(spec: Any, model: Any, joints: tuple[str, ...]) -> None:

@@ -18,7 +18,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation import parameters
 from mbcacq.simulation.model_match import ChannelError, ModelMatch, ModelParameter
-from mbcacq.simulation.mujoco_arm import MujocoArm, check_recordings, gear_spring, mujoco_engine, torque_along
+from mbcacq.simulation.mujoco_arm import MujocoArm, base_body, check_recordings, gear_spring, mujoco_engine, torque_along
 from mbcacq.simulation.write_model import T_body_link, as_xml, body_frames, with_chain
 
 POSES = "poses"
@@ -133,7 +133,7 @@ def run_poses(arm: MujocoArm, spec: Any, q: np.ndarray) -> np.ndarray:
     springs = {k: s.name for k, j in enumerate(arm.joints) if (s := gear_spring(spec, j)) is not None}
     angle = windup(arm, spec, q)
     body = int(model.jnt_bodyid[model.joint(arm.joints[-1]).id])
-    foot = 0 if arm.imported.base == "world" else model.body(arm.imported.base).id
+    foot = base_body(arm, model)
     out = []
     for row, wound in zip(q, angle, strict=True):
         for k, joint in enumerate(arm.joints):

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.simulation.mujoco_arm import MujocoArm, mujoco_engine
+from mbcacq.simulation.mujoco_arm import MujocoArm, base_body, mujoco_engine
 
 
 def as_xml(arm: MujocoArm, spec: Any) -> str:
@@ -29,7 +29,7 @@ def body_frames(arm: MujocoArm, spec: Any) -> np.ndarray:
     data = engine.MjData(model)
     data.qpos[[int(model.jnt_qposadr[model.joint(j).id]) for j in arm.joints]] = 0.0
     engine.mj_kinematics(model, data)
-    foot = 0 if arm.imported.base == "world" else model.body(arm.imported.base).id
+    foot = base_body(arm, model)
     world = [_frame(data.xpos[b], data.xmat[b]) for b in (foot, *(int(model.jnt_bodyid[model.joint(j).id]) for j in arm.joints))]
     return np.linalg.inv(world[0]) @ np.array(world[1:])
 
@@ -92,7 +92,7 @@ def _between(arm: MujocoArm, k: int, reference: np.ndarray) -> np.ndarray:
     if k:
         before = int(model.jnt_bodyid[model.joint(arm.joints[k - 1]).id])
     else:
-        before = 0 if arm.imported.base == "world" else model.body(arm.imported.base).id
+        before = base_body(arm, model)
     worlds = [_frame(data.xpos[b], data.xmat[b]) for b in (before, parent)]
     return np.linalg.inv(worlds[0]) @ worlds[1]
 

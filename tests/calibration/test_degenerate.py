@@ -17,7 +17,7 @@ from mbcacq.errors import CalibrationError
 NOISE = (0.005, 0.005, 0.009)
 AXXB = [name for name in COMPARED_METHODS if name.startswith("AX=")]
 PAPER = [name for name in COMPARED_METHODS if name.startswith("paper")]
-OURS = ["maximum likelihood"]
+OURS = ["geometry alone", "maximum likelihood"]
 JOINT = [*PAPER, "distances only", *OURS]
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -84,7 +84,7 @@ UNDETERMINED = {  # recording -> which methods must refuse it, with what
         "hand-eye only": "same orientation",
         **dict.fromkeys(PAPER, "do not determine"),
         "distances only": "same orientation",
-        "maximum likelihood": "same orientation",
+        **dict.fromkeys(OURS, "same orientation"),
     },
     one_station: dict.fromkeys(JOINT, "all poses are at one station"),
     two_balls: {
@@ -97,7 +97,7 @@ UNDETERMINED = {  # recording -> which methods must refuse it, with what
         "hand-eye only": "hand_eye",
         "distances only": "hand_eye",
         **dict.fromkeys(PAPER, "first hand-eye transform"),
-        "maximum likelihood": "hand_eye",
+        **dict.fromkeys(OURS, "hand_eye"),
     },
     no_translations: dict.fromkeys(PAPER, "do not span a plane"),
     balls_on_one_line: {**dict.fromkeys(AXXB, "not all on one line"), **dict.fromkeys(PAPER, "not on one line")},

@@ -57,7 +57,7 @@ def test_normalised_errors_follow_chi_square(cell):
                 (found.state.balls - cell.truth.balls).reshape(-1),
             ]
         )
-        free = np.concatenate([b.free for b in found.layout.blocks])
+        free = np.concatenate([b.free for b in found.layout.blocks[:3]])
         arm = slice(0, 24)
         d = off[free][arm]
         values.append(d @ np.linalg.solve(found.covariance[arm, arm], d))

@@ -38,6 +38,12 @@ def test_ci_runs_what_the_readme_says():
         assert part in ci
 
 
+def test_no_two_files_of_the_tests_have_one_name():
+    """They stand in no packages: of two with one name, whichever is imported first is taken for the other, and the suite does not begin."""
+    names = [path.name for path in (ROOT / "tests").rglob("*.py") if path.name != "conftest.py"]
+    assert sorted(names) == sorted(set(names))
+
+
 @pytest.mark.parametrize("name", ["README.md", "docs/index.md"])
 def test_links_lead_somewhere(name):
     import re

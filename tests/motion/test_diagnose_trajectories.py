@@ -195,3 +195,14 @@ def test_a_joint_that_stands_in_a_recording_does_not_change_its_friction():
     for axis in ("A1", "A2"):
         rub = value(result, "friction", f"{axis}.coulomb_Nm")
         assert abs(rub["value"] - 8.0) < 3 * rub["std"] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [({}, set()), ({"coulomb": 3.0}, {("friction", "A1"), ("friction", "A2")}), ({"compliance": 2e-5}, {("joint_compliance", "A2")})],
+)
+def test_recordings_without_any_noise_are_diagnosed(fault, expected):
+    """Another simulator's own output: the residual is zero to rounding, and what it holds is found all the same."""
+    result = diagnose_trajectories([recording(k, noise=False, **fault) for k in (1, 2)])
+    assert expected <= named(result)
+    assert all(np.isfinite(fit.held_out.after_rms) for fit in result.channels)

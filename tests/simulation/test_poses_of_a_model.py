@@ -214,3 +214,39 @@ def test_a_model_of_somebody_else_has_no_placeholders(arm):
     from mbcacq.simulation.mujoco_arm import remarks_on_masses
 
     assert remarks_on_masses(arm, arm.spec) == ()
+
+
+def urdf(joints):
+    """A URDF of links on revolute joints (name, origin m, axis), on a foot that stands on the root link ``world``."""
+    inertial = (
+        '<inertial><mass value="5"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    links = ['<link name="world"/>', f'<link name="foot">{inertial}</link>']
+    text = ['<joint name="stand" type="fixed"><parent link="world"/><child link="foot"/><origin xyz="0.4 0 0.3" rpy="0 0 0.5"/></joint>']
+    parent = "foot"
+    for name, origin, axis in joints:
+        links.append(f'<link name="link_{name}">{inertial}</link>')
+        text.append(
+            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="link_{name}"/><origin xyz="{origin}"/>'
+            f'<axis xyz="{axis}"/><limit lower="-3" upper="3" effort="100" velocity="3"/></joint>'
+        )
+        parent = f"link_{name}"
+    return f'<robot name="arm">{"".join(links)}{"".join(text)}</robot>'
+
+
+def test_an_arm_from_a_urdf_whose_root_link_is_the_world_of_mujoco(tmp_path):
+    """MuJoCo makes one body of world and root link. The last body moves as the imported chain says, up to a constant transform."""
+    from mbcacq.simulation.mujoco_arm import load_arm
+    from mbcacq.simulation.poses import run_poses
+    from mbcacq.simulation.write_model import with_chain
+
+    joints = [("A1", "0 0 0.2", "0 0 1"), ("A2", "0.15 0 0.2", "0 1 0"), ("A3", "0 0 0.6", "0 1 0")]
+    joints += [("A4", "0.2 0 0.1", "1 0 0"), ("A5", "0.45 0 0", "0 1 0"), ("A6", "0.1 0 0", "1 0 0")]
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(joints))
+    arm = load_arm(path)
+    q = random_angles(12, 3)
+    expected = arm.imported.T_given_base @ arm.robot.chain.frames(q)[:, -1]
+    for spec in (arm.spec, with_chain(arm, arm.robot.chain)):
+        constant = np.linalg.inv(expected) @ run_poses(arm, spec, q)
+        np.testing.assert_allclose(constant, np.broadcast_to(constant[0], constant.shape), atol=1e-6)

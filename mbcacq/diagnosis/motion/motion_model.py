@@ -12,6 +12,8 @@ from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
 
+LEAST_NOISE = 1e-6  # of a channel, as a share of its range: of simulated recordings without noise; encoders resolve a millionth of a turn
+
 
 @dataclass(frozen=True, eq=False)
 class Variant:
@@ -69,7 +71,9 @@ class MotionModel:
         self.store = NormalStore(group, runs, options, held)
         self.selected: list[SelectedEffect] = []
         joints = range(len(group.joints))
-        self.floor = np.array([third_difference_noise(tuple(m[:, j] for m in group.mismatch)) for j in joints])
+        ranges = np.array([np.ptp(np.concatenate([signal[:, j] for signal in group.signal])) for j in joints])
+        self._least = np.maximum(LEAST_NOISE * ranges, 1e-12)
+        self.floor = np.maximum([third_difference_noise(tuple(m[:, j] for m in group.mismatch)) for j in joints], self._least)
 
     # columns
 
@@ -112,10 +116,11 @@ class MotionModel:
         that say the same, so that a residual with structure does not outvote what is known of the arm. Weights and coefficients in turn."""
         store = self.store
         count = np.maximum(store.count.sum(axis=0), 1.0)
-        weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), 1e-300)
+        least = count * self._least**2
+        weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), least)
         for _ in range(self.options.weight_rounds):
             x = store.solve(store.normal(weights), chosen)
-            weights = count / np.maximum(store.errors(chosen, x).sum(axis=0) * store.correlated_samples(chosen, x), 1e-300)
+            weights = count / np.maximum(store.errors(chosen, x).sum(axis=0) * store.correlated_samples(chosen, x), least)
         return weights
 
     def coefficients(self) -> np.ndarray:

@@ -32,7 +32,8 @@ def covariance(store: NormalStore, weights: np.ndarray, chosen: np.ndarray, x: n
     by_segment = inverse @ (_spread_of_scores(store, weights, chosen, x) + known) @ inverse
     coloured = inverse @ (_spectral(store, weights, chosen, x, correlation_s) + known) @ inverse
     least = np.maximum(np.maximum(np.diag(white), np.diag(by_segment)), np.diag(coloured))
-    grow = np.sqrt(least / np.maximum(np.diag(coloured), 1e-300))
+    coloured[np.diag_indices_from(coloured)] += 1e-9 * least + 1e-300  # of a residual that is zero to rounding there is no spectrum
+    grow = np.sqrt(least / np.diag(coloured))
     return coloured * np.outer(grow, grow)
 
 

@@ -200,8 +200,10 @@ def _identity(result: Mapping[str, Any], observations: Observations | None, run_
 def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     fit = result["fit"]
     out = [("poses, centres used", f"{fit['poses']}, {fit['centres']}"), ("residual, 3D rms", micrometres(fit["rms_mm"]))]
-    if fit.get("chi2_dof") is not None:
-        out.append(("χ² over degrees of freedom", f"{fit['chi2_dof']:.3f} ({fit['dof']})"))
+    if result.get("stated_chi2_dof") is not None:
+        out.append(("χ² over degrees of freedom, stated noise", f"{result['stated_chi2_dof']:.3f} ({fit['dof']})"))
+    elif fit.get("chi2_dof") is not None:
+        out.append(("χ² over degrees of freedom, estimated noise", f"{fit['chi2_dof']:.3f} ({fit['dof']})"))
     held_out = result.get("held_out")
     if held_out:
         out.append(("poses held out, 3D rms", f"{micrometres(held_out['rms_mm'])} ({held_out['poses']} poses, by {held_out['split']})"))

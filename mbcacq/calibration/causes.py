@@ -1,0 +1,256 @@
+"""What simple fault explains a recording that contradicts its description: found by cheap tests, each of which has one story.
+
+Balls taken for each other show in distances alone. A wrong sign, unit, order or frame removes most of the misfit when it is mended. A place
+that moved, a scanner that slipped or a joint that stepped at a moment, one wrong pose and one wrong ball are further columns of the linear
+problem, whose gain of chi square follows from the solution without another fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.calibration.influence import deletions
+from mbcacq.description import plain_fit, wrong_descriptions
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.solver import Solution
+from mbcacq.model import shipped
+from mbcacq.model.observations import Observations
+
+EXPLAINED = 0.7  # share of the misfit beyond the noise that a story must remove to be told
+SCATTER = 6.0  # standard deviations of chi square, within which a misfit needs no story
+APART = 20.0  # of chi square to the best story of another kind: odds of e^10; a wrong name is worse than none
+SAME = 20.0  # of chi square: moments that are this near are told as a range
+MOST_POSES = 400  # whose moments are looked at
+LEAST_SIDE = 3  # poses on either side of a moment
+SINGULAR = 1e-9  # share of the largest eigenvalue
+OTHER_ARM = 0.2  # of the misfit that another arm must leave at most
+NEAR_BALLS = 5.0  # times noise and uncertainty of the certificate: how well distances between balls must agree
+MOST_TRIED = 20_000  # assignments of a ball; eight balls take a hundred
+
+
+@dataclass(frozen=True)
+class Story:
+    """kind: of which there is one best; gain: fall of chi square; freedom: parameters it takes, and what the choice of its moment or pose
+    is worth; pose: number of the pose that it is about, None where it is about no single one."""
+
+    kind: str
+    text: str
+    gain: float
+    freedom: float
+    pose: int | None = None
+
+    @property
+    def net(self) -> float:
+        return self.gain - self.freedom
+
+
+def likely_cause(lineariser: Lineariser, strict: Solution) -> str:
+    """A sentence on the one simple fault that explains a recording; '' where none does.
+
+    Parameters
+    ----------
+    lineariser, strict : Lineariser, Solution
+        The recording, every pose with full weight, solved under the noise that statement and data sheet allow.
+    """
+    return misdescribed(lineariser.obs) or fault_of(lineariser, strict)
+
+
+def fault_of(lineariser: Lineariser, strict: Solution, known: Collection[int] = ()) -> str:
+    """As ``likely_cause``, of what happened while the recording was made; '' too where its misfit is within the scatter of the noise, or
+    where one of the poses that are ``known`` (their numbers) explains it."""
+    misfit, dof = excess(lineariser, strict)
+    best = told(list(stories(lineariser, strict)), misfit) if misfit > SCATTER * np.sqrt(2 * dof) else None
+    return "" if best is None or best.pose in known else best.text
+
+
+def misdescribed(obs: Observations) -> str:
+    """A sentence on what is described otherwise than it was measured: numbers of balls, signs, units, orders and frames, the arm; '' where
+    no simple change of the description removes most of the misfit."""
+    return exchanged_balls(obs) or "; ".join(map(str, wrong_descriptions(obs))) or other_arm(obs)
+
+
+def excess(lineariser: Lineariser, strict: Solution) -> tuple[float, float]:
+    """Chi square beyond what the noise explains, and the degrees of freedom."""
+    weights = strict.weights.centre * strict.weights.pose[lineariser.obs.pose]
+    flat = int(np.sum(~np.isfinite(strict.prior.sigma))) + int(strict.normal.station_rank.sum())
+    dof = max(lineariser.rows.width * float(weights.sum()) - flat, 1.0)
+    return strict.cost - dof, dof
+
+
+def told(found: list[Story], misfit: float) -> Story | None:
+    """The best story where it explains enough and no story of another kind comes near."""
+    if not found:
+        return None
+    ranked = sorted(found, key=lambda s: -s.net)
+    best = ranked[0]
+    others = [s for s in ranked if s.kind != best.kind]
+    if best.gain < EXPLAINED * misfit or (others and others[0].net > best.net - APART):
+        return None
+    return best
+
+
+def stories(lineariser: Lineariser, strict: Solution) -> Iterator[Story]:
+    """The best of each kind."""
+    if lineariser.obs.n_poses <= MOST_POSES:
+        yield from _moments(lineariser, strict)
+    deleted = deletions(strict, np.zeros(0, dtype=int))
+    pose = int(np.argmax(deleted.chi2 - deleted.rank))
+    number = int(lineariser.obs.pose_id[pose])
+    text = f"pose {number} alone explains it; measure it again before it is left out"
+    price = float(deleted.rank[pose]) + 2 * np.log(lineariser.obs.n_poses)
+    yield Story("pose", text, float(deleted.chi2[pose]), price, number)
+
+
+class _Columns:
+    """Further columns of a solved linear problem, summed over poses in the order of measuring: what each would gain."""
+
+    def __init__(self, lineariser: Lineariser, solution: Solution) -> None:
+        self.obs = lineariser.obs
+        time = self.obs.time_s if self.obs.time_s is not None else np.arange(self.obs.n_poses)
+        self.order = np.argsort(time, kind="stable")
+        order = lineariser.rows.order
+        back = np.empty(len(order), dtype=int)
+        back[order] = np.arange(len(order))
+        turn = back[self.order]  # blocks of the solution in the order of measuring
+        X, g, self.normal = solution.X[turn], solution.normal.size, solution.normal
+        self.residual, self.station_columns, self.columns = X[..., -1], X[..., g : g + 6], X[..., :g]
+        self.run = lineariser.rows.run[turn]
+        y = self.station_columns @ self.normal.station_root[self.run]
+        self.reduced, self.y = self.columns - y @ self.normal.reduced[self.run], y
+        self.covariance = np.linalg.inv(self.normal.information)
+
+    def gains(self, Z: np.ndarray) -> np.ndarray:
+        """(P + 1,) fall of chi square by columns Z (P, m, k) that act from the t-th measured pose on; the last of none."""
+        square, right, with_g = (_from_the_end(np.swapaxes(Z, 1, 2) @ other) for other in (Z, self.residual[..., None], self.reduced))
+        left = square - with_g @ self.covariance @ np.swapaxes(with_g, 1, 2)
+        for s in range(len(self.normal.station_root)):
+            here = (self.run == s)[:, None, None]
+            with_y = _from_the_end(np.swapaxes(Z, 1, 2) @ (self.y * here))
+            left = left - with_y @ np.swapaxes(with_y, 1, 2)
+        value, vector = np.linalg.eigh(left)
+        scale = np.trace(square, axis1=1, axis2=2)[:, None]
+        along = np.einsum("tkj,tk->tj", vector, right[..., 0])
+        kept = value > SINGULAR * np.maximum(scale, 1e-300)
+        return np.sum(np.where(kept, along**2 / np.where(kept, value, 1.0), 0.0), axis=1)
+
+    def moment(self, gains: np.ndarray, among: np.ndarray) -> tuple[float, str]:
+        """The largest gain among moments, and between which poses it lies."""
+        best = among[int(np.argmax(gains[among]))]
+        near = among[gains[among] > gains[best] - SAME]
+        before, after = (int(self.obs.pose_id[self.order[t]]) for t in (near.min() - 1, near.max()))
+        return float(gains[best]), f"between pose {before} and pose {after}"
+
+
+def _from_the_end(per_pose: np.ndarray) -> np.ndarray:
+    """(P + 1, ...) sums over the t-th and all later poses."""
+    total = np.zeros((len(per_pose) + 1, *per_pose.shape[1:]))
+    total[:-1] = np.cumsum(per_pose[::-1], axis=0)[::-1]
+    return total
+
+
+def _moments(lineariser: Lineariser, strict: Solution) -> Iterator[Story]:
+    of, names = _Columns(lineariser, strict), lineariser.layout.names
+    every = np.arange(LEAST_SIDE, of.obs.n_poses - LEAST_SIDE + 1)
+    for s in range(len(of.normal.station_root)):
+        here = np.flatnonzero(of.run == s)
+        among = here[LEAST_SIDE : len(here) - LEAST_SIDE + 1]
+        if len(among):
+            gain, when = of.moment(of.gains(of.station_columns * (of.run == s)[:, None, None]), among)
+            place = of.obs.cell.stations[int(lineariser.rows.stations[s])].id
+            yield Story(
+                "station", f"the place of the artefact at station {place} changed {when}; measure that station anew", gain, _price(6, of)
+            )
+    if not len(every):
+        return
+    mount = [j for j, name in enumerate(names) if name.startswith("hand_eye.")]
+    gain, when = of.moment(of.gains(of.columns[..., mount]), every)
+    yield Story("mount", f"the scanner's mount slipped {when}; fasten it and measure anew", gain, _price(6, of))
+    for j, name in enumerate(names):
+        if name.startswith("theta_"):
+            gain, when = of.moment(of.gains(of.columns[..., j : j + 1]), every)
+            axis = int(name.removeprefix("theta_"))
+            yield Story("joint", f"the zero of joint A{axis} stepped {when}; check its mastering", gain, _price(1, of))
+
+
+def _price(freedom: int, of: _Columns) -> float:
+    return freedom + 2 * float(np.log(of.obs.n_poses))
+
+
+def exchanged_balls(obs: Observations) -> str:
+    """A sentence on balls whose numbers are exchanged, by the distances between the balls of each scan; '' where the numbers agree with
+    them, or no exchange makes them agree."""
+    measured = _mean_distances(obs)
+    if measured is None:
+        return ""
+    certified = np.linalg.norm(obs.cell.ball_centres[:, None] - obs.cell.ball_centres[None], axis=2)
+    noise = 0.02 if obs.cell.noise_mm is None else float(np.mean(obs.cell.noise_mm))
+    agree = NEAR_BALLS * (noise + max(a.uncertainty_mm for a in obs.cell.artefacts))
+    if not np.nanmax(np.abs(measured - certified)) > agree:
+        return ""
+    order = _matched(measured, certified, obs.cell.ball_artefact, agree)
+    if order is None:
+        return ""
+    ids = obs.cell.ball_ids
+    pairs = ", ".join(f"{ids[k]} is certified as {ids[as_]}" for k, as_ in enumerate(order) if as_ != k)
+    return f"the numbers of balls are exchanged (by the distances between them, {pairs}); correct the certificate or the numbers"
+
+
+def _matched(measured: np.ndarray, certified: np.ndarray, artefact: np.ndarray, agree: float) -> list[int] | None:
+    """Which certified ball of its artefact each measured one is, so that all distances (K, K) agree within ``agree`` mm; None where there
+    is no such assignment. Ball after ball is assigned, and taken back where a distance to the balls before it does not fit."""
+    order: list[int] = []
+    choices = [iter(np.flatnonzero(artefact == artefact[0]))]
+    for _ in range(MOST_TRIED):
+        k = len(order)
+        if k == len(measured):
+            return order
+        chosen = next((int(c) for c in choices[-1] if c not in order and _fits(measured[k, :k], certified[c, order], agree)), None)
+        if chosen is not None:
+            order.append(chosen)
+            choices.append(iter(np.flatnonzero(artefact == artefact[min(k + 1, len(measured) - 1)])))
+        elif order:
+            order.pop()
+            choices.pop()
+        else:
+            return None
+    return None
+
+
+def _fits(measured: np.ndarray, certified: np.ndarray, agree: float) -> bool:
+    """Whether the distances that were measured agree; NaN stands for one that was not."""
+    return not np.any(np.abs(measured - certified) > agree)
+
+
+def _mean_distances(obs: Observations) -> np.ndarray | None:
+    """(K, K) mm mean distance of two balls over the scans that show both, NaN where none does; None of one ball a scan."""
+    K = len(obs.cell.ball_ids)
+    where = np.full((obs.n_poses, K, 3), np.nan)
+    where[obs.pose, obs.ball] = obs.xyz
+    apart = np.linalg.norm(where[:, :, None] - where[:, None], axis=3)
+    seen = np.isfinite(apart)
+    seen[:, np.arange(K), np.arange(K)] = False
+    count = seen.sum(axis=0)
+    if not count.any():
+        return None
+    return np.where(count > 0, np.where(seen, apart, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+
+
+def other_arm(obs: Observations) -> str:
+    """A sentence on an arm of the tool's own that fits much better than the one that is named; '' where none does."""
+    few = plain_fit.subset(obs)
+    before = plain_fit.residual_mm(few)
+    found = []
+    for name in shipped.robots():
+        robot = shipped.robot(name)
+        if robot.n == obs.cell.robot.n and robot.name != obs.cell.robot.name:
+            tried = replace(few, cell=replace(few.cell, robot=replace(few.cell.robot, chain=robot.chain)))
+            found.append((plain_fit.residual_mm(tried), robot.name))
+    if not found or min(found)[0] > OTHER_ARM * before:
+        return ""
+    left, name = min(found)
+    return (
+        f"with the links of {name} in place of {obs.cell.robot.name} the residual falls from {before:.3g} to {left:.3g} mm; name that arm"
+    )

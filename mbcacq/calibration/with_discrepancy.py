@@ -1,0 +1,182 @@
+"""Calibration of an arm whose errors beyond its geometry are smooth functions of posture: kept where the evidence asks for them.
+
+Which groups there are, their sizes and the noise beside them are found within the linear problem at the adjustment by geometry alone, by
+restricted maximum likelihood; the recording is then adjusted once more with the groups that are left. Sizes begin large and the noise
+begins as stated, since noise that has taken up what repeats gives it back slowly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mbcacq.effects import discrepancy
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import EffectTerm, LearntRecording
+from mbcacq.estimation import variance_components
+from mbcacq.estimation.adjustment import Adjustment, adjust
+from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
+from mbcacq.estimation.normal_equations import PoseSystem
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups
+from mbcacq.estimation.variance_components import NoisePrior
+from mbcacq.model.observations import Observations
+
+LEAST_GAIN = 5.0  # log evidence over geometry alone: odds of 150 to 1 for all groups together
+LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no point by a micrometre
+LARGEST_SIZE = 4.0  # of the same, which is large already
+TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
+EXCESS = 1.2  # of the joints' noise over the data sheet's, above which further kinds of groups are tried
+FURTHER: tuple[Callable[[Covariates], list[EffectTerm]], ...] = (discrepancy.couplings, discrepancy.pairs)
+
+
+@dataclass(frozen=True)
+class WithDiscrepancy:
+    """An adjustment with smooth errors. model: with the groups that are left; gain: log evidence over geometry alone."""
+
+    adjustment: Adjustment
+    options: CalibrationOptions
+    model: EffectModel
+    gain: float
+
+
+def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> WithDiscrepancy | None:
+    """The recording adjusted with smooth errors of the joints.
+
+    Parameters
+    ----------
+    obs : Observations
+        The poses to be fitted.
+    options : CalibrationOptions
+        As for geometry alone; its terms stay.
+    alone : Adjustment
+        The same recording by geometry alone.
+
+    Returns
+    -------
+    WithDiscrepancy or None
+        None where geometry alone is as probable.
+    """
+    here, learnt = Covariates(obs), LearntRecording.of(obs)
+    problem = LinearProblem.of(
+        obs, alone.state, alone.used, alone.lineariser.options.terms, alone.solution.estimate.coefficients, alone.lineariser.layout
+    )
+    prior = variance_components.noise_prior(obs.cell, options.noise)
+    best = _Groups.none(problem, prior, alone.noise)
+    allowed = variance_components.first_noise(obs.cell)
+    for kind in (discrepancy.own_errors, *FURTHER):
+        if kind is not discrepancy.own_errors and np.median(best.noise.joint / allowed.joint) < EXCESS:
+            break
+        tried = _Groups.first(best, kind(here), here, learnt)
+        if tried is None:
+            continue
+        gain, size = tried.quick_gain(best.noise)
+        if gain < LEAST_GAIN:
+            continue
+        if kind is not discrepancy.own_errors:
+            tried = tried.without([key for key in size if size[key] < LEAST_SIZE and key not in best.start])
+        settled = tried.settled(allowed)
+        if settled.evidence > best.evidence + LEAST_GAIN:
+            best = settled
+    if not best.terms:
+        return None
+    built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
+    chosen = replace(options, terms=(*options.terms, *built))
+    final = adjust(obs, chosen, replace(alone, noise=best.noise))
+    model = EffectModel(obs.cell.robot, best.terms, learnt, obs.cell.measurement)
+    return WithDiscrepancy(final, chosen, model, best.evidence - best.alone)
+
+
+@dataclass(frozen=True)
+class _Groups:
+    """Groups within the linear problem. columns: (M, R, k) of each; evidence: log, where it was settled; alone: of geometry alone; start:
+    of each group by key, rad, where the estimation of its size began."""
+
+    problem: LinearProblem
+    prior: NoisePrior
+    terms: tuple[EffectTerm, ...]
+    columns: tuple[np.ndarray, ...]
+    noise: Noise
+    evidence: float
+    alone: float
+    start: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def none(cls, problem: LinearProblem, prior: NoisePrior, noise: Noise) -> _Groups:
+        out = cls(problem, prior, (), (), noise, -np.inf, 0.0)
+        evidence = out._evidence(out.extended.at(noise).after_fit(), noise)
+        return replace(out, evidence=evidence, alone=evidence)
+
+    @classmethod
+    def first(cls, known: _Groups, groups: Sequence[EffectTerm], here: Covariates, learnt: LearntRecording) -> _Groups | None:
+        """The known groups with further ones."""
+        if not groups:
+            return None
+        built = (problem_columns(known.problem, g, here, learnt) for g in groups)
+        start = known.start | {g.key: float(g.sigma.max()) for g in groups}
+        return replace(known, terms=(*known.terms, *groups), columns=(*known.columns, *built), start=start)
+
+    @property
+    def extended(self) -> ExtendedProblem:
+        width = self.problem.residual.shape
+        columns = np.concatenate([np.zeros((*width, 0)), *self.columns], axis=2)
+        return self.problem.extended(columns, np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)]))
+
+    @property
+    def index(self) -> dict[str, np.ndarray]:
+        """Indices of each group's coefficients among the parameters, which come last."""
+        first = self.problem.columns_by_pose.size
+        ends = first + np.cumsum([0] + [t.k for t in self.terms])
+        return {t.key: np.arange(a, b) for t, a, b in zip(self.terms, ends[:-1], ends[1:], strict=True)}
+
+    def quick_gain(self, noise: Noise) -> tuple[float, dict[str, float]]:
+        """Log evidence that the groups add under a noise that holds what they would explain, which is less than they add with their own
+        noise; and their sizes then."""
+        extended = self.extended
+        return gain_of_groups(extended.at(noise).normal, extended.prior, self.index, LARGEST_SIZE, ROUNDS)
+
+    def without(self, keys: Collection[str]) -> _Groups:
+        """The groups but these."""
+        kept = [j for j, t in enumerate(self.terms) if t.key not in keys]
+        return replace(self, terms=tuple(self.terms[j] for j in kept), columns=tuple(self.columns[j] for j in kept))
+
+    def settled(self, noise: Noise) -> _Groups:
+        """Sizes and noise by turns, from sizes at their start and this noise. A group that shrinks to nothing is left out at once:
+        the noise of later turns is larger and leaves even less for it to explain."""
+        groups = self
+        for _ in range(TURNS):
+            if not groups.terms:
+                break
+            extended = groups.extended
+            system = extended.at(noise)
+            factor = sizes_of_groups(system.normal, extended.prior, groups.index, (1e-6, LARGEST_SIZE), ROUNDS)
+            earlier, (noise, _) = noise, variance_components.reml_step(system.after_fit(), noise, groups.prior)
+            moved = max(abs(np.log(f)) for key, f in factor.items())
+            groups = groups._resized(factor)
+            if max(moved, float(np.abs(variance_components.pack(noise) - variance_components.pack(earlier)).max())) < CONVERGED:
+                break
+        groups = replace(groups, noise=noise)
+        return replace(groups, evidence=groups._evidence(groups.extended.at(noise).after_fit(), noise))
+
+    def _resized(self, factor: Mapping[str, float]) -> _Groups:
+        """With the sizes multiplied, none beyond the largest, and without the groups that are too small to matter."""
+        kept, terms = [], []
+        for j, t in enumerate(self.terms):
+            present, start = float(t.sigma.max()), self.start[t.key]
+            size = min(present * factor[t.key], LARGEST_SIZE * start)
+            if size > LEAST_SIZE * start:
+                kept.append(j)
+                terms.append(replace(t, sigma=t.sigma * (size / present)))
+        return replace(self, terms=tuple(terms), columns=tuple(self.columns[j] for j in kept))
+
+    def _evidence(self, system: PoseSystem, noise: Noise) -> float:
+        sigma = np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)])
+        return variance_components.log_evidence(system, noise, self.prior, sigma)
+
+
+def problem_columns(problem: LinearProblem, group: EffectTerm, here: Covariates, learnt: LearntRecording) -> np.ndarray:
+    """(M, R, k) columns of a group in a linear problem."""
+    return problem.columns(group.parts_at(here, learnt))

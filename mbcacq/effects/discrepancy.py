@@ -1,0 +1,159 @@
+"""Smooth functions of posture for what a calibrated arm does beyond its geometry: the discrepancy of a calibration.
+
+Every group is a random effect: each joint's error as a function of its own angle, of the torque about it and of the direction from which it
+arrived; where the evidence asks, of the other joints' angles. Sizes begin large and are estimated with the noise (Kennedy and O'Hagan 2001
+call what they stand for model discrepancy); a group that nothing asks for shrinks to nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect import Missing
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, learnt_ranges
+from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine
+
+SMOOTH = "smooth"  # variant of the terms: told from the groups of a diagnosis
+
+
+@dataclass(frozen=True)
+class DiscrepancyOptions:
+    """Which functions stand for the discrepancy, and how large they are where the estimation of their sizes begins."""
+
+    orders: int = 4  # periods a turn of a joint's own error: faster ones (gear meshes) are for names, not for smooth functions
+    start_rad: float = 1e-3  # five times a bad gear's error, ten times the wind-up of an elastic joint at its largest torque
+    direction_start_rad: float = 3e-4  # half of a worn gear's lost motion
+    taken_up_rad: float = np.radians(0.5)  # a movement after which lost motion is as after any longer one
+    softening: float = 0.3  # share of a wind-up that is not proportional to the torque
+    least_travel_rad: float = 0.02  # joints that move by less show nothing of their own
+    least_torque: float = 0.02  # of the largest torque's range, below which the torque about a joint says nothing
+
+
+OPTIONS = DiscrepancyOptions()
+
+
+def own_errors(here: Covariates) -> list[EffectTerm]:
+    """Groups of each joint by its own angle, torque and direction.
+
+    Parameters
+    ----------
+    here : Covariates
+        Of the recording to be calibrated.
+
+    Returns
+    -------
+    list of EffectTerm
+        Terms that displace one joint each, in rad; ``sigma`` is where the estimation of their size begins.
+    """
+    found: list[EffectTerm] = []
+    loaded = _loaded(here.gravity_torque)
+    torque = _recorded(here, "tau")
+    for j in _moving(here):
+        found.append(_by_own_angle(here, j))
+        if j in loaded:
+            found.append(_by_torque(here, j, f"gravity_torque_{j + 1}"))
+        if torque is not None and j in _loaded(torque):
+            found.append(_by_torque(here, j, f"tau{j + 1}"))
+        found += _by_arrival(here, j)
+    return found
+
+
+def couplings(here: Covariates) -> list[EffectTerm]:
+    """Groups of each joint by the angles of the others, linear: wrists whose axes drive each other, scales, bent links."""
+    moving = _moving(here)
+    out = []
+    for j in moving:
+        others = [i for i in moving if i != j]
+        columns = tuple(_centred(here, f"q{i + 1}") for i in others)
+        if columns:
+            out.append(_term(here, j, "+".join(f"q{i + 1}" for i in others), columns, np.full(len(columns), OPTIONS.start_rad)))
+    return out
+
+
+def pairs(here: Covariates) -> list[EffectTerm]:
+    """Groups of each joint by products of sines and cosines of two angles, one group for each two."""
+    moving = _moving(here)
+    out = []
+    for a, b in combinations(moving, 2):
+        columns = tuple(_product(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
+        sigma = np.full(len(columns), OPTIONS.start_rad / 3)
+        out += [_term(here, j, f"q{a + 1}*q{b + 1}", columns, sigma) for j in moving]
+    return out
+
+
+def _moving(here: Covariates) -> list[int]:
+    return [int(j) for j in np.flatnonzero(np.ptp(here.obs.q, axis=0) > OPTIONS.least_travel_rad)]
+
+
+def _loaded(torque: np.ndarray) -> set[int]:
+    travel = np.ptp(torque, axis=0)
+    return set(np.flatnonzero(travel > OPTIONS.least_torque * travel.max() + 1e-9).tolist())
+
+
+def _recorded(here: Covariates, kind: str) -> np.ndarray | None:
+    """(P, n) of what is recorded of the joints; None where it is not."""
+    try:
+        return np.stack([here.value(f"{kind}{j + 1}") for j in range(here.n)], axis=1)
+    except Missing:
+        return None
+
+
+def _by_own_angle(here: Covariates, j: int) -> EffectTerm:
+    name, orders = f"q{j + 1}", range(1, OPTIONS.orders + 1)
+    columns = tuple(f(name, k) for k in orders for f in (sine, cosine))
+    sigma = np.repeat([OPTIONS.start_rad / k for k in orders], 2)
+    return _term(here, j, name, columns, sigma)
+
+
+def _by_torque(here: Covariates, j: int, name: str) -> EffectTerm:
+    """Wind-up by a torque, and the part of it that is not proportional: tau |tau| less its regression on tau."""
+    torque = here.value(name)
+    largest = float(np.abs(torque).max())
+    bent = torque * np.abs(torque)
+    slope = float(bent @ torque / max(torque @ torque, 1e-300))
+    line = linear(name, 1 / largest)
+    curve = (Product(1 / largest**2, (Function(name, "sign", ()), Function(name, "power", (2.0,)))), *linear(name, -slope / largest**2))
+    sigma = OPTIONS.start_rad * np.array([1.0, OPTIONS.softening])
+    return _term(here, j, name, (line, curve), sigma, clamped=(name,))
+
+
+def _by_arrival(here: Covariates, j: int) -> list[EffectTerm]:
+    """Lost motion by the recorded direction of arrival; where none is recorded, by the way from the pose measured before."""
+    for kind, function in (("direction_", ("sign", ())), ("movement_", ("clip", (OPTIONS.taken_up_rad,)))):
+        values, name = _recorded(here, kind), f"{kind}{j + 1}"
+        if values is not None and np.ptp(np.sign(values[:, j])) > 0:
+            factor = 1.0 if kind == "direction_" else 1 / OPTIONS.taken_up_rad
+            column = (Product(factor, (Function(name, *function),)),)
+            return [_term(here, j, name, (column,), np.array([OPTIONS.direction_start_rad]))]
+    return []
+
+
+def _centred(here: Covariates, name: str) -> Column:
+    middle = float(np.mean(here.value(name)))
+    return (*linear(name), Product(-middle))
+
+
+def _first(name: str) -> Iterator[Column]:
+    yield sine(name, 1)
+    yield cosine(name, 1)
+
+
+def _product(left: Column, right: Column) -> Column:
+    return tuple(Product(a.factor * b.factor, (*a.functions, *b.functions)) for a in left for b in right)
+
+
+def _term(
+    here: Covariates, j: int, depends_on: str, columns: Sequence[Column], sigma: np.ndarray, clamped: tuple[str, ...] = ()
+) -> EffectTerm:
+    where, k = f"A{j + 1}", len(columns)
+    label = f"{UNKNOWN}:{where}:{depends_on}:{SMOOTH}"
+    parts = (DescribedPart("joint", j, 0, tuple(columns)),)
+    names = tuple(f"{label}[{i}]" for i in range(k))
+    none = np.zeros(k)
+    ranges = learnt_ranges(here, parts)
+    return EffectTerm(UNKNOWN, (where,), depends_on, parts, names, ("rad",) * k, none, none, sigma, sigma, SMOOTH, {}, ranges, clamped)
