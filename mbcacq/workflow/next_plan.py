@@ -7,12 +7,13 @@ from pathlib import Path
 
 from mbcacq.design.adaptive.next_plan import NextPoses, choose_next, next_plan_text
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
-from mbcacq.diagnosis.result import EvidenceSummary
-from mbcacq.errors import ConfigError
+from mbcacq.diagnosis.result import Advice, EvidenceSummary
+from mbcacq.errors import ConfigError, MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan
+from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_plan
 
 
@@ -70,6 +71,19 @@ def next_plan(
     text = next_plan_text(loaded, chosen.visits, out.parent, chosen.reasons)
     write_file(out, text)
     return NextPlan(chosen, text)
+
+
+def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
+    """The diagnosis of a run that cannot tell, with poses as advice that can be reached, seen and routed in the cell of its plan."""
+    if found.poses is None or found.poses.verdict != "cannot_tell" or found.observations is None:
+        return found
+    try:
+        loaded = plan_of_recording(run)
+        chosen = _chosen(weigh(found.observations), loaded, 3, 24, 0)
+    except MbcacqError:
+        return found  # a run of which the plan is not known any more, or whose cell is another one
+    advice = chosen.advice or tuple(Advice(reason, ()) for reason in chosen.reasons)
+    return replace(found, poses=replace(found.poses, advice=advice))
 
 
 def plan_of_recording(folder: Path) -> LoadedPlan:

@@ -12,13 +12,7 @@ from mbcacq.plan import expand, load
 from mbcacq.plan.growth import grown, with_steps
 
 PLANS = Path(__file__).parents[2] / "plans"
-MORE = {
-    "name": "visit 1, p1",
-    "phase": "position",
-    "do": "joints",
-    "station": "p1",
-    "poses_deg": [[0.0, -70.0, 110.0, 0.0, 50.0, 0.0]],
-}
+MORE = {"name": "visit 1, p1", "phase": "position", "do": "joints", "station": "p1", "poses_deg": [[0.0, -70.0, 110.0, 0.0, 50.0, 0.0]]}
 
 
 def changed(loaded, **keys):

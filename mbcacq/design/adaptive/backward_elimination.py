@@ -17,6 +17,8 @@ import numpy as np
 
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 
+LEAST_LEFT = 1e-9  # of the information of a pose that the others have as well: rounding
+
 
 @dataclass(frozen=True, eq=False)
 class Measured:
@@ -66,19 +68,18 @@ class BackwardElimination:
         each.
         """
         index = np.flatnonzero(self.left)
-        root = self._root(self._H[index])
-        t = np.linalg.solve(root, self._e[index])
+        t = self._whitening(self._H[index]) @ self._e[index]
         some = t[:, :, : self.pairs]
         return index, np.swapaxes(some, 1, 2) @ some, np.sum(t * t, axis=1)
 
     def remove(self, pose: int) -> None:
         """Leave a pose out."""
         Z, e = self.blocks.Z[pose], self._e[pose]
-        root = self._root(self._H[pose][None])[0]
-        t = np.linalg.solve(root, e)
+        whitening = self._whitening(self._H[pose])
+        t = whitening @ e
         self.products -= t[:, : self.pairs].T @ t[:, : self.pairs]
         self.squares -= np.sum(t * t, axis=0)
-        toward = np.linalg.solve(root, Z @ self._C)  # (r, G)
+        toward = whitening @ (Z @ self._C)  # (r, G)
         self.left[pose] = False
         shared = self.blocks.Z @ toward.T  # (P, r, r)
         self._e += shared @ t
@@ -86,8 +87,10 @@ class BackwardElimination:
         self._C += toward.T @ toward
 
     @staticmethod
-    def _root(H: np.ndarray) -> np.ndarray:
-        return np.linalg.cholesky((1 + 1e-9) * np.eye(H.shape[1]) - H)
+    def _whitening(H: np.ndarray) -> np.ndarray:
+        """W (..., r, r) with W'W = (I - H)^-1; what a pose alone determines has H of one, and is kept finite."""
+        value, vectors = np.linalg.eigh(np.eye(H.shape[-1]) - H)
+        return np.swapaxes(vectors, -1, -2) / np.sqrt(np.maximum(value, LEAST_LEFT))[..., None]
 
     def __iter__(self) -> Iterator[int]:
         return iter(np.flatnonzero(self.left).tolist())

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.design.adaptive.options import OPTIONS
+from mbcacq.design.options import DesignOptions
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.whitening import Whitening
@@ -27,7 +28,9 @@ class InformationBlocks:
         rows = linear.rows
         whiten = Whitening(rows, linear.joint, noise, keep.astype(float), np.ones(rows.n_poses))
         g, stations = linear.geometry.shape[2], rows.stations
-        together = np.concatenate([linear.geometry * linear.sigma, linear.own_station, columns], axis=2)
+        # Places are vaguely known: what nothing is known of would spoil the last digits of all else.
+        placed = linear.station * np.array(DesignOptions().station_sigmas)
+        together = np.concatenate([linear.geometry * linear.sigma, placed, columns], axis=2)
         X = _compressed(whiten(rows.pad(together)))
         Z = np.zeros((*X.shape[:2], g + 6 * len(stations)))
         Z[:, :, :g] = X[:, :, :g]

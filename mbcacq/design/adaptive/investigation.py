@@ -128,7 +128,7 @@ def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budg
     chosen = choose_next(look, grown, visits=1, poses=left, moves=moves_left, seed=seed + number)
     if not chosen.visits:
         return replace(made, reasons=tuple(chosen.reasons), end=_futile(chosen, look))
-    return replace(made, reasons=tuple(chosen.reasons), steps=steps_of(chosen.visits, _visits(grown) + 1))
+    return replace(made, reasons=tuple(chosen.reasons), steps=steps_of(grown, chosen.visits, _visits(grown) + 1))
 
 
 def sure(look: InterimEvidence) -> bool:

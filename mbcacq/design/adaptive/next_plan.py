@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,6 @@ from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 from mbcacq.plan.feasibility import check
-from mbcacq.plan.schema import Taught
 
 DIGITS = 3  # of an angle in degrees: a hundredth of what arms repeat
 MOST_NAMED = 3  # effects that a sentence names
@@ -121,9 +121,8 @@ def choose_next(
     most = visits if moves is None else max(min(visits, moves), 1)
     both_ways = differ_by_direction(look)
     count = poses // 2 + 1 if both_ways else poses
-    home = np.radians(loaded.plan.robot.home_deg)
     found = [
-        replace(v, poses=_approached(shortest_order(v.poses, home), both_ways))
+        replace(v, poses=_approached(shortest_order(loaded, v.poses), both_ways))
         for v in choice.sequence(most, count, lambda pose: not routed(loaded, pose))
     ]
     return NextPoses(tuple(_feasible(loaded, found)), choice.open_pairs, False, tuple(choice.hidden(found)))
@@ -159,28 +158,34 @@ def next_plan_text(loaded: LoadedPlan, visits: Sequence[Visit], folder: Path, re
     data = yaml12.load(loaded.text)
     _moved_files(data, loaded.path.parent, folder)
     data["name"] = f"{data['name']}, next"
-    data["steps"] = steps_of(visits)
+    data["steps"] = steps_of(loaded, visits)
     said = "".join(f"# {sentence}.\n" for sentence in ("Chosen to decide what a recording leaves open", *reasons))
     return said + yaml12.dump(data, allow_unicode=True, width=140, default_flow_style=None)
 
 
-def steps_of(visits: Sequence[Visit], first: int = 1) -> list[dict[str, Any]]:
-    """One step of a plan for each visit, by joint angles: just what was chosen and checked."""
-    return [
-        {
-            "name": f"visit {number}, {visit.station}",
-            "phase": "position",
-            "do": "joints",
-            "station": int(visit.station) if visit.station.isdecimal() else visit.station,
-            "poses_deg": [[float(a) for a in np.degrees(p.q).round(DIGITS)] for p in visit.poses],
-        }
-        for number, visit in enumerate(visits, first)
-    ]
+def steps_of(loaded: LoadedPlan, visits: Sequence[Visit], first: int = 1) -> list[dict[str, Any]]:
+    """The steps of a plan that measure visits, by joint angles: just what was chosen and checked. A visit is one step, or one for each ball
+    that is looked at by itself.
+    """
+    out = []
+    for number, visit in enumerate(visits, first):
+        runs = [(balls, list(some)) for balls, some in groupby(visit.poses, key=lambda p: _by_itself(loaded, p))]
+        for part, (balls, poses) in enumerate(runs, 1):
+            step: dict[str, Any] = {
+                "name": f"visit {number}{f'.{part}' if len(runs) > 1 else ''}, {visit.station}",
+                "phase": "position",
+                "do": "joints",
+                "station": int(visit.station) if visit.station.isdecimal() else visit.station,
+                "poses_deg": [[float(a) for a in np.degrees(p.q).round(DIGITS)] for p in poses],
+            }
+            out.append(step if balls is None else {**step, "balls": list(balls)})
+    return out
 
 
-def visits_of(loaded: LoadedPlan) -> int:
-    """How many steps of a plan are taught visits; further ones are numbered after them."""
-    return sum(isinstance(step, Taught) for step in loaded.plan.steps)
+def _by_itself(loaded: LoadedPlan, pose: PlannedPose) -> tuple[int, ...] | None:
+    """The balls that a pose looks at, where these are fewer than a view of the whole artefact must show."""
+    whole = len(loaded.cell.artefact(pose.artefact).ball_ids)
+    return pose.balls if len(pose.balls) < min(loaded.plan.accept.min_balls, whole) else None
 
 
 def _moved_files(data: dict[str, Any], before: Path, folder: Path) -> None:

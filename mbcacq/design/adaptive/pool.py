@@ -39,13 +39,17 @@ def routed(loaded: LoadedPlan, pose: PlannedPose) -> bool:
     return router.approach(pose) is not None and router.retract(pose) is not None
 
 
-def shortest_order(poses: Sequence[PlannedPose], home: np.ndarray) -> list[PlannedPose]:
-    """The poses of a visit, each the nearest (in the largest joint motion) to the one before, from home (n,) rad."""
-    left, out, at = list(poses), list[PlannedPose](), home
+def shortest_order(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[PlannedPose]:
+    """The poses of a visit, each the nearest (in the largest joint motion) to the one before, from home; those that look at one ball by
+    itself follow each other.
+    """
+    left, out, at = list(poses), list[PlannedPose](), np.radians(loaded.plan.robot.home_deg)
     while left:
-        k = int(np.argmin([np.abs(p.q - at).max() for p in left]))
-        out.append(left.pop(k))
-        at = out[-1].q
+        same = [p for p in left if out and len(p.balls) == 1 and p.balls == out[-1].balls] or left
+        nearest = min(same, key=lambda p: float(np.abs(p.q - at).max()))
+        left = [p for p in left if p is not nearest]
+        out.append(nearest)
+        at = nearest.q
     return out
 
 
