@@ -56,6 +56,7 @@ class CellInvestigation:
 
         before = tuple(self.decisions)
         with write_lock(self.folder, "investigate"):
+            self._keep()
             self._settled = self._poses_settled(before)
             measured = load_observations(self.folder) if self.begun_from_run else None
             for decision in decisions_of(self.loaded, self._measure, self.budget, before, measured, self.seed):
@@ -115,11 +116,11 @@ class CellInvestigation:
         """Poses of the plan that are measured or were left out for good: all but those of the last decision, which may be incomplete."""
         if not before:
             return 0
-        total = len(expand(plan_of_recording(self.folder)))
-        kept = plan_of_recording(self.folder).plan.steps
+        grown = plan_of_recording(self.folder)
+        poses = expand(grown) if self.begun_from_run else [p for p in expand(grown) if p.phase != "verification"]
         last = before[-1].steps
-        begun = bool(last) and any(step.name == last[-1]["name"] for step in kept)
-        return total - sum(len(step["poses_deg"]) for step in last) if begun else total
+        begun = bool(last) and any(step.name == last[-1]["name"] for step in grown.plan.steps)
+        return len(poses) - sum(len(step["poses_deg"]) for step in last) if begun else len(poses)
 
     def _keep(self) -> None:
         content = {
@@ -166,7 +167,7 @@ def investigate(  # noqa: PLR0913 -- one argument an option of its command
         raise ConfigError("--out, --resume and --from exclude each other: an investigation goes on in the folder that it began in")
     operator = operator or Operator()
     if resume is not None:
-        return _resumed(Path(resume), budget, dry_run, seed, live, operator)
+        return _resumed(Path(resume), dry_run, seed, live, operator)
     if recording is not None:
         folder = Path(recording)
         return CellInvestigation(_from_run(folder), folder, budget, dry_run, seed, live, operator, begun_from_run=True)
@@ -185,11 +186,12 @@ def _from_run(folder: Path) -> LoadedPlan:
     return replace(loaded, grown_from=loaded.grown_from or len(expand(loaded)))
 
 
-def _resumed(folder: Path, budget: Budget, dry_run: bool, seed: int, live: bool, operator: Operator) -> CellInvestigation:
-    """An interrupted investigation, with the decisions that it has made."""
+def _resumed(folder: Path, dry_run: bool, seed: int, live: bool, operator: Operator) -> CellInvestigation:
+    """An interrupted investigation, with its budget and the decisions that it has made."""
     try:
         content = read_json((folder / DECISIONS).read_text(encoding="utf-8"), "the investigation", "give the folder of an investigation")
         decisions = [Decision.from_dict(one) for one in content["decisions"]]
+        budget = Budget(**content["budget"])
         loaded, begun_from_run = load(Path(content["plan"]), str(content["begun_with"])), bool(content["begun_from_run"])
     except FileNotFoundError:
         raise ConfigError(f"{folder} holds no investigation to resume; give its folder, or --from RUN for a finished run") from None
@@ -198,5 +200,5 @@ def _resumed(folder: Path, budget: Budget, dry_run: bool, seed: int, live: bool,
             f"{folder / DECISIONS} is damaged ({damage(error)}); go on with the run: mbcacq investigate --from {folder}"
         ) from error
     if begun_from_run:
-        loaded = replace(loaded, grown_from=len(expand(loaded)))
+        loaded = replace(loaded, grown_from=plan_of_recording(folder).grown_from or len(expand(loaded)))
     return CellInvestigation(loaded, folder, budget, dry_run, seed, live, operator, decisions, begun_from_run)

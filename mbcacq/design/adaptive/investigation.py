@@ -99,7 +99,7 @@ def decisions(
         yield decision
         if decision.end:
             return
-        grown = load(grown.path, with_steps(grown, decision.steps))
+        grown = _with_visit(grown, decision)
     obs = measured if measured is not None and not before else measure(grown)
     number = len(before)
     while True:
@@ -107,8 +107,13 @@ def decisions(
         yield decision
         if decision.end:
             return
-        grown = replace(load(grown.path, with_steps(grown, decision.steps)), grown_from=grown.grown_from)
+        grown = _with_visit(grown, decision)
         obs, number = measure(grown), number + 1
+
+
+def _with_visit(grown: LoadedPlan, decision: Decision) -> LoadedPlan:
+    """The plan with the visit of a decision after all others."""
+    return replace(load(grown.path, with_steps(grown, decision.steps)), grown_from=grown.grown_from)
 
 
 def _used(obs: Observations) -> Observations:
