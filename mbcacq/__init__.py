@@ -6,6 +6,7 @@
     done = mbcacq.run(plan, dry_run=True)                 # recorded, calibrated, verified, in a folder of its own
     data = mbcacq.load_observations("ur5-tracker")        # a run folder, a .rrd, an observation set
     cell = mbcacq.calibrate(data)                         # cell.errors (n, 5), cell.covariance (g, g), cell.to_base(q, xyz)
+    mbcacq.check(done.folder, plan, dry_run=True)         # a few poses again: did anything change since, what, where, since when
     mbcacq.collect(plan, "clouds")                        # a run of clouds that the scanner's own program saved
     mbcacq.verify(data, cell)                             # sphere spacing errors before and after, mm
     better = mbcacq.calibrate(data, effects=mbcacq.diagnose(data))   # the same cell with the effects that were found
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from mbcacq.exports.format import Targets
     from mbcacq.fleet.evaluate import Fleet, evaluate_fleet
     from mbcacq.fleet.evaluation import FleetTask
+    from mbcacq.interim_check.check import CheckSettings, InterimCheck, check
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
@@ -63,6 +65,8 @@ __all__ = [
     "CalibratedCell",
     "Calibration",
     "CalibrationOptions",
+    "InterimCheck",
+    "CheckSettings",
     "Comparison",
     "DiagnosisResult",
     "Fleet",
@@ -79,6 +83,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "calibrate_together",
+    "check",
     "collect",
     "compare",
     "correct",
@@ -111,6 +116,7 @@ _MODULES = {
     "exports.format": ("Targets",),
     "fleet.evaluate": ("Fleet", "evaluate_fleet"),
     "fleet.evaluation": ("FleetTask",),
+    "interim_check.check": ("InterimCheck", "CheckSettings", "check"),
     "model.observations": ("Observations",),
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),

@@ -142,6 +142,7 @@ def check_transfer(
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
     refuse_other_arm("the result is of", cell.robot, cell.preliminary.chain, observations.cell.robot, recording or "the recording")
+    observations = observations.measured()
     left_out: tuple[str, ...] = ()
     if place == "known":
         observations, left_out = at_known_stations(observations, cell)

@@ -31,6 +31,7 @@ COMMANDS = {
     "diagnose": "say where simulation and recording differ, and which effects the model lacks",
     "verify": "try a calibrated arm with its effects on a recording that it was not fitted to",
     "fleet": "calibrate many recordings on a cluster, compare the arms over time",
+    "check": "repeat a few poses, say whether anything changed since the calibration",
     "correct": "joint angles that reach the nominal places with the calibrated arm",
     "simulate": "write what the calibrated model says a plan would record",
     "challenge": "inject effects into the fake cell, diagnose without knowing them, score",

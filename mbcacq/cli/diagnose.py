@@ -170,7 +170,7 @@ def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found:
 def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:
     """Write the draft of an effect where a formula was found, and say how it is used."""
     if not found.proposals:
-        return ["", "No formula is proposed: there is no unmodelled effect that a short one predicts."]
+        return ["", "No formula is proposed, and nothing is written: there is none that predicts what was left out."]
     files = found.write_effect(folder)
     used = f"mbcacq diagnose DATA --effect-file {files[1]}"
     return ["", f"A draft of the effect is in {folder}: pip install {folder} adds it to the catalogue, {used} tries it at once."]

@@ -11,6 +11,7 @@ import click
 
 from mbcacq.cli.next_step import forget_failure, on_failure, say_next
 from mbcacq.cli.plan_path import PlanPath
+from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo, printable
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 @click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
 @click.option("--again", is_flag=True, help="With --resume: measure stations anew that were measured in part (the artefact was touched).")
 @click.option("--arm", is_flag=True, help="A real arm may move, once its speed, workspace and first target are confirmed by typing.")
+@click.option("--corrected", type=RunPath(), metavar="RESULT", help="Steer by this calibrated arm: result.json, or folder of a run.")
 @click.option("--step", is_flag=True, help="Wait for a key before each pose.")
 @click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
 @click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
@@ -41,6 +43,7 @@ def command(
     live: bool,
     again: bool,
     arm: bool,
+    corrected: Path | None,
     step: bool,
     yes: bool,
     seed: int,
@@ -49,11 +52,14 @@ def command(
     """Execute PLAN, record it, calibrate the cell and show how good it became.
 
     PLAN is a file, or the name of one that came with mbcacq; with --resume the plan of the run folder, if none is given.
+    With --corrected the joint angles of every pose are those that bring the calibrated arm, with its effects, to where the plan means it to
+    be; the report then says how far the arm misses its places, before and after. A resumed run keeps its targets without being told.
 
     \b
     Examples:
       mbcacq run plans/kuka.yaml --dry-run
       mbcacq run my-cell.yaml --arm --step
+      mbcacq run other-places.yaml --arm --corrected runs/latest/with-effects
       mbcacq run --arm --resume runs/2026-11-21T10-00-00_my-cell
       mbcacq run next.yaml --arm --extend runs/2026-11-21T10-00-00_my-cell
     """
@@ -82,7 +88,17 @@ def command(
     )
     with steps:
         if extend is None:
-            done = mbcacq.run(to_run, dry_run=dry_run, out=out, resume=resume, measure_again=again, live=live, seed=seed, operator=operator)
+            done = mbcacq.run(
+                to_run,
+                dry_run=dry_run,
+                out=out,
+                resume=resume,
+                measure_again=again,
+                live=live,
+                seed=seed,
+                operator=operator,
+                corrected=corrected,
+            )
         else:
             done = mbcacq.extend(extend, to_run, dry_run=dry_run, live=live, seed=seed, operator=operator)
     forget_failure()

@@ -18,8 +18,8 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.evidence_summary import summarized
-from mbcacq.diagnosis.output.exclusion_limits import excluded_share, limited_effects, says_too_little
 from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere
+from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_effects, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.result import EvidenceSummary
 from mbcacq.diagnosis.verdict import verdict_of

@@ -21,6 +21,9 @@ class DiagnosisOptions:
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
     preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
 
+    # Exclusion limits
+    largest_usual: float = 10.0  # typical sizes, beyond which no machine is believed to be: a limit there says nothing
+
     # Verdict. The evidence of all effects together has mean one without any effect, at every size of a recording that grows: with the
     # noise known it exceeds 100 at any look in less than 1 % of recordings (Ville's inequality). That the noise is estimated and sets are
     # searched is not covered by that, but by simulation (benchmarks/investigate.md). Below the lower value there is nothing to speak of:

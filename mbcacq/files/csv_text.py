@@ -6,9 +6,10 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mbcacq.errors import ConfigError
 
@@ -35,7 +36,8 @@ class Dialect:
 
 @dataclass(frozen=True)
 class CsvText:
-    """Rows of a file. line: of each row in the file; preamble, comments: lines before the headings, and those left out."""
+    """Rows of a file. line: of each row in the file; preamble, comments: lines before the headings, and those left out; counted: what
+    ``line`` numbers, 'line' in a file of lines."""
 
     headings: list[str]
     rows: list[list[str]]
@@ -44,6 +46,7 @@ class CsvText:
     dialect: Dialect
     preamble: tuple[str, ...] = ()
     comments: tuple[str, ...] = ()
+    counted: str = "line"
 
 
 def read_csv_text(
@@ -73,6 +76,20 @@ def read_csv_text(
     headings, rows = _without_empty_columns(path, at, headings, rows)
     _refuse_ragged(path, headings, rows, numbers)
     return CsvText(headings, rows, numbers, at, replace(dialect, separator=separator, newline=newline), preamble, comments)
+
+
+def read_text(path: Path, max_bytes: int) -> str:
+    """A text file in UTF-8, UTF-16 or Windows-1252. Raises ConfigError."""
+    return _decoded(path, _bytes(path, max_bytes))[0]
+
+
+def text_of_mappings(rows: Sequence[Mapping[Any, Any]], counted: str) -> CsvText:
+    """Mappings of a YAML or JSON list as rows of cells, keys as headings; what a mapping lacks is an empty cell."""
+    headings = list(dict.fromkeys(str(key) for row in rows for key in row))
+    cells = [{str(key): "" if value is None else str(value) for key, value in row.items()} for row in rows]
+    return CsvText(
+        headings, [[row.get(h, "") for h in headings] for row in cells], list(range(1, len(rows) + 1)), 1, Dialect(), counted=counted
+    )
 
 
 def _parsed(path: Path, lines: list[str], separator: str) -> tuple[list[str], list[list[str]], list[int], int]:

@@ -19,6 +19,7 @@ from mbcacq.workflow.diagnose_recordings import (
     diagnose_together,
     is_trajectory,
     provenance,
+    to_be_checked,
 )
 from mbcacq.workflow.diagnose_simulation import Question, diagnose_against
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
@@ -68,10 +69,10 @@ def diagnose(
     if isinstance(one, Trajectory):
         raise TypeError("a trajectory is diagnosed as motion")
     observations = as_observations(one)
+    others = to_be_checked(observations, check)
     found = diagnose_poses(observations, progress, workers, options, propose, fitted=not check)
     found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
     if check:
-        others = [other for other in check if not isinstance(other, Trajectory)]
         found = checked(observations, found, others, place, progress)
     if isinstance(one, Observations):
         return found

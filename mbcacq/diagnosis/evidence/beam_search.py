@@ -149,7 +149,9 @@ class EvidenceSearch:
         return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member.of(scored)
 
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
-        return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
+        if candidate.several:
+            return candidate.hyper is not None or not any(c.key == candidate.key for c in present)
+        return not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
     def polished(self, best: Hypothesis) -> Hypothesis:
         """A set whose last effect is a further order of a gear, or a further breakpoint, with all of these looked for anew beside each

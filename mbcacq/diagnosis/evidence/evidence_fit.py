@@ -93,7 +93,7 @@ def readmitted(problem: DiagnosisProblem) -> np.ndarray:
     if plain.all():
         return plain
     everything, prior = start.restricted(np.ones(len(plain), dtype=bool)), SetPrior.of(problem.candidates, 1)
-    scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several])
+    scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several or c.hyper is None])
     tried = [(plain, log_with_outliers((), start, 0.0))]
     for one in sorted(scored, key=lambda s: -s.log_evidence)[: OPTIONS.beam]:
         members, log_prior = (Member.of(one),), prior.log_probability(one.candidate, [])
