@@ -180,7 +180,7 @@ def planned_next(data: tuple[Path, ...], file: Path) -> list[str]:
     """Write the next measurements as a plan, and say what they are for."""
     import mbcacq
 
-    if len(data) > 1:
+    if len(data) != 1:
         raise ConfigError("the next measurements extend one run; give one with --next")
     planned = mbcacq.next_plan(data[0], file)
     written = [f"{file}: mbcacq run --extend {data[0]} {file}"] if planned.text else []
@@ -195,7 +195,7 @@ def print_evidence(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, o
     from mbcacq.diagnosis.output.evidence_summary import evidence_in_words
     from mbcacq.diagnosis.result import plain
 
-    if len(data) > 1:
+    if len(data) != 1:
         raise ConfigError("the evidence is weighed of one recording; give one with --evidence")
     evidence = mbcacq.weigh_evidence(data[0], options)
     text = json.dumps({"format": "mbcacq-evidence/1", **plain(evidence)}, allow_nan=False)

@@ -74,10 +74,11 @@ def moved_artefacts(obs: Observations, before: frozenset[int]) -> list[str]:
     """
     old = np.isin(obs.pose_id, list(before))
     shared = [s for s in np.unique(obs.station) if old[obs.station == s].any() and not old[obs.station == s].all()]
-    problem = prepare(obs, options_for(obs, CalibrationOptions())) if shared else None
-    out = []
-    for s in shared if problem is not None else []:
-        linear = problem.linear
+    if not shared:
+        return []
+    problem = prepare(obs, options_for(obs, CalibrationOptions()))
+    linear, out = problem.linear, list[str]()
+    for s in shared:
         new = ~np.isin(linear.obs.pose_id, list(before)) & (linear.obs.station == s)
         shift, std = _second_placement(linear, problem.noise, new)
         if shift > LEAST_MM and shift > SIGMAS * std:
