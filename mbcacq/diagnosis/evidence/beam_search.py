@@ -30,6 +30,8 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling
 from mbcacq.effects.effect import Candidate
 
+LEAST_LOG_E_VALUE = float(np.log(OPTIONS.least_e_value))  # above which there is an effect, at any look at a recording that grows
+
 
 @dataclass
 class EvidenceSearch:
@@ -203,7 +205,7 @@ class EvidenceSearch:
         unmodelled effects at that location. Whether there is an effect at all is decided without.
         """
         last = best.members[-1]
-        there = log_e_value(self.ranked()) > log_e_value_at_false_alarm_rate(best.point.linear.obs.n_poses)
+        there = log_e_value(self.ranked()) > LEAST_LOG_E_VALUE
         if last.candidate.name != UNMODELLED or not there:
             return best
         rest = tuple(m for m in best.members if m.label != last.label)
@@ -255,10 +257,3 @@ def log_e_value(ranked: Sequence[Hypothesis]) -> float:
     none = next(h for h in ranked if not h.members)
     some = [h.log_posterior - none.log_posterior for h in ranked if h.members]
     return float(np.logaddexp.reduce(some)) if some else -np.inf
-
-
-def log_e_value_at_false_alarm_rate(poses: int) -> float:
-    """Log e-value above which there is an effect, in a recording of so many poses: noise alone exceeds it at a rate of less than 1 %, by
-    simulation.
-    """
-    return float(np.log(OPTIONS.least_e_value if poses >= OPTIONS.short_recording else OPTIONS.least_e_value_of_short))
