@@ -216,7 +216,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class NoiseDependence:
-    """A noise that depends on the place, and is taken so in everything else.
+    """A noise that depends on the place, and is taken so in everything else but for long recordings.
 
     of: 'instrument', or 'instrument and joints' of what moves a pose as a whole. covariate, unit: what it depends on. low, high: between
     which it was measured (5 and 95 % of the poses); sigma_low_mm, sigma_high_mm: of the instrument there, an axis. p_value: of as large a
