@@ -44,7 +44,7 @@ POOL = 120  # days as they are
 ONSET, LAST = 30, 60  # a change stands from this day on, and is waited for until that one
 YEAR = 365
 LOOKS = (*range(2, 61), *range(70, YEAR + 1, 10))  # of a year in which nothing changes
-WITHIN_A_RUN = ("joint_step", "mount_shift", "ball_shift")  # begin in the middle of a run, and stand at its first pose here
+WITHIN_A_RUN = ("joint_step", "mount_shift")  # begin in the middle of a run, and stand at its first pose here
 SIZES = (0.1, 0.3, 1.0)  # of what a plan that can see shows plainly
 
 

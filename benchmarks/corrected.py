@@ -13,7 +13,6 @@ angles.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,7 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, expand
-from mbcacq.workflow.corrected_targets import corrected_targets
+from mbcacq.workflow.corrected_targets import corrected_targets, improvement_of_run
 
 ROOT = Path(__file__).parents[1]
 SEED = 7
@@ -64,7 +63,7 @@ def new_places(folder: Path, driver: str) -> Path:
         for _ in range(25)
     ]
     rounded = [{key: round(value, 1) for key, value in view.items()} for view in views]
-    plan["steps"] = [{"name": "new places", "phase": "position", "do": "look", "stations": [n for n, *_ in PLACES], "views": rounded}]
+    plan["steps"] = [{"name": "new places", "phase": "orientation", "do": "look", "stations": [n for n, *_ in PLACES], "views": rounded}]
     plan["fake"] = {"hidden": HIDDEN}
     path = folder / f"{driver}.yaml"
     path.write_text(yaml.safe_dump(plan, sort_keys=False))
@@ -131,13 +130,13 @@ def main() -> None:
                 q = np.array([p.q for p in poses]) if result is None else corrected_targets(loaded, poses, result, True).corrected
             else:
                 folder = given.out / f"{driver}-{name}"
-                if not (folder / "result.json").exists():
+                if not (folder / "run.rrd").exists():
                     mbcacq.run(loaded, dry_run=True, seed=SEED, out=folder, corrected=result)
                 obs = mbcacq.load_observations(folder)
                 q = obs.q
-                improved = json.loads((folder / "result.json").read_text()).get("arm_improved")
-                if improved:
-                    measured = f"{1e3 * improved['before']['rms_mm']:.0f} → {1e3 * improved['after']['rms_mm']:.1f}"
+                improved = improvement_of_run(folder, obs)
+                if improved is not None:
+                    measured = f"{1e3 * improved.before.rms_mm:.0f} → {1e3 * improved.after.rms_mm:.1f}"
             mm = 1e3 * missed(true_flange(loaded, q, 0), goals)
             row = f"| {driver} | {name} | {np.sqrt(np.mean(mm**2)):.1f} | {np.median(mm):.1f} | {mm.max():.1f} | {measured} |"
             print(row, flush=True)

@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.calibration.verification import points_in_base
+from mbcacq.estimation.forward_model import predict, residual
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.terms import unit
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 
+ROUNDS = 5  # of the adjustment, which is nearly linear from its start
 FEWEST = 4  # poses of a station: with fewer, its adjusted place takes up most of what the arm misses there
 
 
@@ -117,9 +119,25 @@ def arm_improvement(
 
 
 def missed_mm(obs: Observations) -> np.ndarray:
-    """(P,) mm: how far the arm is from where its nominal model says it stands, rms over the balls of each pose."""
+    """(P,) mm: how far the arm is from where its nominal model says it stands, rms over the balls of each pose.
+
+    Hand-eye and stations are adjusted by plain least squares, from the calibration of the hand-eye alone: weights that take what the arm
+    misses for noise of its joints would leave more of it.
+    """
     phases = None if obs.phase is None else tuple(np.unique(obs.phase).tolist())
-    fitted = calibrate(obs, CalibrationOptions(kinematics=False, refuse=False, robust=False, phases=phases))
-    balls = se3.apply_each(fitted.state.T_base_station[obs.station], obs.pose, fitted.state.balls[obs.ball])
-    away = points_in_base(obs, fitted.state) - balls
+    state = calibrate(obs, CalibrationOptions(kinematics=False, refuse=False, robust=False, phases=phases)).state
+    for _ in range(ROUNDS):
+        prediction = predict(obs, state)
+        mount = np.stack([unit(obs, prediction, "frame", obs.cell.robot.n, c) for c in range(6)], axis=2)
+        placed = np.stack([unit(obs, prediction, "station", 0, c) for c in range(6)], axis=2)
+        own = [placed * (obs.station[obs.pose] == s)[:, None, None] for s in np.unique(obs.station)]
+        columns = np.concatenate([mount, *own], axis=2)[:, :3].reshape(-1, 6 * (1 + len(own)))
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+        left = residual(obs, prediction)[:, :3].reshape(-1)
+        step = np.linalg.lstsq(columns / scale, left, rcond=1e-9)[0] / scale
+        stations = state.T_base_station.copy()
+        stations[np.unique(obs.station)] = stations[np.unique(obs.station)] @ se3.exp(step[6:].reshape(-1, 6))
+        # The frame behind the last link is the flange: what moves it in itself moves the scanner with it.
+        state = replace(state, T_flange_scanner=se3.exp(step[:6]) @ state.T_flange_scanner, T_base_station=stations)
+    away = residual(obs, predict(obs, state))[:, :3]
     return np.sqrt(np.bincount(obs.pose, np.sum(away**2, axis=1), obs.n_poses) / np.bincount(obs.pose, minlength=obs.n_poses))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +76,9 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     progress("reading the recording")
     observations = load_observations(run)
     progress("calibrating and verifying")
-    options = options_for(observations, CalibrationOptions())
+    options, improved = options_for(observations, CalibrationOptions()), improvement_of_run(run, observations)
+    if improved is not None:  # it shows what a calibration changed, and need not determine the arm once more
+        options = replace(options, refuse=False)
     calibration = calibrate(observations, options)
     verification = verify(observations, calibration, limit_mm=limit_mm)
     content = calibration.to_dict() | {
@@ -86,7 +88,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     }
     if not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
-    if (improved := improvement_of_run(run, observations)) is not None:
+    if improved is not None:
         content["arm_improved"] = improved.to_dict()
     write_file(run / "result.json", sealed_text(content))
     progress("writing the report")
