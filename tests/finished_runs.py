@@ -48,5 +48,5 @@ def dry_run(desk: Path, plan: str) -> None:
     shutil.copytree(ROOT / "plans", desk / "plans")
     command = [Path(sys.executable).parent / "mbcacq", "run", f"plans/{plan}", "--dry-run"]
     with (desk / "stdout").open("w") as out, (desk / "stderr").open("w") as err:
-        done = subprocess.run(command, cwd=desk, stdout=out, stderr=err, stdin=subprocess.DEVNULL, timeout=560)
+        done = subprocess.run(command, cwd=desk, stdout=out, stderr=err, stdin=subprocess.DEVNULL, timeout=1150)
     assert done.returncode == 0, (desk / "stderr").read_text()

@@ -7,12 +7,13 @@ import threading
 import time
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field as Option
 
 from mbcacq.devices import ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, IdentityError, ProtocolError
 from mbcacq_bus.options import BusOptions, parse
+from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.serial_link import SerialIdentity, compiled
 from mbcacq_bus.serial_port import close_port, open_port
 
@@ -25,7 +26,8 @@ _LONGEST = 5.0  # time-outs waited for silence
 
 class SerialOptions(BusOptions):
     """line: regular expression for a whole line; its named groups are the values, each times its ``scale`` plus its ``offset``. ask: sent
-    before each reading, if needed. valid: by name, what may be read; beyond it the probe is taken to be broken."""
+    before each reading, if needed. valid: by name, what may be read; beyond it the probe is taken to be broken. max_rate: by name, how
+    fast it can change, unit/s; a faster change is read again and then refused."""
 
     port: str
     baudrate: int = 9600
@@ -37,6 +39,7 @@ class SerialOptions(BusOptions):
     scale: dict[str, float] = {}
     offset: dict[str, float] = {}
     valid: dict[str, tuple[float, float]] = {}
+    max_rate: dict[str, Annotated[float, Option(gt=0)]] = {}
     timeout_s: float = Option(default=2.0, gt=0)
     identity: SerialIdentity | None = None
 
@@ -51,11 +54,13 @@ class SerialSensor:
         self._pattern = compiled(self._options.line, DEVICE, "line")
         if not self._pattern.groupindex:
             raise ConfigError("options of the serial sensor: line needs named groups, e.g. T=(?P<air_C>[-+0-9.]+); correct the plan")
-        for option in ("units", "scale", "offset", "valid"):
+        for option in ("units", "scale", "offset", "valid", "max_rate"):
             if unknown := getattr(self._options, option).keys() - self._pattern.groupindex.keys():
                 raise ConfigError(f"options of the serial sensor: {option} names '{min(unknown)}', which line does not; correct the plan")
         identity = self._options.identity
         self._identity = None if identity is None else (identity, compiled(identity.expect, DEVICE, "identity.expect"))
+        units = {name: self._options.units.get(name, "") for name in self._pattern.groupindex}
+        self._plausible = Plausibility(units, self._options.max_rate)
         self._name = f"sensor {model}".strip()
         self._device = f"{self._name} at {self._options.port}"
         self._model = model
@@ -83,13 +88,25 @@ class SerialSensor:
         return Description("sensor", self._model, tuple(Field(k, self._options.units.get(k, "")) for k in self._pattern.groupindex))
 
     def read(self) -> dict[str, float]:
-        """The newest complete line's values. Raises DeviceTimeout, ProtocolError."""
+        """The newest complete line's values. Raises DeviceTimeout, ProtocolError, DeviceFault (also where they cannot follow the last
+        ones, read twice)."""
+        values = self._read_once(time.monotonic() - self._options.timeout_s)
+        if self._plausible.doubt(values, time.monotonic()) is not None:
+            self._late = self._options.ask is not None  # what was read may have been the late answer to an earlier question
+            values = self._read_once(time.monotonic())
+            doubt = self._plausible.doubt(values, time.monotonic())
+            if doubt is not None and doubt.sure:
+                raise DeviceFault(f"{self._device}: {doubt.text}; check its probes, and that nothing else asks on this line")
+        self._plausible.believe(values, time.monotonic())
+        return values
+
+    def _read_once(self, oldest: float) -> dict[str, float]:
+        """Values of a line that came at ``oldest`` (time.monotonic) or later, of a sensor that is asked of the answer to a new question."""
         if self._port is None:
             raise ConnectError(f"{self._device} is not connected")
         o = self._options
         for _ in range(2):  # a far end that closed the line unnoticed shows it only when it is asked; a question moves nothing
             self._restore()
-            oldest = time.monotonic() - o.timeout_s
             if o.ask is not None:
                 self._await_silence()
                 oldest = time.monotonic()

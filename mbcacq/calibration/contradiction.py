@@ -31,7 +31,7 @@ class ContradictionOptions:
 
     scanner: float = 2.0
     joint: float = 2.5
-    link: float = 4.0
+    link: float = 6.0  # an arm three times as far off as ordinary ones reaches 4.5
     unstated: float = 3.0  # further factor where no figure of the instrument or of the arm is given, but a guess of its class
     absolute: float = 10.0  # further factor of poses of the flange, which err by the arm's absolute accuracy and not by its repeatability
     refused: float = 20.0  # ratio from which the result is of no use to anybody
@@ -66,6 +66,8 @@ class Contradiction:
             said.append(f"{self.link:.1f} times the link errors that arms have")
         if self.rejected > OPTIONS.rejected_share:
             said.append(f"{self.rejected:.0%} of the centres rejected")
+        if not said:
+            return f"Something changed while the recording was made: {self.cause}"
         what = " and ".join(said)
         why = self.cause or "something is not as described, or not in the model: look at the recording before its result is used"
         return f"The recording contradicts its description ({what}): {why}"
@@ -96,10 +98,11 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
     scanner, joint = noise_ratios(solution)
     link = link_ratio(solution, lineariser.layout)
     found = Contradiction(scanner, joint, link, float(np.mean(~adjustment.used)))
-    if not _beyond(found, lineariser.obs.cell):
-        return None
     strict = solve(lineariser, solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
-    return replace(found, cause=likely_cause(lineariser, strict))
+    if _beyond(found, lineariser.obs.cell):
+        return replace(found, cause=likely_cause(lineariser, strict))
+    fault = fault_of(lineariser, strict, known=rejected_poses(adjustment))
+    return replace(found, cause=fault) if fault else None
 
 
 def stated_chi2_dof(adjustment: Adjustment, dof: int) -> float | None:
@@ -125,8 +128,12 @@ def fault_while_recording(adjustment: Adjustment) -> str:
     lineariser = adjustment.lineariser
     noise = variance_components.first_noise(lineariser.obs.cell)
     strict = solve(lineariser, adjustment.solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
-    rejected = lineariser.obs.pose_id[adjustment.weights.pose == 0]
-    return exchanged_balls(lineariser.obs) or fault_of(lineariser, strict, known=rejected.tolist())
+    return exchanged_balls(lineariser.obs) or fault_of(lineariser, strict, known=rejected_poses(adjustment))
+
+
+def rejected_poses(adjustment: Adjustment) -> list[int]:
+    """Numbers of the poses that were rejected."""
+    return adjustment.lineariser.obs.pose_id[adjustment.weights.pose == 0].tolist()
 
 
 def refuse_contradiction(found: Contradiction, obs: Observations, options: CalibrationOptions) -> None:

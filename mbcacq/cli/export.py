@@ -100,11 +100,13 @@ def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> 
     from mbcacq.calibration.caveats import with_warnings
     from mbcacq.exports.result_json import load_result
     from mbcacq.model.cell import SIMULATED
+    from mbcacq.workflow.load import unsealed_note
 
     if results is not None:
         from mbcacq.exports.marks import geometry_alone
         from mbcacq.exports.mount import remark
 
         result = load_result(run)
-        return [*with_warnings(result), *remark(result), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
+        about = (f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))
+        return [*with_warnings(result), *unsealed_note(run), *remark(result), *about]
     return [SIMULATED] if any(one.get("simulated") for one in written) else []

@@ -318,6 +318,13 @@ def judgement(result: dict[str, Any]) -> list[str]:
     return [*out, *([f"! {beyond}"] if beyond else [])]
 
 
+def arm_improved(result: dict[str, Any]) -> list[str]:
+    """What corrected targets changed, of a run that a calibrated arm steered."""
+    from mbcacq.calibration.place_errors import ArmImprovement
+
+    return [ArmImprovement.from_dict(result["arm_improved"]).text] if result.get("arm_improved") else []
+
+
 def held_out(h: dict[str, Any]) -> str:
     what = {"station": "Leaving each station out", "random": "Random poses held out", "block": "Blocks of poses held out"}[h["split"]]
     spread = f", spread of each ball {micrometres(h['spread_mm'])}" if h.get("spread_mm") is not None else ""

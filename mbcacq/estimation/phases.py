@@ -21,12 +21,12 @@ def select_phases(obs: Observations, options: CalibrationOptions) -> Observation
     if not keep.any() and options.phases:
         recorded = sorted(set([] if obs.phase is None else obs.phase.tolist()))
         raise ConfigError(f"there is no pose of phase {' or '.join(options.phases)}; these data have {', '.join(recorded)}")
-    keep &= np.bincount(obs.pose, minlength=obs.n_poses) > 0
     keep[copies(obs)] = False
-    if not keep.any():
+    chosen = (obs if keep.all() else obs.select(keep)).measured()
+    if not chosen.n_poses:
         asked = f" of phase {' or '.join(options.phases)}" if options.phases else ""
         raise CalibrationError(f"there is no pose with a measured centre{asked}; nothing can be calibrated")
-    return obs if keep.all() else obs.select(keep)
+    return chosen
 
 
 def copies(obs: Observations) -> np.ndarray:

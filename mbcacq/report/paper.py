@@ -37,4 +37,6 @@ def write_pdf(content: Content, path: str | Path) -> Path:
         raise ConfigError(f"{MISSING} ({error})") from None
     html = render(content, paper=True)
     inside = URLFetcher(allowed_protocols=["data"])  # pictures stand in the page itself; nothing else is ever fetched
-    return write_file(path, weasyprint.HTML(string=html, url_fetcher=inside).write_pdf())
+    page = weasyprint.HTML(string=html, url_fetcher=inside).write_pdf()
+    assert page is not None, "it is returned where no target is given"
+    return write_file(path, page)

@@ -14,7 +14,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.workflow.diagnose_recordings import diagnose_poses
-from mbcacq.workflow.load import is_run_folder, load_observations
+from mbcacq.workflow.load import is_run_folder, load_observations, unsealed_note
 
 
 def write_report(
@@ -53,7 +53,7 @@ def _write(
     observations = data.observations if isinstance(data, Calibration) else load_observations(data)
     result = _result(data, observations, progress)
     if run is not None and run.is_dir():
-        result["gaps"] = _gaps(run)
+        result["gaps"] = [*_gaps(run), *(unsealed_note(run) if (run / "result.json").exists() else ())]
     if observations.cell.simulated:
         result["simulated"] = True
     progress("reading timing and health of the devices")

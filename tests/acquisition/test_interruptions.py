@@ -94,7 +94,7 @@ def test_an_arm_that_is_stopped_meanwhile_ends_the_wait(world, where):  # noqa: 
 
         def go_to(self, station, prompt):
             robot.fault = devices.SafetyStop("protective stop: the safety gate was opened")
-            deadline = time.monotonic() + 100
+            deadline = time.monotonic() + 600.0
             while not self.stopped and time.monotonic() < deadline:
                 time.sleep(0.01)
             raise devices.Aborted("stopped")

@@ -25,7 +25,7 @@ def test_the_client_of_pymodbus_drives_the_fake_positioner(framer):
             assert client.read_holding_registers(40, count=1).registers == [4711]
             written = struct.unpack(">HH", struct.pack(">f", 152.5))
             assert not client.write_registers(10, list(written)).isError()
-            deadline = time.monotonic() + 20.0
+            deadline = time.monotonic() + 600.0
             while not client.read_discrete_inputs(3, count=1).bits[0]:
                 assert time.monotonic() < deadline
             high, low = client.read_input_registers(20, count=2).registers

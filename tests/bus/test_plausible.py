@@ -1,12 +1,16 @@
 """Values of one reading against the last: exchanged ones, and faster ones than the plan allows."""
 
 import pytest
+from mbcacq_bus import serial
 from mbcacq_bus.modbus import ModbusSensor
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.registers import Register
+from mbcacq_bus.serial import SerialSensor
 from mbcacq_fakes.protocols.bus.modbus import FakeModbus
+from mbcacq_fakes.protocols.bus.serial_sensor import FakeSerialSensor
 
-from mbcacq.devices import DeviceFault
+from mbcacq.conformance.bounded import eventually
+from mbcacq.devices import ConfigError, DeviceFault
 
 UNITS = {"robot_C": "C", "air_C": "C", "humidity": "%"}
 
@@ -54,3 +58,43 @@ def test_a_device_that_exchanges_its_registers_is_refused_after_a_second_look():
                 sensor.read()
             swapped[0] = False
             assert sensor.read() == {"robot_C": 30.0, "air_C": 21.0}
+
+
+TWO = r"T=(?P<air_C>[-+0-9.]+) R=(?P<robot_C>[-+0-9.]+)"
+
+
+@pytest.fixture
+def patient(monkeypatch):
+    """Options of a sensor that waits long for an answer, and not so long for silence."""
+    monkeypatch.setattr(serial, "_QUIET", 0.01)
+    return {"line": TWO, "units": {"air_C": "C", "robot_C": "C"}, "timeout_s": 30.0}
+
+
+@pytest.mark.parametrize("ask", [None, "READ?\n"], ids=["streamed", "asked"])
+def test_a_line_whose_values_change_places_is_refused_after_a_second_look(ask, patient):
+    said = ["T=21.0 R=30.0"]
+    with FakeSerialSensor(lambda: said[0]) as fake:
+        fake._answer = lambda heard: said[0]
+        fake.silent = ask is not None
+        with SerialSensor("s", "", {**patient, "port": fake.url, "ask": ask}) as sensor:
+            for _ in range(3):
+                assert sensor.read() == {"air_C": 21.0, "robot_C": 30.0}
+            said[0] = "T=30.0 R=21.0"
+            eventually(lambda: ask is not None or sensor._values["air_C"] == 30.0, 600.0, "the line has come")
+            with pytest.raises(DeviceFault, match="values are exchanged: .*check its probes"):
+                sensor.read()
+
+
+def test_one_line_out_of_place_is_read_again_and_a_jump_beyond_max_rate_is_refused(patient):
+    answers = iter(["T=21.0 R=30.0"] * 3 + ["T=30.0 R=21.0", "T=21.0 R=30.1", "T=26.5 R=30.1", "T=26.5 R=30.1"])
+    with FakeSerialSensor(lambda: "") as fake:
+        fake._answer, fake.silent = lambda heard: next(answers), True
+        spec = {**patient, "port": fake.url, "ask": "READ?\n"}
+        with SerialSensor("s", "", {**spec, "max_rate": {"air_C": 0.001}}) as sensor:
+            for _ in range(3):
+                sensor.read()
+            assert sensor.read() == {"air_C": 21.0, "robot_C": 30.1}
+            with pytest.raises(DeviceFault, match=r"air_C went from 21 to 26\.5 in .* faster than its max_rate"):
+                sensor.read()
+    with pytest.raises(ConfigError, match="max_rate names 'oil_C', which line does not"):
+        SerialSensor("s", "", {**spec, "max_rate": {"oil_C": 1.0}})

@@ -37,7 +37,7 @@ def moves(home: np.ndarray, where: Callable[[], np.ndarray]) -> Callable[[Any], 
         away = np.degrees(robot.state().q) - home
         target = home if np.abs(away).max() > 0.5 else home + [1.5, 0, -1.0, 0, 0, 0]
         robot.move_to(np.radians(target), limits())
-        deadline = time.monotonic() + 100
+        deadline = time.monotonic() + 600.0
         while not robot.state().arrived:
             assert time.monotonic() < deadline, "the arm never arrived, and nobody said so"
             time.sleep(0.002)

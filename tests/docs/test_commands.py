@@ -84,7 +84,6 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun]) ->
     return "\n".join(lines)
 
 
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
 def test_commands_of_a_page_work_when_pasted(page: Page, desk: Path, finished_run: Callable[[str], FinishedRun]):
     script = on_finished_runs(without_installing(page.script), finished_run)
@@ -107,7 +106,7 @@ def test_commands_of_a_page_work_when_pasted(page: Page, desk: Path, finished_ru
             start_new_session=True,
         )
         try:
-            shell.wait(timeout=580)
+            shell.wait(timeout=1150)
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(shell.pid, signal.SIGKILL)  # nothing that a page starts in the background outlives it

@@ -51,7 +51,7 @@ def test_the_search_finds_pages_when_the_site_is_opened_from_a_folder(built):
             "document.querySelector('#__search').click(); const field = document.querySelector('.md-search__input');"
             "field.value = 'hand-eye'; field.dispatchEvent(new KeyboardEvent('keyup', {bubbles: true}));"
         )
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 600.0
         while not browser.run("document.querySelectorAll('.md-search-result__item').length") and time.monotonic() < deadline:
             time.sleep(0.1)
         assert browser.run("document.querySelectorAll('.md-search-result__item').length") > 5

@@ -124,7 +124,7 @@ def test_every_effect_is_visible_at_strength_one_and_gone_at_zero(name, looking_
 
 
 def test_unknown_kinds_are_unknown_to_the_tool():
-    catalogue = {p.stem for p in (Path(__file__).parents[2] / "mbcacq" / "effects" / "pose").glob("*.py")}
+    catalogue = {p.stem for p in (Path(__file__).parents[2] / "mbcacq" / "effects" / "kinds").glob("*.py")}
     assert "joint_compliance" in catalogue
     assert not catalogue & set(UNCATALOGUED)
     assert len(UNCATALOGUED) >= 6

@@ -25,7 +25,7 @@ def sensor(frame):
 
 def until(scanner: Gocator, wanted: str) -> str:
     """Capture until a warning with these words comes; a generous bound against hanging."""
-    deadline = time.monotonic() + 100
+    deadline = time.monotonic() + 600.0
     while time.monotonic() < deadline:
         for warning in scanner.capture().warnings:
             if wanted in warning:

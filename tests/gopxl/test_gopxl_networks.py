@@ -15,7 +15,7 @@ SENSOR, COMPUTER = "10.77.1.10", "10.77.1.2"
 
 
 def run(*command):
-    subprocess.run(command, check=True, capture_output=True, timeout=30)
+    subprocess.run(command, check=True, capture_output=True, timeout=900)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def cable():
         yield ours, theirs
     finally:
         for space in (ours, theirs):
-            subprocess.run(["ip", "netns", "delete", space], capture_output=True, timeout=30)
+            subprocess.run(["ip", "netns", "delete", space], capture_output=True, timeout=900)
 
 
 @contextmanager
@@ -53,14 +53,14 @@ def sensor(space, module, *options):
 
 def listed(space):
     command = ["ip", "netns", "exec", space, sys.executable, "-m", "mbcacq_gocator"]
-    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout.splitlines()
+    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=900).stdout.splitlines()
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", SENSOR])
 def test_a_sensor_is_found_where_it_can_be_reached(cable, host):
     ours, theirs = cable
     with sensor(theirs, "gopxl", "--host", host):
-        found = subprocess.run(["ip", "netns", "exec", ours, sys.executable, "-c", SCAN], capture_output=True, text=True, timeout=120)
+        found = subprocess.run(["ip", "netns", "exec", ours, sys.executable, "-c", SCAN], capture_output=True, text=True, timeout=900)
         assert found.stdout.split() == ["3504", "True"], found.stderr
 
 
@@ -105,7 +105,7 @@ def test_every_program_that_listens_on_3320_hears_the_answer(cable, same_compute
     asker, address = (theirs, SENSOR) if same_computer else (ours, COMPUTER)
     with sensor(theirs, "gopxl", "--host", "0.0.0.0"):
         command = ["ip", "netns", "exec", asker, sys.executable, "-c", VENDOR, address, "10.77.1.255"]
-        heard = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout.split()
+        heard = subprocess.run(command, check=True, capture_output=True, text=True, timeout=900).stdout.split()
     assert [parse(bytes.fromhex(data), "").address for data in heard] == [SENSOR, SENSOR]
 
 

@@ -30,7 +30,7 @@ def ticking(monkeypatch, capfd, terminal: bool) -> str:
         progress._terminal = terminal
         progress("calibrating")
         progress.begin("drawing")
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + 600.0
         while len(ticks) < 20 and time.monotonic() < end:
             time.sleep(0.02)
     return capfd.readouterr().err

@@ -66,7 +66,7 @@ except BaseException:
 def test_ctrl_c_ends_a_command_by_its_sentence_wherever_it_strikes(tmp_path, command, more, code, said):
     (tmp_path / "extension.py").write_text(EXTENSION)
     program = COMMAND.format(folder=str(tmp_path), command=command, more=more)
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=900)
     assert (done.returncode, done.stderr) == (code, said)
 
 

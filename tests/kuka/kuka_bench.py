@@ -14,7 +14,7 @@ def motion_limits(speed=90.0, acceleration=360.0, jerk=3600.0, settle_s=0.1):
     return MotionLimits(*(np.radians(np.full(6, v)) for v in (speed, acceleration, jerk)), tolerance=2e-4, settle_s=settle_s)
 
 
-def wait(condition, timeout_s=100.0):
+def wait(condition, timeout_s=600.0):
     """A generous bound against hanging, not a statement about time."""
     deadline = time.monotonic() + timeout_s
     while not (result := condition()):

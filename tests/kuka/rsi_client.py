@@ -24,7 +24,7 @@ options = {
 with KukaRsi("arm", "", options) as robot:
     goal = np.radians(HOME_DEG + [target, 0, 0, 0, 0, 0])
     robot.move_to(goal, motion_limits(speed=20.0, acceleration=100.0))
-    deadline, error = time.monotonic() + 120.0, ""
+    deadline, error = time.monotonic() + 600.0, ""
     try:
         while not robot.state().arrived:
             assert time.monotonic() < deadline

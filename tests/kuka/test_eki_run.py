@@ -20,7 +20,6 @@ def benchmark():
     return module
 
 
-@pytest.mark.timeout(600)
 def test_eki_and_rsi_calibrate_the_same_cell(benchmark, tmp_path):
     """One true cell, independent noise: 24 parameters apart by no more than their stated uncertainty. The full plan: docs/kuka.md."""
     results, moved = {}, {}

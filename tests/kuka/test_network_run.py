@@ -4,7 +4,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pytest
 import yaml
 from lossy import Relay, Weather
 from mbcacq_fakes.cell.computed_run import observe
@@ -46,7 +45,6 @@ def network(cell):
         carrier.close()
 
 
-@pytest.mark.timeout(300)
 def test_a_run_over_a_bad_network_ends_well_and_measures_the_true_centres(tmp_path):
     loaded = load(two_poses(tmp_path))
     poses = expand(loaded)

@@ -41,7 +41,7 @@ if __name__ == "__main__":
     for i in range(51):
         api.motion.update_joints(A1=0.02 * i, A6=-0.02 * i)
         time.sleep(0.008)
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 600.0
     while abs(api.motion.get_current_joints()["A1"] - 11.0) > 1e-4 and time.monotonic() < deadline:
         time.sleep(0.01)
     print(json.dumps(api.motion.get_current_joints()), flush=True)
@@ -72,7 +72,7 @@ def test_rsipi_moves_our_fake(tmp_path):
         start_deg=(10.0, -90.0, 90.0, 0.0, 0.0, 5.0),
         limits_deg=LIMITS_DEG,
     ) as krc:
-        done = subprocess.run([sys.executable, "client.py", "config.xml"], cwd=tmp_path, capture_output=True, text=True, timeout=90)
+        done = subprocess.run([sys.executable, "client.py", "config.xml"], cwd=tmp_path, capture_output=True, text=True, timeout=900)
         counters = krc.counters()
         assert done.returncode == 0, done.stderr
         seen = json.loads([line for line in done.stdout.splitlines() if line.startswith("{")][-1])

@@ -33,7 +33,7 @@ def drive(network, counting, late_limit=99999, **krc_settings):
             }
         ) as krc:
             program = [sys.executable, str(Path(__file__).with_name("rsi_client.py")), client[0], str(client[1]), str(FAR), str(late_limit)]
-            done = subprocess.run([*prefix, *program], capture_output=True, text=True, timeout=200)
+            done = subprocess.run([*prefix, *program], capture_output=True, text=True, timeout=900)
             assert done.returncode == 0, done.stderr
             found = json.loads(done.stdout)
             return krc.log(), {k: v if k == "error" else np.array(v) for k, v in found.items()}

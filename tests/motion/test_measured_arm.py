@@ -9,8 +9,6 @@ import pytest
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.recording import read_trajectory_set
 
-pytestmark = pytest.mark.timeout(300)
-
 
 @pytest.fixture(scope="module")
 def kr300(shared_data):

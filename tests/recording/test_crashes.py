@@ -161,7 +161,7 @@ def test_parts_of_a_resumed_run_are_merged(tmp_path):
 def test_a_full_disk_ends_the_run_by_name_and_keeps_what_was_written(tmp_path):
     """The size limit of files stands for a disk that takes no more."""
     child = writing(tmp_path, str(3 << 20))
-    out, _ = child.communicate(timeout=60)
+    out, _ = child.communicate(timeout=900)
     assert child.returncode == 6
     lines = out.splitlines()
     assert lines[-1].startswith("error RecordingError:")

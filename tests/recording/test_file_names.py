@@ -32,7 +32,7 @@ def test_an_umlaut_under_the_c_locale_is_no_torn_recording(tmp_path, utf8_mode):
     environment = {k: v for k, v in os.environ.items() if k != "LANG" and not k.startswith("LC_")}
     environment |= {"LC_ALL": "C", "PYTHONUTF8": utf8_mode, "PYTHONCOERCECLOCALE": "0"}
     command = [sys.executable, "-c", WORK, os.fsencode(tmp_path / "Küche"), HERE]
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=240)
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=900)
     assert done.returncode == 0, done.stderr
     assert b"nothing to do, 4 finished poses" in done.stdout
     assert (tmp_path / "Küche" / "run.rrd").exists()

@@ -137,7 +137,7 @@ def test_a_client_by_others_accepts_the_fake(bits, stopped):
         pytest.skip("127.0.0.2 and above are loopback on Linux only")
     pytest.importorskip("rtde_receive")
     with FakeUrController(start_deg=HOME_DEG, host="127.0.0.77", port=30004, safety_bits=bits):
-        said = subprocess.run([sys.executable, "-c", CLIENT], capture_output=True, text=True, timeout=60)
+        said = subprocess.run([sys.executable, "-c", CLIENT], capture_output=True, text=True, timeout=900)
     assert said.returncode == 0, said.stderr
     *q, mode, protective = map(float, said.stdout.split())
     assert np.degrees(q) == pytest.approx(HOME_DEG)

@@ -20,7 +20,7 @@ class Terminal:
         os.close(theirs)
         self.text = ""
 
-    def wait_for(self, words, times=1, within_s=240):
+    def wait_for(self, words, times=1, within_s=900):
         deadline = time.monotonic() + within_s
         while self.text.count(words) < times:
             assert time.monotonic() < deadline, self.text
@@ -33,7 +33,7 @@ class Terminal:
         os.write(self._mine, f"{line}\n".encode())
 
     def end(self):
-        rest = self.process.communicate(timeout=240)[1]
+        rest = self.process.communicate(timeout=900)[1]
         os.close(self._mine)
         self.text += rest.decode()
         return self.process.returncode

@@ -29,7 +29,7 @@ def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(tmp_path):
         {MBCACQ} run plans/quick.yaml --dry-run --resume {tmp_path}/disk/run > /dev/null 2> {tmp_path}/second; echo $? > {tmp_path}/again
         cp -r {tmp_path}/disk/run {tmp_path}/run
     """)
-    subprocess.run(["unshare", "-Urm", "sh", "-c", script], timeout=280, capture_output=True)
+    subprocess.run(["unshare", "-Urm", "sh", "-c", script], timeout=900, capture_output=True)
     first = (tmp_path / "first").read_text()
     assert (tmp_path / "code").read_text().strip() == "6", first
     assert "Traceback" not in first

@@ -19,7 +19,7 @@ BUS = [
 ]
 
 
-def watched(*arguments, until, within_s=240):
+def watched(*arguments, until, within_s=900):
     """Everything bound at any moment until the condition holds."""
     process = subprocess.Popen([MBCACQ, *map(str, arguments)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     found, deadline = set(), time.monotonic() + within_s

@@ -22,10 +22,10 @@ def test_too_small_an_address_space_is_said_before_anything_moves(tmp_path):
         capture_output=True,
         text=True,
         timeout=120,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (1_500_000_000, 1_500_000_000)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (800_000_000, 800_000_000)),
     )
     assert done.returncode == 10
-    assert "1430 MiB of addresses here, and a run needs 4096 MiB" in one_sentence(done)
+    assert "762 MiB of addresses here, and a run needs 1024 MiB" in one_sentence(done)
     assert not (tmp_path / "run").exists()
 
 
@@ -73,7 +73,7 @@ def test_ctrl_c_three_times_ends_the_run_as_once(tmp_path, change):
     until(lambda: process.poll() is not None or "run_stopped" in journal.read_text())
     for _ in range(2):  # while it closes
         process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=240)
+    _, errors = process.communicate(timeout=900)
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
     assert "BufferError" not in errors

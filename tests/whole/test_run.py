@@ -22,12 +22,11 @@ def test_a_reader_that_has_enough_is_no_error(command):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the device that is always full is Linux's")
 def test_a_full_disk_behind_the_output_is_said_and_is_no_bug():
     with open("/dev/full", "w") as full:
-        done = subprocess.run([MBCACQ, "drivers"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+        done = subprocess.run([MBCACQ, "drivers"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=900)
     assert done.returncode == 6
     assert "no space is left" in one_sentence(done)
 
 
-@pytest.mark.timeout(600)
 def test_the_published_plan_ends_below_thirty_micrometres_at_the_bar(finished_run, tmp_path):
     shutil.copytree(finished_run("kuka.yaml").folder, tmp_path / "run")
     result = json.loads((tmp_path / "run" / "result.json").read_text())
@@ -62,7 +61,7 @@ def test_an_interrupted_run_ends_in_order_with_a_complete_recording(tmp_path, nu
     journal = run / "journal.jsonl"
     until(lambda: journal.exists() and journal.read_text().count("\n") >= 4)
     process.send_signal(number)
-    _, text = process.communicate(timeout=240)
+    _, text = process.communicate(timeout=900)
     assert process.returncode == code, text
     assert "Traceback" not in text
     assert "leaked" not in text

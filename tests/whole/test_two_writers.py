@@ -20,7 +20,7 @@ def test_a_run_that_goes_on_cannot_be_resumed_by_another_process(tmp_path):
         second = mbcacq(*command)
         assert second.returncode == 6, second.stderr
         assert f"process {first.pid}" in one_sentence(second)
-    _, errors = first.communicate(timeout=240)
+    _, errors = first.communicate(timeout=900)
     assert first.returncode == 0, errors
     assert journal.read_text().count("run_started") == 1
     assert mbcacq("report", run).returncode == 0

@@ -22,7 +22,7 @@ def mbcacq(*args):
     return SimpleNamespace(returncode=done.exit_code, stdout=done.stdout, stderr=done.stderr)
 
 
-def until(condition, within_s=240.0):
+def until(condition, within_s=900.0):
     """A generous bound against hanging, not a statement about time."""
     deadline = time.monotonic() + within_s
     while not condition():

@@ -205,7 +205,7 @@ def test_a_dead_world_is_a_named_error_and_stop_still_works():
     with FakeCell(plan, poses) as cell:
         assert cell.alive()
         os.kill(cell.process_id, signal.SIGKILL)
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 600.0
         while cell.alive() and time.monotonic() < deadline:
             time.sleep(0.02)
         assert not cell.alive()

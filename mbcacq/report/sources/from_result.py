@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.caveats import caveats
+from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage
 from mbcacq.model.observations import Observations
@@ -83,6 +84,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         devices=run_info.get("devices"),
         diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
         earlier=earlier,
+        arm_improved=ArmImprovement.from_dict(geometry["arm_improved"]) if geometry.get("arm_improved") else None,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         hand_eye_alone=bool(result.get("scope")),
         noise=_noise(result),
