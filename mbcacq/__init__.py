@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from mbcacq.calibration.compare_methods import Comparison
     from mbcacq.calibration.result import Calibration
     from mbcacq.calibration.verification import Verification
+    from mbcacq.design.adaptive.investigation import Budget
     from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.estimation.options import CalibrationOptions
     from mbcacq.exports.format import Targets
@@ -50,13 +51,17 @@ if TYPE_CHECKING:
     from mbcacq.workflow.diagnosis_result import DiagnosisResult
     from mbcacq.workflow.evaluate import RunResult
     from mbcacq.workflow.export import export
+    from mbcacq.workflow.extend import extend
+    from mbcacq.workflow.investigate import investigate
     from mbcacq.workflow.load import load_observations, load_plan, load_trajectories
     from mbcacq.workflow.new_plan import new_plan
+    from mbcacq.workflow.next_plan import next_plan, next_poses, weigh_evidence
     from mbcacq.workflow.report import write_report
     from mbcacq.workflow.run import Operator, run
     from mbcacq.workflow.simulate import simulate
 
 __all__ = [
+    "Budget",
     "CalibratedCell",
     "Calibration",
     "CalibrationOptions",
@@ -85,14 +90,19 @@ __all__ = [
     "diagnose",
     "evaluate_fleet",
     "export",
+    "extend",
+    "investigate",
     "load_observations",
     "load_plan",
     "load_trajectories",
     "new_plan",
+    "next_plan",
+    "next_poses",
     "run",
     "simulate",
     "verify",
     "verify_elsewhere",
+    "weigh_evidence",
     "write_report",
 ]
 
@@ -117,8 +127,12 @@ _MODULES = {
     "workflow.diagnosis_result": ("DiagnosisResult",),
     "workflow.evaluate": ("RunResult",),
     "workflow.export": ("export",),
+    "design.adaptive.investigation": ("Budget",),
+    "workflow.extend": ("extend",),
+    "workflow.investigate": ("investigate",),
     "workflow.load": ("load_observations", "load_plan", "load_trajectories"),
     "workflow.new_plan": ("new_plan",),
+    "workflow.next_plan": ("next_plan", "next_poses", "weigh_evidence"),
     "workflow.report": ("write_report",),
     "workflow.run": ("Operator", "run"),
     "workflow.simulate": ("simulate",),

@@ -21,6 +21,7 @@ from mbcacq.version import __version__
 FULL = (errno.ENOSPC, errno.EDQUOT)
 COMMANDS = {
     "run": "execute a plan, record it, calibrate the cell",
+    "investigate": "measure until the cell is known: choose visit after visit by what is still in question",
     "collect": "calibrate from clouds that the scanner's own program saved",
     "plan": "make, show, check or design a plan, without opening a socket",
     "robot": "make a robot file from a URDF, an MJCF file or a table of DH rows",

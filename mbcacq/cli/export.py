@@ -104,8 +104,9 @@ def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> 
 
     if results is not None:
         from mbcacq.exports.marks import geometry_alone
+        from mbcacq.exports.mount import remark
 
         result = load_result(run)
         about = (f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))
-        return [*with_warnings(result), *unsealed_note(run), *about]
+        return [*with_warnings(result), *unsealed_note(run), *remark(result), *about]
     return [SIMULATED] if any(one.get("simulated") for one in written) else []

@@ -145,14 +145,17 @@ def hand_eye(result: dict[str, Any]) -> Table:
 
 def fit(result: dict[str, Any]) -> list[str]:
     """How well the cell fits, how accurate it is expected to be, and the noise that was found."""
+    from mbcacq.report import accuracy_in_words
+
     fitted, noise = result["fit"], result["noise"]
     chi2 = _chi2(result)
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
     out = [f"Fit: {size}, residual {micrometres(fitted['rms_mm'])} (3D rms){chi2}, rank {fitted['rank']}"]
-    if (expected := fitted.get("expected_accuracy_mm")) is not None:
+    if (expected := accuracy_in_words(result)) is not None:
+        value, misfit = expected
         known = identifies_arm(result) or link_errors(result)
         aside = "noise of measuring aside" if known else "noise of measuring and the arm's own errors aside"
-        out.append(f"Expected accuracy of a point in the workspace: {uncertainty(1e3 * K * expected)} µm (U, k = 2; {aside})")
+        out.append(f"Expected accuracy of a point in the workspace: {value} (U, k = 2; {misfit or aside})")
     if noise:
         turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
         axes = listed([1e3 * s for s in noise["scanner_mm"]])

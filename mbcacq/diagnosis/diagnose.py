@@ -94,7 +94,7 @@ def _diagnose(
         proposed = propose(problem, full, result.effects, progress)
         result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))
     dependences = tuple(one.entry for one in variations)
-    result = replace(result, notes=(*noise_in_words(dependences), *result.notes, *notes), noise_depends_on=dependences)
+    result = replace(result, notes=(*noise_in_words(dependences, not is_long(obs)), *result.notes, *notes), noise_depends_on=dependences)
     if refitted is None:
         return result
     progress("fitting the cell with its effects")

@@ -123,10 +123,10 @@ def varying_most(obs: Observations, squares: SquaresOfPoses, of: str, sigma_mm: 
     p_value = min(float(chdtrc(1, max(gain, 0.0))) * len(tried), 1.0)
     scale = np.sqrt(variance / np.exp(np.mean(np.log(variance))))
     low, high = np.quantile(x, RANGE)
-    ends = [float(np.interp(end, np.sort(x), scale[np.argsort(x)])) for end in (low, high)]
-    if p_value > LEAST_P or max(ends) < OPTIONS.noticeable * min(ends):
+    near, far = (float(np.interp(end, np.sort(x), scale[np.argsort(x)])) for end in (low, high))
+    if p_value > LEAST_P or max(near, far) < OPTIONS.noticeable * min(near, far):
         return None
-    return Variation(NoiseDependence(of, name, unit, float(low), float(high), *(sigma_mm * end for end in ends), p_value), scale)
+    return Variation(NoiseDependence(of, name, unit, float(low), float(high), sigma_mm * near, sigma_mm * far, p_value), scale)
 
 
 def with_noise_scale(obs: Observations, found: list[Variation]) -> Observations:

@@ -216,7 +216,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class NoiseDependence:
-    """A noise that depends on the place, and is taken so in everything else.
+    """A noise that depends on the place, and is taken so in everything else but for long recordings.
 
     of: 'instrument', or 'instrument and joints' of what moves a pose as a whole. covariate, unit: what it depends on. low, high: between
     which it was measured (5 and 95 % of the poses); sigma_low_mm, sigma_high_mm: of the instrument there, an axis. p_value: of as large a
@@ -294,6 +294,48 @@ class Proposal:
 
 
 @dataclass(frozen=True)
+class ComparedEffect:
+    """One effect of a set that was compared. parameters: its posterior mean with standard deviations, the geometry refitted. tried: False
+    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    parameters: Mapping[str, Estimate]
+    tried: bool = True
+
+
+@dataclass(frozen=True)
+class ComparedSet:
+    """A set of effects that was compared. log_odds: natural logarithm of its posterior probability relative to the most probable set's."""
+
+    effects: tuple[ComparedEffect, ...]
+    log_odds: Number
+
+
+@dataclass(frozen=True)
+class EvidenceSummary:
+    """The evidence of a recording: what decides whether there is an effect, and which.
+
+    poses: that took part. log_e_value: natural logarithm of the evidence of all sets with an effect together against none;
+    least_log_e_value: above which there is an effect. Since the e-value of a recording that grows has mean one without any effect, this
+    holds at every look. sets: the most probable first, the empty one among them. untried: a sentence about each set that stands for what
+    was not tried and is not excluded.
+    """
+
+    poses: int
+    log_e_value: Number
+    least_log_e_value: Number
+    sets: tuple[ComparedSet, ...]
+    untried: tuple[str, ...] = ()
+
+    @property
+    def significant(self) -> bool:
+        """Whether there is an effect."""
+        return self.log_e_value > self.least_log_e_value
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The result of ``diagnose``.
 
@@ -302,9 +344,9 @@ class Diagnosis:
     not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of all effects that
     were not found, those with the largest error first. between_recordings: of several recordings of one arm. proposals: formulas for
     unmodelled effects, where they were asked for, the most probable of each location first. noise_depends_on: where one noise for all
-    poses would be wrong. model: the effects as terms that a
-    calibration takes; None where there is none. plot_data: an ``output.pictures.PlotData`` from which pictures are drawn; it is no part
-    of the JSON object, so None after ``from_json``.
+    poses would be wrong. model: the effects as terms that a calibration takes; None where there is none. evidence: of the sets that were
+    compared; None in older files. plot_data: an ``output.pictures.PlotData`` from which pictures are drawn; it is no part of the JSON
+    object, so None after ``from_json``.
     """
 
     verdict: str
@@ -321,6 +363,7 @@ class Diagnosis:
     proposals: tuple[Proposal, ...] = ()
     noise_depends_on: tuple[NoiseDependence, ...] = ()
     model: Model = field(default=None, compare=False)
+    evidence: EvidenceSummary | None = None
     plot_data: object | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:

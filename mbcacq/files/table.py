@@ -8,7 +8,7 @@ likewise, but not '1,500'. A cell may have a unit of its own: '90°', '0.4 m', '
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -250,7 +250,13 @@ class Table:
                 raise ConfigError(f"{where}: '{_short(cell)}' is not a finite number; remove the row or correct it")
 
 
-def read_table(path: Path | str, schema: TableSchema | None = None, *, names: Mapping[str, str] | None = None) -> Table:
+def read_table(
+    path: Path | str,
+    schema: TableSchema | None = None,
+    *,
+    names: Mapping[str, str] | None = None,
+    headings: Callable[[Sequence[str]], bool] | None = None,
+) -> Table:
     """Read a CSV file in UTF-8, UTF-16 or (from a spreadsheet) Windows-1252.
 
     Parameters
@@ -261,6 +267,8 @@ def read_table(path: Path | str, schema: TableSchema | None = None, *, names: Ma
         Columns by their names, with units; without one the columns are named by their headings and numbers have no unit.
     names
         What the file calls a column -> the heading that is to be read in its place.
+    headings
+        Of a table without schema: whether a line is that of the headings; lines before it are allowed then.
 
     Raises
     ------
@@ -270,7 +278,8 @@ def read_table(path: Path | str, schema: TableSchema | None = None, *, names: Ma
     """
     path = Path(path)
     if schema is None:
-        return _table(path, _renamed(path, read_csv_text(path, max_bytes=MAX_BYTES), names))
+        judged = (lambda cells: (len(cells), headings(cells))) if headings is not None else None
+        return _table(path, _renamed(path, read_csv_text(path, max_bytes=MAX_BYTES, score=judged), names))
     scored = (lambda headings: score(schema.columns, headings)) if schema.preamble else None
     text = _renamed(path, read_csv_text(path, max_bytes=schema.max_bytes, comment=schema.comment, score=scored), names)
     return as_table(path, text, schema)

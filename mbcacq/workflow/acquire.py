@@ -128,11 +128,13 @@ class Acquisition:
 
         (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
-        plan_files = plan_files_text(
-            self.loaded.files, self.cell, self.loaded.path, None if self.corrected is None else self.corrected.to_dict()
-        )
+        steered = None if self.corrected is None else self.corrected.to_dict()
+        plan_files = plan_files_text(self.loaded.files, self.cell, self.loaded.path, steered, self.loaded.grown_from)
         keep_plan(self.folder, self.loaded.text, plan_files)
-        with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
+        with (
+            closing(Recorder(self.folder, live=live, part=self.part, all_points=self.loaded.plan.scanner.keep_clouds == "all")) as recorder,
+            closing(Journal(self.folder)) as journal,
+        ):
             if recorder.live_url:
                 message(f"watch it live: rerun {recorder.live_url}")
             Runner(

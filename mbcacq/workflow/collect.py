@@ -374,7 +374,10 @@ def _record(paired: PairedClouds, folder: Path, part: int, done: frozenset[int],
     keep_plan(folder, loaded.text, plan_files)
     mark_latest(folder)
     known = resuming.measured_balls(folder, loaded, done) if done else {}
-    with closing(Recorder(folder, part=part)) as recorder, closing(Journal(folder)) as journal:
+    with (
+        closing(Recorder(folder, part=part, all_points=loaded.plan.scanner.keep_clouds == "all")) as recorder,
+        closing(Journal(folder)) as journal,
+    ):
         CollectedRun(
             loaded,
             len(session.poses),

@@ -23,7 +23,8 @@ from mbcacq.workflow.diagnose_recordings import (
 )
 from mbcacq.workflow.diagnose_simulation import Question, diagnose_against
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
-from mbcacq.workflow.load import as_observations
+from mbcacq.workflow.load import as_observations, is_run_folder
+from mbcacq.workflow.next_plan import with_reachable_advice
 
 
 def diagnose(
@@ -73,7 +74,11 @@ def diagnose(
     found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
     if check:
         found = checked(observations, found, others, place, progress)
-    return found if isinstance(one, Observations) else combined_with_motion(found, Path(one), progress)
+    if isinstance(one, Observations):
+        return found
+    if is_run_folder(Path(one)):
+        found = with_reachable_advice(found, Path(one))
+    return combined_with_motion(found, Path(one), progress)
 
 
 def listed(data: Data | Sequence[Data]) -> list[Data]:

@@ -7,6 +7,7 @@ import pytest
 from cells import measure, random_errors, scanner_cell
 
 from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.several import calibrate_together
 from mbcacq.cli.tables import remarks
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import forward_model
@@ -208,3 +209,16 @@ def test_an_exact_copy_of_a_pose_is_counted_once_and_said():
     assert both.used.sum() == m
     np.testing.assert_allclose(both.covariance, once.covariance, rtol=1e-9)
     assert f"{n} poses are exact copies of earlier ones" in both.extra["warnings"][0]
+
+
+def test_two_recordings_of_a_nominal_arm_share_its_link_errors():
+    """Together they know the hand-eye transform of each at least as well, and the arm stays nominal."""
+    cell = ordinary(11, 4, 8)
+    halves = [cell.observations.select(np.isin(cell.observations.station, of)) for of in ([0, 1], [2, 3])]
+    together = calibrate_together(halves, HAND_EYE_ALONE)
+    for both, half in zip(together, halves, strict=True):
+        alone = calibrate(half, HAND_EYE_ALONE)
+        assert np.array_equal(both.state.chain.rows, half.cell.robot.chain.rows)
+        index = [alone.names.index(f"hand_eye.{c}") for c in "xyz"]
+        mine = [both.names.index(f"hand_eye.{c}") for c in "xyz"]
+        assert np.trace(both.covariance[np.ix_(mine, mine)]) < 1.2 * np.trace(alone.covariance[np.ix_(index, index)])

@@ -173,7 +173,7 @@ def test_groups_nobody_needs_vanish_and_others_find_their_size(plan, recording):
     kept = {t.where[0] for t in found.effects.terms}
     assert {"A2", "A4"} <= kept
     assert found.chi2 / found.dof < 1.15
-    assert found.rms_mm < 0.7 * calibrate(recording, CalibrationOptions(refuse=False)).rms_mm
+    assert found.rms_mm < 0.7 * calibrate(recording, replace(OPTIONS, discrepancy=False)).rms_mm
 
 
 def test_sizes_found_by_some_of_the_poses_lead_to_the_coefficients_of_all(plan, recording, monkeypatch):

@@ -86,6 +86,7 @@ def test_the_keys_stand_in_the_order_of_the_format():
         "proposals",
         "noise_depends_on",
         "model",
+        "evidence",
     ]
     assert list(content["effects"][0])[:7] == ["name", "where", "parameters", "p_value", "held_out_gain", "alternatives", "depends_on"]
     assert list(content["effects"][0])[7:] == ["p_local", "p_corrected", "log_bayes_factor", "equivalent"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch, log_e_value, log_e_value_at_false_alarm_rate
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
@@ -35,6 +35,11 @@ class EvidenceFit:
     @property
     def significant(self) -> bool:
         return self.log_e_value > self.least
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the evidence neither shows an effect nor is as weak as without one."""
+        return float(np.log(OPTIONS.noteworthy_e_value)) < self.log_e_value <= self.least
 
     @property
     def best(self) -> Hypothesis:
@@ -76,7 +81,7 @@ def compared(
     prior = SetPrior.of(problem.candidates, blocks.locations)
     search = EvidenceSearch(problem.candidates, blocks, prior, problem.context, alternatives, narrow, staged)
     ranked = search.run(NoisePoint(linear, problem.prior_noise, theta), begin)
-    return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), log_e_value_at_false_alarm_rate(linear.obs.n_poses))
+    return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), LEAST_LOG_E_VALUE)
 
 
 def readmitted(problem: DiagnosisProblem) -> np.ndarray:

@@ -82,8 +82,9 @@ def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
     return f"the noise of the {instrument} is {factor} what is stated: {found:.2g} mm an axis; correct noise_mm in cell.yaml"
 
 
-def noise_in_words(found: Sequence[NoiseDependence]) -> list[str]:
-    """A sentence for each noise that depends on the place."""
+def noise_in_words(found: Sequence[NoiseDependence], weighted: bool = True) -> list[str]:
+    """A sentence for each noise that depends on the place. weighted: whether each pose has its own in everything else."""
+    used = "each pose is weighted by its own" if weighted else "so long a recording keeps one noise for all poses"
     out = []
     for one in found:
         what = "the noise of the instrument" if one.of == "instrument" else "the noise of whole poses, of joints and instrument,"
@@ -92,7 +93,7 @@ def noise_in_words(found: Sequence[NoiseDependence]) -> list[str]:
         ends = f"from {one.low:.0f} to {one.high:.0f} {one.unit} it is {significant(ratio, 2)} times as large ({p_value(one.p_value)})"
         ends = ends if grows == "grows" else ends.replace("times as large", "times smaller")
         sizes = f": {micrometres(one.sigma_low_mm)} and {micrometres(one.sigma_high_mm)} an axis" if one.of == "instrument" else ""
-        out.append(f"{what} {grows} with the {one.covariate}: {ends}{sizes}; each pose is weighted by its own")
+        out.append(f"{what} {grows} with the {one.covariate}: {ends}{sizes}; {used}")
     return out
 
 

@@ -6,7 +6,7 @@ The delay between the clocks is where the speeds of both agree best. Times that 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,9 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, TableSchema, read_table
-from mbcacq.recording.datasets.columns import flange_group, groups, joint_columns
+from mbcacq.recording.datasets.columns import flange_group, groups, joint_columns, unit_above
 from mbcacq.recording.datasets.csv_columns import TIME, numbers
-from mbcacq.recording.datasets.pose_columns import ANGLES, PoseHeadings, heading, role
+from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, role
 
 LOG = TableSchema("a log", (TIME,), preamble=True)
 LEAST_ROWS = 20
@@ -79,6 +79,8 @@ def merge_logs(arm: Path, measured: Path, columns: Mapping[str, str], still: Res
     first, second = (_read(path, names) for path in (arm, measured))
     hand, moving = _arm(first)
     seen = _target(second)
+    if seen.length is None and (unit := unit_above(second)):
+        seen = replace(seen, length=LENGTHS[unit])
     log_a, said_a = _log(first, moving, hand is None)
     log_b, said_b = _log(second, second.group(seen.translation) * (seen.with_units(second).length or 1.0), False)
     delay = clock_delay(log_a.time_s, log_a.value, log_b.time_s, log_b.value, str(measured))

@@ -25,6 +25,7 @@ SHOWN = 60  # characters of a value
 class KeptPlan:
     """plan: its YAML; files: name -> text of the files it names; cell: which cell was driven. None for what neither the folder nor its
     recordings say. path: where the plan was read from, in runs of today. corrected: of a run that a calibrated arm steers, its targets.
+    grown_from: number of poses that the plan had before others were added.
     repairs: one sentence for each file that had to be restored or is lost."""
 
     plan: str | None
@@ -33,15 +34,19 @@ class KeptPlan:
     repairs: tuple[str, ...] = field(default=())
     path: str | None = None
     corrected: Mapping[str, Any] | None = None
+    grown_from: int | None = None
 
 
-def plan_files_text(files: Mapping[str, str], cell: str, path: Path | None = None, corrected: Mapping[str, Any] | None = None) -> str:
+def plan_files_text(
+    files: Mapping[str, str], cell: str, path: Path | None = None, corrected: Mapping[str, Any] | None = None, grown_from: int | None = None
+) -> str:
     """plan.files.json: the texts of the files that the plan names, and which cell is driven ('real', or the fake one and its seed). path:
     of the plan, with which a resumed run needs not be given it again. corrected: nominal and corrected joint angles, where a calibrated arm
-    steers the run."""
+    steers the run. grown_from: see ``LoadedPlan``; the plan is then the one that the folder keeps."""
     where = {} if path is None else {"path": str(path.absolute())}
     steered = {} if corrected is None else {"corrected": corrected}
-    return json.dumps({"format": FORMAT, "cell": cell, **where, **steered, "files": dict(files)}, indent=1) + "\n"
+    grown = {} if grown_from is None else {"grown_from": grown_from}
+    return json.dumps({"format": FORMAT, "cell": cell, **where, **steered, **grown, "files": dict(files)}, indent=1) + "\n"
 
 
 def plan_of_run(folder: Path) -> Path:
@@ -92,7 +97,8 @@ def read_kept_plan(folder: Path) -> KeptPlan:
         elif parts:
             repairs.append(f"{folder / name} {what}, and no recording holds a copy; it is taken to be as in this run")
     kept = json.loads(found[FILES]) if FILES in found else {}
-    return KeptPlan(found.get(PLAN), kept.get("files"), kept.get("cell"), tuple(repairs), kept.get("path"), kept.get("corrected"))
+    read = {key: kept.get(key) for key in ("path", "corrected", "grown_from")}
+    return KeptPlan(found.get(PLAN), kept.get("files"), kept.get("cell"), tuple(repairs), **read)
 
 
 def fault_of(folder: Path, name: str) -> str:

@@ -18,7 +18,16 @@ from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, 
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
-from mbcacq.report.verdict import SUSPICIOUS, beyond_expected_sentence, headlines, next_action, one_sign, uncertainty_budget, verdict_of
+from mbcacq.report.verdict import (
+    SUSPICIOUS,
+    beyond_expected_sentence,
+    expected_accuracy,
+    headlines,
+    next_action,
+    one_sign,
+    uncertainty_budget,
+    verdict_of,
+)
 from mbcacq.version import __version__
 
 FORMAT = "mbcacq-result/1"
@@ -209,8 +218,9 @@ def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     held_out = result.get("held_out")
     if held_out:
         out.append(("poses held out, 3D rms", f"{micrometres(held_out['rms_mm'])} ({held_out['poses']} poses, by {held_out['split']})"))
-    if fit.get("expected_accuracy_mm") is not None:
-        out.append(("expected accuracy of a point, U (k = 2)", f"{uncertainty(1e3 * K * fit['expected_accuracy_mm'])} µm"))
+    if (expected := expected_accuracy(result)) is not None:
+        value, misfit = expected
+        out.append(("expected accuracy of a point, U (k = 2)", f"{value} {misfit}".rstrip()))
     return out
 
 
