@@ -94,7 +94,13 @@ def main(folder: Path, arms: list[str]) -> None:
             f"{np.linalg.norm(a - b):.4f} mm",
             f"{sigma:.4f}",
         )
-        print("  ".join(row), f"bar {collected.worst_mm:.4f} mm, driven {driven.worst_mm:.4f} mm", flush=True)
+        print("  ".join(row), f"bar {_bar(collected.content)}, driven {_bar(driven.content)}", flush=True)
+
+
+def _bar(result: dict) -> str:
+    """Error of the bar, and how many of its expected standard deviations that is: one length says little about which run is better."""
+    bar = result["verification"]["places"][-1]
+    return f"{bar['after_mm']:+.4f} mm ({bar['after_mm'] / bar['expected_mm']:+.1f} sigma)"
 
 
 if __name__ == "__main__":

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "spheres"))
+TESTS = Path(__file__).parents[1] / "tests"
+sys.path[:0] = [str(TESTS), str(TESTS / "spheres")]
 
 import clouds  # noqa: E402
+from peer_open3d import open3d  # noqa: E402
 
-from mbcacq.lazy import open3d  # noqa: E402
 from mbcacq.spheres import find_spheres  # noqa: E402
 from mbcacq.spheres.fit import rough_fits, sphere_fits  # noqa: E402
 

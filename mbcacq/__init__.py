@@ -6,6 +6,7 @@
     done = mbcacq.run(plan, dry_run=True)                 # recorded, calibrated, verified, in a folder of its own
     data = mbcacq.load_observations("ur5-tracker")        # a run folder, a .rrd, an observation set
     cell = mbcacq.calibrate(data)                         # cell.errors (n, 5), cell.covariance (g, g), cell.to_base(q, xyz)
+    mbcacq.check(done.folder, plan, dry_run=True)         # a few poses again: did anything change since, what, where, since when
     mbcacq.collect(plan, "clouds")                        # a run of clouds that the scanner's own program saved
     mbcacq.verify(data, cell)                             # sphere spacing errors before and after, mm
     better = mbcacq.calibrate(data, effects=mbcacq.diagnose(data))   # the same cell with the effects that were found
@@ -33,11 +34,13 @@ if TYPE_CHECKING:
     from mbcacq.calibration.compare_methods import Comparison
     from mbcacq.calibration.result import Calibration
     from mbcacq.calibration.verification import Verification
+    from mbcacq.design.adaptive.investigation import Budget
     from mbcacq.design.new_plan import NewPlanOptions
     from mbcacq.estimation.options import CalibrationOptions
     from mbcacq.exports.format import Targets
     from mbcacq.fleet.evaluate import Fleet, evaluate_fleet
     from mbcacq.fleet.evaluation import FleetTask
+    from mbcacq.interim_check.check import CheckSettings, InterimCheck, check
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
     from mbcacq.plan.planned import LoadedPlan
@@ -48,16 +51,22 @@ if TYPE_CHECKING:
     from mbcacq.workflow.diagnosis_result import DiagnosisResult
     from mbcacq.workflow.evaluate import RunResult
     from mbcacq.workflow.export import export
+    from mbcacq.workflow.extend import extend
+    from mbcacq.workflow.investigate import investigate
     from mbcacq.workflow.load import load_observations, load_plan, load_trajectories
     from mbcacq.workflow.new_plan import new_plan
+    from mbcacq.workflow.next_plan import next_plan, next_poses, weigh_evidence
     from mbcacq.workflow.report import write_report
     from mbcacq.workflow.run import Operator, run
     from mbcacq.workflow.simulate import simulate
 
 __all__ = [
+    "Budget",
     "CalibratedCell",
     "Calibration",
     "CalibrationOptions",
+    "InterimCheck",
+    "CheckSettings",
     "Comparison",
     "DiagnosisResult",
     "Fleet",
@@ -74,20 +83,26 @@ __all__ = [
     "__version__",
     "calibrate",
     "calibrate_together",
+    "check",
     "collect",
     "compare",
     "correct",
     "diagnose",
     "evaluate_fleet",
     "export",
+    "extend",
+    "investigate",
     "load_observations",
     "load_plan",
     "load_trajectories",
     "new_plan",
+    "next_plan",
+    "next_poses",
     "run",
     "simulate",
     "verify",
     "verify_elsewhere",
+    "weigh_evidence",
     "write_report",
 ]
 
@@ -101,6 +116,7 @@ _MODULES = {
     "exports.format": ("Targets",),
     "fleet.evaluate": ("Fleet", "evaluate_fleet"),
     "fleet.evaluation": ("FleetTask",),
+    "interim_check.check": ("InterimCheck", "CheckSettings", "check"),
     "model.observations": ("Observations",),
     "model.trajectory": ("Trajectory",),
     "plan.planned": ("LoadedPlan",),
@@ -111,8 +127,12 @@ _MODULES = {
     "workflow.diagnosis_result": ("DiagnosisResult",),
     "workflow.evaluate": ("RunResult",),
     "workflow.export": ("export",),
+    "design.adaptive.investigation": ("Budget",),
+    "workflow.extend": ("extend",),
+    "workflow.investigate": ("investigate",),
     "workflow.load": ("load_observations", "load_plan", "load_trajectories"),
     "workflow.new_plan": ("new_plan",),
+    "workflow.next_plan": ("next_plan", "next_poses", "weigh_evidence"),
     "workflow.report": ("write_report",),
     "workflow.run": ("Operator", "run"),
     "workflow.simulate": ("simulate",),

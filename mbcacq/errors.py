@@ -22,6 +22,7 @@ class ExitCode(IntEnum):
     SAFETY_STOP = 8
     LOST = 9
     SYSTEM_REFUSED = 10
+    CHANGED = 11
     INTERRUPTED = 130
 
 
@@ -37,6 +38,7 @@ EXIT_CODE_MEANING = {
     ExitCode.SAFETY_STOP: "the robot was stopped for safety, or a motion was refused",
     ExitCode.LOST: "a device was lost or fell silent during the run",
     ExitCode.SYSTEM_REFUSED: "the computer refused memory, a file or a right, or has no screen",
+    ExitCode.CHANGED: "a check found that the cell changed",
     ExitCode.INTERRUPTED: "interrupted (Ctrl-C)",
 }
 
@@ -103,6 +105,12 @@ class SystemRefused(MbcacqError):
     """The computer refuses what the program needs: memory, open files, rights, a screen."""
 
     exit_code = ExitCode.SYSTEM_REFUSED
+
+
+class CellChanged(MbcacqError):
+    """A check found that the cell is not as it was when it was calibrated, or first checked."""
+
+    exit_code = ExitCode.CHANGED
 
 
 class CalibrationError(MbcacqError):

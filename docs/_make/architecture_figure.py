@@ -15,7 +15,7 @@ TARGET = ROOT / "docs" / "explanation" / "architecture.svg"
 PACKAGE = ROOT / "mbcacq"
 WIDTH, FLOOR, BOX_H, TOP = 980, 74, 40, 30
 INK, PALE, LINE = "#333333", "#eef2f6", "#5b7fa6"
-UNDER = ("errors", "lazy")  # what nearly everything imports: shown without arrows
+UNDER = ("errors", "quantities")  # what nearly everything imports: shown without arrows
 
 
 def floors() -> list[list[str]]:

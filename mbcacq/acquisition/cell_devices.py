@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, create, load_driver
+from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, SystemRefused, create, load_driver
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.motion_limits import axis_limits
 from mbcacq.plan.schema import DeviceUse
@@ -50,7 +50,7 @@ class CellDevices:
                 futures = {pool.submit(device.connect): name for name, device in devices.items()}
                 for future in as_completed(futures):
                     error = future.exception()
-                    if isinstance(error, ConfigError):
+                    if isinstance(error, ConfigError | SystemRefused):
                         raise error
                     if error is not None:
                         failures[futures[future]] = error

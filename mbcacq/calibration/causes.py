@@ -7,7 +7,7 @@ problem, whose gain of chi square follows from the solution without another fit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from mbcacq.model import shipped
 from mbcacq.model.observations import Observations
 
 EXPLAINED = 0.7  # share of the misfit beyond the noise that a story must remove to be told
+SCATTER = 6.0  # standard deviations of chi square, within which a misfit needs no story
 APART = 20.0  # of chi square to the best story of another kind: odds of e^10; a wrong name is worse than none
 SAME = 20.0  # of chi square: moments that are this near are told as a range
 MOST_POSES = 400  # whose moments are looked at
@@ -32,12 +33,14 @@ MOST_TRIED = 20_000  # assignments of a ball; eight balls take a hundred
 
 @dataclass(frozen=True)
 class Story:
-    """kind: of which there is one best; gain: fall of chi square; freedom: parameters it takes, with the choice among ``tries``."""
+    """kind: of which there is one best; gain: fall of chi square; freedom: parameters it takes, and what the choice of its moment or pose
+    is worth; pose: number of the pose that it is about, None where it is about no single one."""
 
     kind: str
     text: str
     gain: float
     freedom: float
+    pose: int | None = None
 
     @property
     def net(self) -> float:
@@ -50,9 +53,17 @@ def likely_cause(lineariser: Lineariser, strict: Solution) -> str:
     Parameters
     ----------
     lineariser, strict : Lineariser, Solution
-        The recording, every centre with full weight, solved under the noise that statement and data sheet allow.
+        The recording, every pose with full weight, solved under the noise that statement and data sheet allow.
     """
-    return misdescribed(lineariser.obs) or told(list(stories(lineariser, strict)), excess(lineariser, strict))
+    return misdescribed(lineariser.obs) or fault_of(lineariser, strict)
+
+
+def fault_of(lineariser: Lineariser, strict: Solution, known: Collection[int] = ()) -> str:
+    """As ``likely_cause``, of what happened while the recording was made; '' too where its misfit is within the scatter of the noise, or
+    where one of the poses that are ``known`` (their numbers) explains it."""
+    misfit, dof = excess(lineariser, strict)
+    best = told(list(stories(lineariser, strict)), misfit) if misfit > SCATTER * np.sqrt(2 * dof) else None
+    return "" if best is None or best.pose in known else best.text
 
 
 def misdescribed(obs: Observations) -> str:
@@ -61,23 +72,24 @@ def misdescribed(obs: Observations) -> str:
     return exchanged_balls(obs) or "; ".join(map(str, wrong_descriptions(obs))) or other_arm(obs)
 
 
-def excess(lineariser: Lineariser, strict: Solution) -> float:
-    """Chi square beyond what the noise explains."""
-    rows = float(lineariser.rows.width * lineariser.obs.n_centres)
+def excess(lineariser: Lineariser, strict: Solution) -> tuple[float, float]:
+    """Chi square beyond what the noise explains, and the degrees of freedom."""
+    weights = strict.weights.centre * strict.weights.pose[lineariser.obs.pose]
     flat = int(np.sum(~np.isfinite(strict.prior.sigma))) + int(strict.normal.station_rank.sum())
-    return strict.cost - (rows - flat)
+    dof = max(lineariser.rows.width * float(weights.sum()) - flat, 1.0)
+    return strict.cost - dof, dof
 
 
-def told(found: list[Story], misfit: float) -> str:
+def told(found: list[Story], misfit: float) -> Story | None:
     """The best story where it explains enough and no story of another kind comes near."""
     if not found:
-        return ""
+        return None
     ranked = sorted(found, key=lambda s: -s.net)
     best = ranked[0]
     others = [s for s in ranked if s.kind != best.kind]
     if best.gain < EXPLAINED * misfit or (others and others[0].net > best.net - APART):
-        return ""
-    return best.text
+        return None
+    return best
 
 
 def stories(lineariser: Lineariser, strict: Solution) -> Iterator[Story]:
@@ -88,7 +100,8 @@ def stories(lineariser: Lineariser, strict: Solution) -> Iterator[Story]:
     pose = int(np.argmax(deleted.chi2 - deleted.rank))
     number = int(lineariser.obs.pose_id[pose])
     text = f"pose {number} alone explains it; measure it again before it is left out"
-    yield Story("pose", text, float(deleted.chi2[pose]), float(deleted.rank[pose]) + 2 * np.log(lineariser.obs.n_poses))
+    price = float(deleted.rank[pose]) + 2 * np.log(lineariser.obs.n_poses)
+    yield Story("pose", text, float(deleted.chi2[pose]), price, number)
 
 
 class _Columns:

@@ -14,3 +14,8 @@ def caveats(result: Mapping[str, Any]) -> list[str]:
     """One sentence each, for the content of a result.json: simulated data, values without verification."""
     verified = bool((result.get("verification") or {}).get("places") or result.get("held_out"))
     return [*([SIMULATED] if result.get("simulated") else []), *([] if verified else [UNVERIFIED])]
+
+
+def with_warnings(result: Mapping[str, Any]) -> list[str]:
+    """The caveats, and what the calibration warned of: for whoever takes a result further and did not see how it was made."""
+    return [*caveats(result), *(str(warning) for warning in result.get("warnings") or ())]

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.causes import likely_cause
+from mbcacq.calibration.causes import exchanged_balls, fault_of, likely_cause
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters, variance_components
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
-from mbcacq.estimation.solver import Solution, Weights, solve
+from mbcacq.estimation.solver import Solution, Weights, evaluated, reweighted, solve
 from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
 
@@ -31,7 +31,7 @@ class ContradictionOptions:
 
     scanner: float = 2.0
     joint: float = 2.5
-    link: float = 4.0
+    link: float = 6.0  # an arm three times as far off as ordinary ones reaches 4.5
     unstated: float = 3.0  # further factor where no figure of the instrument or of the arm is given, but a guess of its class
     absolute: float = 10.0  # further factor of poses of the flange, which err by the arm's absolute accuracy and not by its repeatability
     refused: float = 20.0  # ratio from which the result is of no use to anybody
@@ -66,6 +66,8 @@ class Contradiction:
             said.append(f"{self.link:.1f} times the link errors that arms have")
         if self.rejected > OPTIONS.rejected_share:
             said.append(f"{self.rejected:.0%} of the centres rejected")
+        if not said:
+            return f"Something changed while the recording was made: {self.cause}"
         what = " and ".join(said)
         why = self.cause or "something is not as described, or not in the model: look at the recording before its result is used"
         return f"The recording contradicts its description ({what}): {why}"
@@ -96,11 +98,42 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
     scanner, joint = noise_ratios(solution)
     link = link_ratio(solution, lineariser.layout)
     found = Contradiction(scanner, joint, link, float(np.mean(~adjustment.used)))
-    if not _beyond(found, lineariser.obs.cell):
+    strict = solve(lineariser, solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
+    if _beyond(found, lineariser.obs.cell):
+        return replace(found, cause=likely_cause(lineariser, strict))
+    fault = fault_of(lineariser, strict, known=rejected_poses(adjustment))
+    return replace(found, cause=fault) if fault else None
+
+
+def stated_chi2_dof(adjustment: Adjustment, dof: int) -> float | None:
+    """Chi square per degree of freedom under the noise that scanner and data sheet state; None where one of them states none.
+
+    The noise that a calibration estimates makes its own chi square 1, whatever is wrong.
+    """
+    lineariser, cell = adjustment.lineariser, adjustment.lineariser.obs.cell
+    if cell.noise_mm is None or not cell.robot.repeatability_mm or dof < 1:
         return None
-    everything = Weights(np.ones(lineariser.obs.n_centres), np.ones(lineariser.obs.n_poses))
-    strict = solve(lineariser, solution, noise, everything, tolerance=1e-2)
-    return replace(found, cause=likely_cause(lineariser, strict))
+    at = reweighted(lineariser, evaluated(lineariser, adjustment.solution), variance_components.first_noise(cell), adjustment.weights)
+    return at.cost / dof
+
+
+def every_pose(weights: Weights) -> Weights:
+    """With the poses that were rejected: those after an accident may be few enough for that. Rejected centres stay out."""
+    return replace(weights, pose=np.ones_like(weights.pose))
+
+
+def fault_while_recording(adjustment: Adjustment) -> str:
+    """A sentence on a place, mount or joint that changed while an arm was recorded that is to be identified; '' where none explains the
+    misfit, or where one pose does that was rejected already."""
+    lineariser = adjustment.lineariser
+    noise = variance_components.first_noise(lineariser.obs.cell)
+    strict = solve(lineariser, adjustment.solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
+    return exchanged_balls(lineariser.obs) or fault_of(lineariser, strict, known=rejected_poses(adjustment))
+
+
+def rejected_poses(adjustment: Adjustment) -> list[int]:
+    """Numbers of the poses that were rejected."""
+    return adjustment.lineariser.obs.pose_id[adjustment.weights.pose == 0].tolist()
 
 
 def refuse_contradiction(found: Contradiction, obs: Observations, options: CalibrationOptions) -> None:

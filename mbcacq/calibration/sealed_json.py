@@ -37,5 +37,10 @@ def unsealed(content: Any, file: Path) -> Any:
     return plain
 
 
+def digest(content: Mapping[str, Any]) -> str:
+    """SHA-256 of a result's content, with its checksum or without."""
+    return _digest(json.loads(json.dumps({key: value for key, value in content.items() if key != SEAL})))
+
+
 def _digest(plain: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.maximum_likelihood import refuse_unusable
+from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_of_other_arm
 from mbcacq.effects.covariates import Covariates
@@ -108,7 +109,9 @@ def _together(problem: JointProblem, options: CalibrationOptions, effects: Effec
 def _fitted(problem: JointProblem, options: CalibrationOptions) -> Calibration:
     obs = problem.observations
     options = replace(options, start=problem.start)
-    return Calibration.adjusted(obs, options, adjust(obs, options))
+    fitted = adjust(obs, options)
+    result = Calibration.adjusted(obs, options, fitted)
+    return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
 
 
 def day_to_day(whole: Calibration, model: EffectModel) -> list[DayToDay]:

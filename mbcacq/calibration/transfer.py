@@ -23,6 +23,7 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
@@ -142,6 +143,7 @@ def check_transfer(
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
     refuse_other_arm("the result is of", cell.robot, cell.preliminary.chain, observations.cell.robot, recording or "the recording")
+    observations = select_phases(observations, CalibrationOptions(phases=_all_phases(observations)))
     left_out: tuple[str, ...] = ()
     if place == "known":
         observations, left_out = at_known_stations(observations, cell)
@@ -263,7 +265,7 @@ class _Trial:
         if self.place == "known":
             return None
         try:
-            own = calibrate(self.obs, CalibrationOptions(refuse=False, phases=_all_phases(self.obs)))
+            own = calibrate(self.obs, CalibrationOptions(refuse=False, discrepancy=False, phases=_all_phases(self.obs)))
         except CalibrationError:
             return None
         return self.figures(_PlacedFit.of(own), used)

@@ -6,6 +6,7 @@ import os
 
 
 def main() -> None:
+    _open_standard_streams()
     # Many small matrices: threads of the linear algebra wait for each other more than they help, most of all while other programs run.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import signal
@@ -24,3 +25,17 @@ def main() -> None:
         sys.exit(130)  # ExitCode.INTERRUPTED, which may not be loaded yet
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done: the interpreter, while it ends, would let it end us by the signal
+
+
+def _open_standard_streams() -> None:
+    """Where the caller closed one of the three (``2>&-``), what is said goes nowhere, and the next file that is opened does not get its
+    number: a library's complaint would be written into a recording."""
+    import sys
+
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            nothing = os.open(os.devnull, os.O_RDWR)
+            if nothing != number:
+                os.dup2(nothing, number)
+                os.close(nothing)
+            setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", encoding="utf-8", errors="backslashreplace", closefd=False))

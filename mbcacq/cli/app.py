@@ -21,6 +21,7 @@ from mbcacq.version import __version__
 FULL = (errno.ENOSPC, errno.EDQUOT)
 COMMANDS = {
     "run": "execute a plan, record it, calibrate the cell",
+    "investigate": "measure until the cell is known: choose visit after visit by what is still in question",
     "collect": "calibrate from clouds that the scanner's own program saved",
     "plan": "make, show, check or design a plan, without opening a socket",
     "robot": "make a robot file from a URDF, an MJCF file or a table of DH rows",
@@ -30,6 +31,7 @@ COMMANDS = {
     "diagnose": "say where simulation and recording differ, and which effects the model lacks",
     "verify": "try a calibrated arm with its effects on a recording that it was not fitted to",
     "fleet": "calibrate many recordings on a cluster, compare the arms over time",
+    "check": "repeat a few poses, say whether anything changed since the calibration",
     "correct": "joint angles that reach the nominal places with the calibrated arm",
     "simulate": "write what the calibrated model says a plan would record",
     "challenge": "inject effects into the fake cell, diagnose without knowing them, score",

@@ -30,12 +30,13 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
     """
     import numpy as np
 
-    from mbcacq.calibration.caveats import caveats
+    from mbcacq.calibration.caveats import with_warnings
     from mbcacq.errors import ConfigError
     from mbcacq.exports.clouds import write_cloud
     from mbcacq.exports.result_json import load_result
     from mbcacq.exports.scan_correction import place_scan
     from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
+    from mbcacq.workflow.load import unsealed_note
 
     out = out or cloud.with_name(f"{cloud.stem}_base.ply")
     if out.exists() and not force:
@@ -74,7 +75,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
             )
         )
         return
-    for sentence in caveats(known):
+    for sentence in [*with_warnings(known), *unsealed_note(result)]:
         echo(f"*** {sentence} ***", err=True)
     for note in notes:
         echo(f"note: {note}", err=True)

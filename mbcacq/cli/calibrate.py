@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     "--free", "--release", "release", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable)."
 )
 @click.option("--hand-eye-only", is_flag=True, help="Take the arm as nominal; identify hand-eye and stations only.")
+@click.option("--geometry-alone", is_flag=True, help="Seek no smooth errors beyond the model; what it lacks counts as noise.")
 @click.option(
     "--noise",
     type=click.Choice(["auto", "given", "estimate"]),
@@ -83,6 +84,7 @@ def command(
     hold: tuple[str, ...],
     release: tuple[str, ...],
     hand_eye_only: bool,
+    geometry_alone: bool,
     noise: str,
     keep_outliers: bool,
     even_if_undetermined: bool,
@@ -114,6 +116,7 @@ def command(
         pairs=pairs,
         phases=phases or None,
         kinematics=not hand_eye_only,
+        discrepancy=not geometry_alone,
         hold=hold,
         release=release,
         noise=noise,
@@ -203,7 +206,8 @@ def print_result(result: dict[str, Any], *, arm: bool = True) -> None:
         console.print(tables.parameters(result))
     for table in (*tables.fixed_scanners(result), tables.hand_eye(result)):
         console.print(table)
-    for line in [*tables.effects(result), *tables.fit(result), *tables.scan_scale(result), *tables.stages(result), *tables.remarks(result)]:
+    fit = (tables.effects, tables.fit, tables.scan_scale, tables.stages, tables.remarks, tables.arm_improved)
+    for line in (line for lines in fit for line in lines(result)):
         console.print(line)
     if result.get("verification"):
         console.print(tables.verification(result["verification"]))

@@ -1,4 +1,4 @@
-"""``mbcacq compare``: calibration methods side by side on the same data."""
+"""``mbcacq compare``: calibration methods side by side on the same data, or two recordings of one arm."""
 
 from __future__ import annotations
 
@@ -15,20 +15,29 @@ from mbcacq.cli.terminal import echo
 
 @click.command("compare")
 @click.argument("data", type=RunPath())
+@click.argument("other", type=RunPath(), required=False)
 @click.option("--no-held-out", is_flag=True, help="Leave out the refits without some stations.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the split.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as one JSON object on stdout.")
-def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
+def command(data: Path, other: Path | None, no_held_out: bool, seed: int, as_json: bool) -> None:
     """Calibrate the recording DATA in every way and compare: nominal, AX=XB and AX=ZB (Tsai-Lenz,
     Park-Martin, Horaud-Dornaika, Andreff, Daniilidis; Shah, Li), hand-eye only, the paper's method
     (as printed, and with more pairs of balls), distance constraint only, maximum likelihood. A method that DATA does not determine is
     listed with the reason.
 
+    With OTHER, a second recording of the same arm: what changed from DATA to OTHER, parameter by parameter and effect by effect.
+    Both are run folders with a result, or a result.json.
+
     \b
-    Example:
+    Examples:
       mbcacq compare runs/today
+      mbcacq compare runs/monday runs/friday
     """
     import mbcacq
+
+    if other is not None:
+        _print_changes(data, other, as_json)
+        return
 
     with StepProgress() as progress:
         progress("reading the recording")
@@ -54,3 +63,38 @@ def command(data: Path, no_held_out: bool, seed: int, as_json: bool) -> None:
     for why in dict.fromkeys(row.why_not_held_out for row in rows if row.why_not_held_out):
         names = ", ".join(row.method for row in rows if row.why_not_held_out == why)
         console.print(f"Nothing held out: {names}: without some poses, {why}", soft_wrap=True)
+
+
+def _print_changes(first: Path, second: Path, as_json: bool) -> None:
+    """The comparison of two recordings."""
+    from mbcacq.workflow.compare_runs import compare_runs
+
+    with StepProgress() as progress:
+        progress("comparing")
+        found = compare_runs(first, second)
+    if as_json:
+        echo(json.dumps(found.to_dict()))
+        return
+    from rich.table import Table
+
+    from mbcacq.quantities import measured, p_value, symbol
+
+    def shown(pair: tuple[float, float | None] | None) -> str:
+        return "–" if pair is None else measured(*pair)
+
+    table = Table(title=f"{found.robot}: {first} (before), {second} (after); ± U, k = 2", title_justify="left")
+    table.add_column("")
+    for name in ("before", "after", "change"):
+        table.add_column(name, justify="right")
+    table.add_column("unit")
+    for row in found.rows:
+        mark = "! " if row.significant else ""
+        change = shown(row.change) if row.change is not None or not row.why_not else row.why_not
+        table.add_row(f"{mark}{row.name}", shown(row.before), shown(row.after), change, symbol(row.unit))
+    console = terminal_console(highlight=False)
+    console.print(table)
+    together = f"χ² {found.chi2:.1f} of {found.dof} degrees of freedom, {p_value(found.p_value)}"
+    console.print(f"Arm and hand-eye together: {together}", soft_wrap=True, markup=False)
+    changed = ", ".join(row.name for row in found.changed)
+    verdict = f"Changed beyond chance (!): {changed}" if changed else "No single parameter changed beyond chance"
+    console.print(verdict, soft_wrap=True, markup=False)

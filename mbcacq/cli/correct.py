@@ -34,9 +34,9 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
     import numpy as np
 
     import mbcacq
-    from mbcacq.calibration.caveats import caveats
+    from mbcacq.calibration.caveats import with_warnings
     from mbcacq.workflow.correct import LARGE_CHANGE
-    from mbcacq.workflow.load import as_result
+    from mbcacq.workflow.load import as_result, unsealed_note
 
     with StepProgress() as steps:
         steps.begin("looking for joint angles that reach the nominal places")
@@ -44,7 +44,7 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
     if as_json:
         echo(json.dumps(done.to_dict()))
         return
-    for sentence in caveats(as_result(result)):
+    for sentence in [*with_warnings(as_result(result)), *unsealed_note(result)]:
         echo(f"*** {sentence} ***", err=True)
     for note in done.notes:
         echo(f"note: {note}", err=True)

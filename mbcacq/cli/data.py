@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +13,7 @@ import click
 from mbcacq.cli.terminal import echo
 
 if TYPE_CHECKING:
-    from mbcacq.recording.datasets.loose_table import TableOptions
+    from mbcacq.recording.datasets.loose_table import TableOptions, UnderstoodTable
 
 
 @click.group("data")
@@ -19,25 +21,37 @@ def command() -> None:
     """Make an observation set of files from other programs."""
 
 
+def table_options(function: Callable[..., None]) -> Callable[..., None]:
+    """What is said of tables beside their headings, and where the set goes."""
+    for option in reversed(_TABLE_OPTIONS):
+        function = option(function)
+    return function
+
+
+_TABLE_OPTIONS = (
+    click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The folder to write [default: NAME-set here]."),
+    click.option(
+        "--flange", metavar="CONVENTION", help="Of the flange's orientation: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz."
+    ),
+    click.option("--target", metavar="CONVENTION", help="Of the target's orientation, likewise."),
+    click.option("--length", type=click.Choice(["mm", "m"]), help="Unit of lengths, where headings do not say [by their size]."),
+    click.option("--angle", type=click.Choice(["deg", "rad"]), help="Unit of angles, where headings do not say [by their size]."),
+    click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", help="The scanner is on the flange."),
+    click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The scanner is fixed, the target on the flange."),
+    click.option("--target-inverted", is_flag=True, help="The target's columns are the pose of the camera as the target sees it."),
+    click.option(
+        "--column", "columns", multiple=True, metavar="OURS=FILE", help="What the file calls a column, e.g. time_s=Time (repeatable)."
+    ),
+    click.option("--robot", metavar="ROBOT", help="The arm of joint angles: one of the tool's, or a robot file."),
+    click.option("--noise", nargs=3, type=click.FloatRange(0, min_open=True), metavar="X Y Z", help="Sigma of one measured point, mm."),
+    click.option("--force", is_flag=True, help="Replace the set if it exists."),
+    click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout."),
+)
+
+
 @command.command("new")
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The folder to write [default: NAME-set here].")
-@click.option(
-    "--flange", metavar="CONVENTION", help="Of the flange's orientation: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz."
-)
-@click.option("--target", metavar="CONVENTION", help="Of the target's orientation, likewise.")
-@click.option("--length", type=click.Choice(["mm", "m"]), help="Unit of lengths, where headings do not say [by their size].")
-@click.option("--angle", type=click.Choice(["deg", "rad"]), help="Unit of angles, where headings do not say [by their size].")
-@click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", help="The scanner or camera is on the flange.")
-@click.option("--eye-to-hand", "measurement", flag_value="target_in_base", help="The scanner or camera is fixed, the target on the flange.")
-@click.option("--target-inverted", is_flag=True, help="The target's columns are the pose of the camera as the target sees it.")
-@click.option(
-    "--column", "columns", multiple=True, metavar="OURS=FILE", help="What the file calls a column, e.g. time_s=Time (repeatable)."
-)
-@click.option("--robot", metavar="ROBOT", help="The arm of joint angles: one of the tool's, or a robot file.")
-@click.option("--noise", nargs=3, type=click.FloatRange(0, min_open=True), metavar="X Y Z", help="Sigma of one measured point, mm.")
-@click.option("--force", is_flag=True, help="Replace the set if it exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+@table_options
 def new(
     files: tuple[Path, ...],
     out: Path | None,
@@ -59,22 +73,72 @@ def new(
       mbcacq data new poses.csv --flange fanuc --eye-to-hand --out cell-3
       mbcacq calibrate cell-3 --hand-eye-only
     """
-    from mbcacq.recording import write_observation_set
     from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
+
+    folder = _free_folder(out or Path(f"{files[0].stem}-set"), force)
+    _write(read_hand_eye_files(files, options_of(columns, robot, noise, said)), folder, as_json)
+
+
+@command.command("merge")
+@click.argument("arm", type=click.Path(path_type=Path))
+@click.argument("measured", type=click.Path(path_type=Path))
+@click.option(
+    "--standstill", type=click.FloatRange(0.05, 60), default=0.5, show_default=True, help="Shortest rest of the arm that is a pose, s."
+)
+@table_options
+def merge(
+    arm: Path,
+    measured: Path,
+    standstill: float,
+    out: Path | None,
+    columns: tuple[str, ...],
+    robot: str | None,
+    noise: tuple[float, float, float] | None,
+    force: bool,
+    as_json: bool,
+    **said: Any,
+) -> None:
+    """Make an observation set of two logs of one motion: ARM (joint angles with --robot, or poses of the flange) and MEASURED (what a
+    tracker, camera or scanner saw of a target), each in time.
+
+    Their clocks may differ: the delay is found from the speeds of both. Each rest of the arm becomes a pose.
+
+    
+    Examples:
+      mbcacq data merge joints.csv tracker.csv --robot ur10e --eye-to-hand --out cell-4
+      mbcacq data merge flange.csv camera.csv --flange kuka --standstill 1.0
+    """
+    from mbcacq.recording.datasets.loose_table import UnderstoodTable, understood
+    from mbcacq.recording.datasets.merge import RestRule, merge_logs
+
+    folder = _free_folder(out or Path(f"{arm.stem}-set"), force)
+    options = options_of(columns, robot, noise, said)
+    merged = merge_logs(arm, measured, options.columns, RestRule(standstill))
+    found = understood(merged.table, replace(options, columns={}))
+    _write(UnderstoodTable(found.observations, (*merged.sentences, *found.sentences)), folder, as_json)
+
+
+def _free_folder(folder: Path, force: bool) -> Path:
+    """The folder to write. Raises ConfigError where it exists."""
     from mbcacq.workflow.load import refuse_existing
 
-    folder = out or Path(f"{files[0].stem}-set")
     refuse_existing(folder, force, f"{folder} exists; give another --out, or --force to replace it")
-    found = read_hand_eye_files(files, options_of(columns, robot, noise, said))
-    write_observation_set(found.observations, folder)
+    return folder
+
+
+def _write(found: UnderstoodTable, folder: Path, as_json: bool) -> None:
+    """Write the set, and say how it was understood."""
+    from mbcacq.recording import write_observation_set
+
+    obs = found.observations
+    write_observation_set(obs, folder)
     if as_json:
-        obs = found.observations
         content = {"out": str(folder), "poses": obs.n_poses, "measurements": obs.n_centres, "measurement": obs.cell.measurement}
         echo(json.dumps({**content, "understood": list(found.sentences)}))
         return
     for sentence in found.sentences:
         echo(sentence)
-    alone = " --hand-eye-only" if found.observations.cell.robot.of_flange_poses else ""
+    alone = " --hand-eye-only" if obs.cell.robot.of_flange_poses else ""
     echo(f"observation set: {folder}; next: mbcacq calibrate {folder}{alone}")
 
 

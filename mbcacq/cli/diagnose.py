@@ -66,6 +66,14 @@ if TYPE_CHECKING:
     metavar="FILE.py",
     help="Try the effect of this Python file, whose code is run, next to those of the catalogue (repeatable).",
 )
+@click.option(
+    "--next",
+    "next_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="NEXT.yaml",
+    help="Write the poses that would decide most of what is left open as a plan, which runs: mbcacq run --extend RUN NEXT.yaml.",
+)
+@click.option("--evidence", "look", is_flag=True, help="Only weigh the evidence as it stands, without validation: a look within seconds.")
 @click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")
 def command(
     data: tuple[Path, ...],
@@ -83,6 +91,8 @@ def command(
     simulation: tuple[Path, ...],
     propose: Path | None,
     effect_files: tuple[Path, ...],
+    next_file: Path | None,
+    look: bool,
     write_model: Path | None,
 ) -> None:
     """Diagnose DATA: a run folder ('latest': the newest in runs), an .rrd, an observation set; or trajectory sets of one robot, together.
@@ -93,6 +103,7 @@ def command(
     Examples:
       mbcacq diagnose latest --calibrate
       mbcacq diagnose latest --propose my-effect
+      mbcacq diagnose latest --next next.yaml
       mbcacq diagnose ur5-tracker --report diagnosis.html --rrd diagnosis.rrd
       mbcacq diagnose ur10-tracker-a --check ur10-tracker-c --out diagnosis.json
       mbcacq diagnose motion1 motion2 --simulation arm.xml --write-model found.xml
@@ -102,6 +113,10 @@ def command(
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
+    if look:
+        with with_files(effect_files):
+            print_evidence(data, options, out, as_json)
+        return
     with StepProgress() as progress, with_files(effect_files):
         progress("reading the recording")
         found = mbcacq.diagnose(
@@ -123,6 +138,9 @@ def command(
                 found.keep(data[0])
         calibrated = with_effects(data, found, options) if with_found else []
         calibrated += [] if propose is None else proposed(found, propose)
+        if next_file is not None:
+            progress("choosing what to measure next")
+            calibrated += planned_next(data, next_file)
     if out is not None:
         from mbcacq.files.atomic_write import write_file
 
@@ -152,10 +170,40 @@ def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found:
 def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:
     """Write the draft of an effect where a formula was found, and say how it is used."""
     if not found.proposals:
-        return ["", "No formula is proposed: there is no unmodelled effect that a short one predicts."]
+        return ["", "No formula is proposed, and nothing is written: there is none that predicts what was left out."]
     files = found.write_effect(folder)
     used = f"mbcacq diagnose DATA --effect-file {files[1]}"
     return ["", f"A draft of the effect is in {folder}: pip install {folder} adds it to the catalogue, {used} tries it at once."]
+
+
+def planned_next(data: tuple[Path, ...], file: Path) -> list[str]:
+    """Write the next measurements as a plan, and say what they are for."""
+    import mbcacq
+
+    if len(data) != 1:
+        raise ConfigError("the next measurements extend one run; give one with --next")
+    planned = mbcacq.next_plan(data[0], file)
+    written = [f"{file}: mbcacq run --extend {data[0]} {file}"] if planned.text else []
+    return ["", *planned.sentences, *written]
+
+
+def print_evidence(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, out: Path | None, as_json: bool) -> None:
+    """The evidence of one recording, as JSON or in words."""
+    import json
+
+    import mbcacq
+    from mbcacq.diagnosis.output.evidence_summary import evidence_in_words
+    from mbcacq.diagnosis.result import plain
+
+    if len(data) != 1:
+        raise ConfigError("the evidence is weighed of one recording; give one with --evidence")
+    evidence = mbcacq.weigh_evidence(data[0], options)
+    text = json.dumps({"format": "mbcacq-evidence/1", **plain(evidence)}, allow_nan=False)
+    if out is not None:
+        from mbcacq.files.atomic_write import write_file
+
+        write_file(out, text + "\n")
+    echo(text if as_json else evidence_in_words(evidence))
 
 
 def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:

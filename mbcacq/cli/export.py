@@ -97,13 +97,16 @@ def command(
 
 def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> list[str]:
     """What must be known before the files are used."""
-    from mbcacq.calibration.caveats import caveats
+    from mbcacq.calibration.caveats import with_warnings
     from mbcacq.exports.result_json import load_result
     from mbcacq.model.cell import SIMULATED
+    from mbcacq.workflow.load import unsealed_note
 
     if results is not None:
         from mbcacq.exports.marks import geometry_alone
+        from mbcacq.exports.mount import remark
 
         result = load_result(run)
-        return [*caveats(result), *(f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))]
+        about = (f"KUKA, ROS and URDF files: {sentence}" for sentence in geometry_alone(result))
+        return [*with_warnings(result), *unsealed_note(run), *remark(result), *about]
     return [SIMULATED] if any(one.get("simulated") for one in written) else []

@@ -71,6 +71,8 @@ def command(
         echo(f"{recording}: outside: {', '.join(names)}")
     if unlike:
         echo(f"unlike the other arms of the type: {', '.join(unlike)}")
+    for path in found.damaged:
+        echo(f"{path} was damaged; its recording was evaluated anew")
     echo(f"table: {found.table}")
     echo(f"page: {found.page}")
 

@@ -25,6 +25,12 @@ from mbcacq.cli.terminal import echo
     help="Design a motion instead: one that tells masses, a load on the flange and a balancer at A2 apart, which this recording of torque "
     "(a trajectory set or a run; repeatable) does not.",
 )
+@click.option(
+    "--order",
+    is_flag=True,
+    help="Order the poses instead, those of PLAN and better ones, so that the first few tell most: after 24 of them a diagnosis may say "
+    "that there is nothing, and a run may stop at any time.",
+)
 @click.option("--seconds", type=click.FloatRange(5, 120), default=20.0, show_default=True, help="Duration of that motion.")
 @click.option(
     "--out",
@@ -46,6 +52,7 @@ def design(
     plan: Path,
     count: int | None,
     motion: tuple[Path, ...],
+    order: bool,
     seconds: float,
     out: Path | None,
     criterion: str,
@@ -61,9 +68,15 @@ def design(
 
     With --motion a motion is designed instead, in the cell of PLAN and within its limits: it begins and ends at home, and is written as a
     table of times and joint angles. It is checked against collisions with no artefact in place.
+
+    With --order as many poses as PLAN has (or --poses) are put into blocks, each of which is the best continuation of those before it for
+    what it shows of all effects of the catalogue, per second of motion, scan and artefact move.
     """
     if motion:
         design_motion(plan, motion, seconds, out or plan.with_name(f"{plan.stem}_motion.csv"), seed, force, as_json)
+        return
+    if order:
+        order_plan(plan, count, out or plan.with_name(f"{plan.stem}_ordered.yaml"), tilt, seed, force, as_json)
         return
     from mbcacq.design.optimal_design import design
     from mbcacq.design.plan_comparison import compare
@@ -111,6 +124,33 @@ def design(
         return
     _print_comparison(rows)
     echo(f"chosen from {result.tried} views that can be taken; written to {target}")
+
+
+def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool, as_json: bool) -> None:
+    """Order a plan, write it, and print what its blocks carry."""
+    from mbcacq.design.adaptive.plan_order import ordered
+    from mbcacq.errors import ConfigError
+    from mbcacq.files.atomic_write import write_file
+    from mbcacq.plan import expand, load, refuse_errors
+
+    if out.exists() and not force:
+        raise ConfigError(f"{out} exists already; give another --out, or --force to replace it")
+    if out.resolve().parent != plan.resolve().parent:
+        raise ConfigError(f"{out}: a plan names its robot and artefacts relative to itself; put the new one beside {plan}")
+    with StepProgress() as steps:
+        steps.begin("leaving out what is missed least, pose by pose")
+        found = ordered(load(plan), count, tilt, seed)
+        new = load(out, found.text)
+        refuse_errors(new, expand(new))
+        write_file(out, found.text)
+    ends = [sum(found.blocks[: k + 1]) for k in range(len(found.blocks))]
+    if as_json:
+        shares = dict(zip(map(str, ends), found.shares, strict=True))
+        echo(json.dumps({"format": "mbcacq-plan-order/1", "plan": str(out), "tried": found.tried, "share_of_given_after": shares}))
+        return
+    for end, share in zip(ends, found.shares, strict=True):
+        echo(f"after {end:3d} poses: {share:.0%} of what all poses of {plan.name} show")
+    echo(f"chosen from {found.tried} poses that can be taken; written to {out}")
 
 
 def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out: Path, seed: int, force: bool, as_json: bool) -> None:

@@ -16,10 +16,11 @@ from mbcacq.cli.terminal import echo
 @click.command("report")
 @click.argument("run", type=RunPath())
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The page [default: report.html in the folder of the run].")
+@click.option("--pdf", is_flag=True, help="A PDF on A4 instead of the page [default: report.pdf in the folder of the run].")
 @click.option("--diagnose", "with_diagnosis", is_flag=True, help="Make a diagnosis first, if there is none yet.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
-def command(run: Path, out: Path | None, with_diagnosis: bool, as_json: bool) -> None:
-    """Write the report of RUN: one HTML page that opens offline and prints well.
+def command(run: Path, out: Path | None, pdf: bool, with_diagnosis: bool, as_json: bool) -> None:
+    """Write the report of RUN: one HTML page that opens offline and prints well, or a PDF.
 
     RUN is a run folder ('latest': the newest in runs), a recording (.rrd) or an observation set. A result that is there is used,
     otherwise the cell is calibrated; so is a diagnosis that 'mbcacq diagnose' kept in the folder of a run.
@@ -27,10 +28,16 @@ def command(run: Path, out: Path | None, with_diagnosis: bool, as_json: bool) ->
     \b
     Examples:
       mbcacq report latest
+      mbcacq report latest --pdf
       mbcacq report ur5-tracker --diagnose --out ur5.html
     """
     import mbcacq
+    from mbcacq.errors import ConfigError
 
+    if pdf and out is None and run.is_dir():
+        out = run / "report.pdf"
+    if pdf and out is not None and out.suffix.lower() != ".pdf":
+        raise ConfigError(f"{out} does not end in .pdf, as --pdf asks for; give another --out")
     with StepProgress() as progress:
         path = mbcacq.write_report(run, out, diagnose=with_diagnosis, progress=progress)
     if as_json:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mbcacq.cli.next_step import forget_failure, on_failure, say_next
 from mbcacq.cli.plan_path import PlanPath
+from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo, printable
+
+if TYPE_CHECKING:
+    from mbcacq.plan import LoadedPlan
 
 
 @click.command("run")
@@ -18,9 +23,13 @@ from mbcacq.cli.terminal import echo, printable
 @click.option("--dry-run", is_flag=True, help="Against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run folder: poses already measured are skipped.")
+@click.option(
+    "--extend", type=click.Path(path_type=Path), metavar="RUN", help="Add the poses of PLAN to this finished run, at its own stations."
+)
 @click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
 @click.option("--again", is_flag=True, help="With --resume: measure stations anew that were measured in part (the artefact was touched).")
 @click.option("--arm", is_flag=True, help="A real arm may move, once its speed, workspace and first target are confirmed by typing.")
+@click.option("--corrected", type=RunPath(), metavar="RESULT", help="Steer by this calibrated arm: result.json, or folder of a run.")
 @click.option("--step", is_flag=True, help="Wait for a key before each pose.")
 @click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
 @click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
@@ -30,9 +39,11 @@ def command(
     dry_run: bool,
     out: Path | None,
     resume: Path | None,
+    extend: Path | None,
     live: bool,
     again: bool,
     arm: bool,
+    corrected: Path | None,
     step: bool,
     yes: bool,
     seed: int,
@@ -41,12 +52,16 @@ def command(
     """Execute PLAN, record it, calibrate the cell and show how good it became.
 
     PLAN is a file, or the name of one that came with mbcacq; with --resume the plan of the run folder, if none is given.
+    With --corrected the joint angles of every pose are those that bring the calibrated arm, with its effects, to where the plan means it to
+    be; the report then says how far the arm misses its places, before and after. A resumed run keeps its targets without being told.
 
     \b
     Examples:
       mbcacq run plans/kuka.yaml --dry-run
       mbcacq run my-cell.yaml --arm --step
+      mbcacq run other-places.yaml --arm --corrected runs/latest/with-effects
       mbcacq run --arm --resume runs/2026-11-21T10-00-00_my-cell
+      mbcacq run next.yaml --arm --extend runs/2026-11-21T10-00-00_my-cell
     """
     import mbcacq
     from mbcacq.cli.arming import ask_before_motion
@@ -56,8 +71,9 @@ def command(
     from mbcacq.cli.stepping import KeyPause
 
     end_in_order_on_signals()
-    if plan is None:
-        plan = plan_of(resume)
+    if extend is not None and (resume is not None or out is not None or again):
+        raise click.UsageError("--extend goes on in the folder of a finished run; leave --resume, --out and --again out")
+    to_run = plan_of(resume) if plan is None else plan
     same = "".join([" --dry-run" * dry_run, f" --seed {seed}" * bool(seed), " --arm" * arm, " --step" * step, " --yes" * yes])
     steps = StepProgress()
     operator = mbcacq.Operator(
@@ -71,7 +87,20 @@ def command(
         began=lambda folder: on_failure("go on where it ended", f"mbcacq run{same} --resume {folder}"),
     )
     with steps:
-        done = mbcacq.run(plan, dry_run=dry_run, out=out, resume=resume, measure_again=again, live=live, seed=seed, operator=operator)
+        if extend is None:
+            done = mbcacq.run(
+                to_run,
+                dry_run=dry_run,
+                out=out,
+                resume=resume,
+                measure_again=again,
+                live=live,
+                seed=seed,
+                operator=operator,
+                corrected=corrected,
+            )
+        else:
+            done = mbcacq.extend(extend, to_run, dry_run=dry_run, live=live, seed=seed, operator=operator)
     forget_failure()
     if as_json:
         echo(json.dumps(done.to_dict()))
@@ -83,12 +112,15 @@ def command(
     done.refuse_beyond_limit()
 
 
-def plan_of(resume: Path | None) -> Path:
-    """The plan of the run to go on with. Raises UsageError where neither is given."""
-    from mbcacq.recording.run_folder.run_plan import plan_of_run
+def plan_of(resume: Path | None) -> Path | LoadedPlan:
+    """The plan of the run to go on with; of one that has grown, the plan that its folder keeps. Raises UsageError where none is given."""
+    from mbcacq.recording.run_folder.run_plan import plan_of_run, read_kept_plan
+    from mbcacq.workflow.next_plan import plan_of_recording
 
     if resume is None:
         raise click.UsageError("Missing argument 'PLAN': a plan file, or one of those that came with mbcacq, such as kuka.")
+    if resume.is_dir() and read_kept_plan(resume).grown_from is not None:
+        return plan_of_recording(resume)
     return plan_of_run(resume)
 
 

@@ -15,8 +15,13 @@ class RunPath(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        from mbcacq.files.atomic_write import INCOMPLETE, finish_set
         from mbcacq.recording.run_folder.latest import named_run
 
         path = super().convert(value, param, ctx)
         assert isinstance(path, Path), "path_type asks for it"
-        return named_run(path)
+        run = named_run(path)
+        folder = run if run.is_dir() else run.parent
+        if (folder / INCOMPLETE).exists():
+            finish_set(folder)
+        return run

@@ -145,14 +145,17 @@ def hand_eye(result: dict[str, Any]) -> Table:
 
 def fit(result: dict[str, Any]) -> list[str]:
     """How well the cell fits, how accurate it is expected to be, and the noise that was found."""
+    from mbcacq.report import accuracy_in_words
+
     fitted, noise = result["fit"], result["noise"]
-    chi2 = f", χ²/dof {fitted['chi2_dof']:.2f}" if fitted.get("chi2_dof") is not None else ""
+    chi2 = _chi2(result)
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
     out = [f"Fit: {size}, residual {micrometres(fitted['rms_mm'])} (3D rms){chi2}, rank {fitted['rank']}"]
-    if (expected := fitted.get("expected_accuracy_mm")) is not None:
+    if (expected := accuracy_in_words(result)) is not None:
+        value, misfit = expected
         known = identifies_arm(result) or link_errors(result)
         aside = "noise of measuring aside" if known else "noise of measuring and the arm's own errors aside"
-        out.append(f"Expected accuracy of a point in the workspace: {uncertainty(1e3 * K * expected)} µm (U, k = 2; {aside})")
+        out.append(f"Expected accuracy of a point in the workspace: {value} (U, k = 2; {misfit or aside})")
     if noise:
         turn = f", its orientation {uncertainty(1e6 * noise['turn_rad'])} µrad" if noise.get("turn_rad") else ""
         axes = listed([1e3 * s for s in noise["scanner_mm"]])
@@ -160,6 +163,14 @@ def fit(result: dict[str, Any]) -> list[str]:
         if result["method"] == "paper":
             out.append("The paper's method has no noise model: noise and standard deviations are ours, carried through its equations")
     return out
+
+
+def _chi2(result: dict[str, Any]) -> str:
+    """Chi square per degree of freedom under the noise that was stated; of one that is estimated from the same residual it says nothing."""
+    if (stated := result.get("stated_chi2_dof")) is not None:
+        return f", χ²/dof {stated:.2f} under the stated noise"
+    own = result["fit"].get("chi2_dof")
+    return "" if own is None else f", χ²/dof {own:.2f} under the noise that is estimated below"
 
 
 def _repeatability(result: dict[str, Any]) -> str:
@@ -305,6 +316,13 @@ def judgement(result: dict[str, Any]) -> list[str]:
         out.append("Uncertainty of judging (k = 1): " + "; ".join(f"{source} {value}" for source, value, _ in budget))
         out.append(f"Temperature of the artefact: {budget[1][2]}")
     return [*out, *([f"! {beyond}"] if beyond else [])]
+
+
+def arm_improved(result: dict[str, Any]) -> list[str]:
+    """What corrected targets changed, of a run that a calibrated arm steered."""
+    from mbcacq.calibration.place_errors import ArmImprovement
+
+    return [ArmImprovement.from_dict(result["arm_improved"]).text] if result.get("arm_improved") else []
 
 
 def held_out(h: dict[str, Any]) -> str:

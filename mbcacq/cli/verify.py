@@ -34,6 +34,7 @@ def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) ->
     Example: mbcacq verify result.json another-day --place fitted
     """
     import mbcacq
+    from mbcacq.workflow.load import unsealed_note
 
     found = []
     with StepProgress() as steps:
@@ -43,5 +44,7 @@ def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) ->
     if as_json:
         echo(json.dumps({"format": "mbcacq-transfer/1", "transfers": [one.to_dict() for one in found]}))
         return
+    for sentence in unsealed_note(result):
+        echo(f"*** {sentence} ***", err=True)
     for one in found:
         echo(one.text)

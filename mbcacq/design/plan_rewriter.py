@@ -16,7 +16,12 @@ Chosen = dict[tuple[str, int | None], list[View]]
 
 def with_views(loaded: LoadedPlan, chosen: Chosen) -> str:
     """The text of the plan with its 'position' steps replaced by one step a station (and ball), where the first of them stood, or first."""
-    steps = [_step(station, aim, views) for (station, aim), views in chosen.items()]
+    named = {key: f"{NAME} {key[0]}" for key in chosen}
+    return with_position_steps(loaded, [position_step(named[key], *key, views) for key, views in chosen.items()])
+
+
+def with_position_steps(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str:
+    """The text of the plan with these steps in the place of its 'position' steps, where the first of them stood, or first."""
     text = _spliced(loaded, steps)
     expected = _replaced(loaded, steps)
     if text is not None and yaml12.load(text) == expected:
@@ -25,8 +30,9 @@ def with_views(loaded: LoadedPlan, chosen: Chosen) -> str:
     return yaml12.dump(expected, allow_unicode=True, width=140)
 
 
-def _step(station: str, aim: int | None, views: list[View]) -> dict[str, Any]:
-    name, which = (f"{NAME} {station}", {}) if aim is None else (f"{NAME} {station} ball {aim}", {"balls": [aim]})
+def position_step(name: str, station: str, aim: int | None, views: list[View]) -> dict[str, Any]:
+    """A step that looks at a station, or at one ball there, from these views."""
+    name, which = (name, {}) if aim is None else (f"{name} ball {aim}", {"balls": [aim]})
     return {"name": name, "phase": "position", "do": "look", "stations": [_id(station)], **which, "views": [view_mapping(v) for v in views]}
 
 

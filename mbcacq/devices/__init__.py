@@ -23,6 +23,7 @@ from mbcacq.errors import (
     MbcacqError,
     ProtocolError,
     SafetyStop,
+    SystemRefused,
 )
 
 __all__ = [
@@ -46,6 +47,7 @@ __all__ = [
     "Scan",
     "Scanner",
     "Sensor",
+    "SystemRefused",
     "available",
     "create",
     "load_driver",

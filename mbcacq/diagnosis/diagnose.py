@@ -12,8 +12,10 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.model_fit import fit_model
+from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.problem import prepare, thinned
+from mbcacq.diagnosis.output.notes import noise_in_words
+from mbcacq.diagnosis.problem import is_long, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.validation.workers import WorkerPool
@@ -76,6 +78,11 @@ def _diagnose(
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
     full = fit_model(problem)
+    variations = noise_variations(full)
+    if variations and not is_long(obs):
+        progress("searching for effects again, with the noise as it depends on the place")
+        problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), options)
+        full = fit_model(problem)
     usual = OPTIONS.folds if obs.n_poses < 2 * OPTIONS.searched_poses else 2
     validation = cross_validate(problem, full, folds or usual, pool, progress)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
@@ -84,8 +91,10 @@ def _diagnose(
     refitted = pool.beside(refit, judged.model) if refit is not None and judged.model is not None else None
     result = conclude(problem, judged)
     if formulas:
-        result = replace(result, proposals=propose(problem, full, result.effects, progress))
-    result = replace(result, notes=(*result.notes, *notes))
+        proposed = propose(problem, full, result.effects, progress)
+        result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))
+    dependences = tuple(one.entry for one in variations)
+    result = replace(result, notes=(*noise_in_words(dependences), *result.notes, *notes), noise_depends_on=dependences)
     if refitted is None:
         return result
     progress("fitting the cell with its effects")

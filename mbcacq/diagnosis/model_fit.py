@@ -12,6 +12,7 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
+from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
 from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel, noise_with
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
@@ -30,7 +31,7 @@ __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "fit_part", "prepare"]
 def fit_model(problem: DiagnosisProblem) -> ModelFit:
     """The model of all centres; outliers are judged with it in place."""
     if not is_long(problem.linear.obs):
-        fit = fit_evidence(problem)
+        fit = with_untried_rivals(problem, fit_evidence(problem))
         return model_of(problem, fit, reported_hypothesis(fit), fit.linear)
     return fit_long_recording(problem)
 
@@ -59,7 +60,7 @@ def effects_of(hypothesis: Hypothesis) -> EffectSet:
 def fit_long_recording(problem: DiagnosisProblem) -> ModelFit:
     """The same for a long recording: effects are searched in a part of it, the remainder is random effects at every location."""
     small = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
-    fit = compared(small, small.linear, pack(small.noise), alternatives=True, staged=True)
+    fit = with_untried_rivals(small, compared(small, small.linear, pack(small.noise), alternatives=True, staged=True))
     found = reported_hypothesis(fit)
     whole = on_the_whole(problem, small, found)
     linear, noise = whole.point.linear, whole.point.noise

@@ -21,11 +21,15 @@ class DiagnosisOptions:
     unmodelled: float = 0.01  # prior probability of an effect outside the catalogue, relative to one of the catalogue
     preferred: float = 0.8  # share of the preferred values of a hyper-parameter (the orders of a gear)
 
-    # Verdict. Noise alone is above e in at most 1/e of the recordings (Markov's inequality), and in fact in far fewer: above two in 4 of
-    # 1000 with 50 poses and more, above ten in 2 of 1000 with fewer (benchmarks/recording_sizes.md).
-    least_e_value: float = 2.0  # of all effects together, for an effect to be there
-    short_recording: int = 50  # poses, below which few joint angles decide what is the joints' noise
-    least_e_value_of_short: float = 10.0
+    # Exclusion limits
+    largest_usual: float = 10.0  # typical sizes, beyond which no machine is believed to be: a limit there says nothing
+
+    # Verdict. The evidence of all effects together has mean one without any effect, at every size of a recording that grows: with the
+    # noise known it exceeds 100 at any look in less than 1 % of recordings (Ville's inequality). That the noise is estimated and sets are
+    # searched is not covered by that, but by simulation (benchmarks/investigate.md). Below the lower value there is nothing to speak of:
+    # noise alone is above it in 4 of 1000 recordings of 50 poses and more.
+    least_e_value: float = 100.0  # of all effects together, for an effect to be there
+    noteworthy_e_value: float = 2.0  # above which it cannot be told whether there is one
     undecided: float = 0.05  # a set that has more than this share of the best one's probability is an alternative to it
     discrepancy: float = 0.02  # of its own displacement that an effect is wrong by, at each pose: no model is exact
 

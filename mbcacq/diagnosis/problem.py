@@ -19,7 +19,7 @@ from mbcacq.effects.covariates import RECORDING
 from mbcacq.effects.effect import MOMENT, Candidate, ParameterEstimate, Parameters
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product
 from mbcacq.estimation import parameters
-from mbcacq.estimation.adjustment import adjust_recording
+from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
@@ -51,6 +51,11 @@ class DiagnosisProblem:
     undetermined: tuple[Undetermined, ...] = ()
     geometry_alone: tuple[GeometryAlone, ...] = ()
 
+    def with_observations(self, obs: Observations, options: CalibrationOptions) -> DiagnosisProblem:
+        """The same poses under another noise, adjusted anew; what is stated of geometry alone stays."""
+        anew = prepared(obs, replace(options, refuse=False))[0]
+        return replace(anew, geometry_alone=self.geometry_alone)
+
     def with_linearization(self, linear: LinearProblem) -> DiagnosisProblem:
         """The same with another linearisation of the same poses, or with other centres kept."""
         return replace(self, linear=linear)
@@ -65,29 +70,36 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     """
     options = replace(options or CalibrationOptions(), refuse=False)
     if isinstance(recordings, Observations):
-        obs = select_phases(recordings, options)
-        adjusted = adjust_recording(obs, options)
-        calibrated = (Calibration.adjusted(obs, options, adjusted),)
-    else:
-        together = adjust_together(recordings, options)
-        obs, adjusted = together.observations, together.adjusted
-        calibrated = shares(Calibration.adjusted(obs, options, adjusted), together.parts, options)
+        problem, adjusted = prepared(select_phases(recordings, options), options)
+        calibrated = (Calibration.adjusted(problem.linear.obs, options, adjusted),)
+        return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
+    together = adjust_together(recordings, options)
+    calibrated = shares(Calibration.adjusted(together.observations, options, together.adjusted), together.parts, options)
+    problem = problem_of(together.observations, options, together.adjusted)
+    return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
+
+
+def prepared(obs: Observations, options: CalibrationOptions) -> tuple[DiagnosisProblem, Adjustment]:
+    """One recording, adjusted, and its adjustment."""
+    adjusted = adjust_recording(obs, options)
+    return problem_of(obs, options, adjusted), adjusted
+
+
+def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustment) -> DiagnosisProblem:
+    """The problem of adjusted observations, without the cells of geometry alone."""
     keep = adjusted.used | not_grossly_off(adjusted.solution.linear.residual)
     linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options))
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
-    candidates = [*candidates, *differing(candidates, obs)]
-    prior = noise_prior(obs.cell, options.noise)
     return DiagnosisProblem(
         linear,
         context,
-        candidates,
+        [*candidates, *differing(candidates, obs)],
         dropped,
         adjusted.noise,
-        prior,
+        noise_prior(obs.cell, options.noise),
         DesignBlocks(context),
         undetermined=tuple(adjusted.found),
-        geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated),
     )
 
 

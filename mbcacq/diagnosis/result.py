@@ -215,13 +215,46 @@ class Advice:
 
 
 @dataclass(frozen=True)
+class NoiseDependence:
+    """A noise that depends on the place, and is taken so in everything else.
+
+    of: 'instrument', or 'instrument and joints' of what moves a pose as a whole. covariate, unit: what it depends on. low, high: between
+    which it was measured (5 and 95 % of the poses); sigma_low_mm, sigma_high_mm: of the instrument there, an axis. p_value: of as large a
+    variation by chance.
+    """
+
+    of: str
+    covariate: str
+    unit: str
+    low: Number
+    high: Number
+    sigma_low_mm: Number
+    sigma_high_mm: Number
+    p_value: Number
+
+
+@dataclass(frozen=True)
+class ExclusionBand:
+    """Values of a hyper-parameter for which a limit holds, from low to high, but for those that are left out: orders of a gear (periods a
+    turn), numbers of the first pose after a change, breakpoints, time constants.
+    """
+
+    parameter: str
+    low: Number
+    high: Number
+    left_out: tuple[Number, ...] = ()
+
+
+@dataclass(frozen=True)
 class ExclusionLimit:
-    """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence.
+    """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence, everything that it is confused
+    with being free.
 
     parameter: its name, with the unit as suffix; value: None where the free geometry absorbs the effect. workspace_mm: largest error that
     it would make in the workspace. length_mm: error of a length between two postures that 95 % of lengths do not exceed. Both are None for
-    what depends on time or on single balls. in_usual_sizes: the limit relative to the effect's usual size; None where value is, and in
-    older files.
+    what depends on time or on single balls, and where the effect is not tested. in_usual_sizes: the limit relative to the effect's usual
+    size; None where value is, and in older files. tested: whether the limit is within what machines have; a larger one says nothing.
+    holds_for: the values of the effect's hyper-parameter for which the limit holds; None where it has none.
     """
 
     name: str
@@ -231,6 +264,8 @@ class ExclusionLimit:
     workspace_mm: float | None
     length_mm: float | None
     in_usual_sizes: float | None = None
+    tested: bool = True
+    holds_for: ExclusionBand | None = None
 
 
 @dataclass(frozen=True)
@@ -259,6 +294,48 @@ class Proposal:
 
 
 @dataclass(frozen=True)
+class ComparedEffect:
+    """One effect of a set that was compared. parameters: its posterior mean with standard deviations, the geometry refitted. tried: False
+    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    parameters: Mapping[str, Estimate]
+    tried: bool = True
+
+
+@dataclass(frozen=True)
+class ComparedSet:
+    """A set of effects that was compared. log_odds: natural logarithm of its posterior probability relative to the most probable set's."""
+
+    effects: tuple[ComparedEffect, ...]
+    log_odds: Number
+
+
+@dataclass(frozen=True)
+class EvidenceSummary:
+    """The evidence of a recording: what decides whether there is an effect, and which.
+
+    poses: that took part. log_e_value: natural logarithm of the evidence of all sets with an effect together against none;
+    least_log_e_value: above which there is an effect. Since the e-value of a recording that grows has mean one without any effect, this
+    holds at every look. sets: the most probable first, the empty one among them. untried: a sentence about each set that stands for what
+    was not tried and is not excluded.
+    """
+
+    poses: int
+    log_e_value: Number
+    least_log_e_value: Number
+    sets: tuple[ComparedSet, ...]
+    untried: tuple[str, ...] = ()
+
+    @property
+    def significant(self) -> bool:
+        """Whether there is an effect."""
+        return self.log_e_value > self.least_log_e_value
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The result of ``diagnose``.
 
@@ -266,9 +343,10 @@ class Diagnosis:
     geometry_alone: the cell of each recording before any effect, as a calibration has it; empty in older files. dropped: effects that were
     not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of all effects that
     were not found, those with the largest error first. between_recordings: of several recordings of one arm. proposals: formulas for
-    unmodelled effects, where they were asked for, the most probable of each location first. model: the effects as terms that a
-    calibration takes; None where there is none. plot_data: an ``output.pictures.PlotData`` from which pictures are drawn; it is no part
-    of the JSON object, so None after ``from_json``.
+    unmodelled effects, where they were asked for, the most probable of each location first. noise_depends_on: where one noise for all
+    poses would be wrong. model: the effects as terms that a calibration takes; None where there is none. evidence: of the sets that were
+    compared; None in older files. plot_data: an ``output.pictures.PlotData`` from which pictures are drawn; it is no part of the JSON
+    object, so None after ``from_json``.
     """
 
     verdict: str
@@ -283,7 +361,9 @@ class Diagnosis:
     exclusion_limits: tuple[ExclusionLimit, ...] = ()
     between_recordings: tuple[BetweenRecordings, ...] = ()
     proposals: tuple[Proposal, ...] = ()
+    noise_depends_on: tuple[NoiseDependence, ...] = ()
     model: Model = field(default=None, compare=False)
+    evidence: EvidenceSummary | None = None
     plot_data: object | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:

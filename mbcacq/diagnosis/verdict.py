@@ -8,27 +8,24 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_alternatives
 from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.between_recordings import between_recordings
 from mbcacq.diagnosis.output.contributions import Contributions
-from mbcacq.diagnosis.output.effects_table import (
-    classes,
-    mismatch_table,
-    parametric_effects,
-    unmodelled_effects,
-    with_classes,
-    with_significance,
-)
-from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits, limited_effects, says_too_little
+from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
+from mbcacq.diagnosis.output.evidence_summary import summarized
+from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
 from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
 from mbcacq.diagnosis.output.pictures import plot_data
+from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
 from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.in_words import odds_in_words
 
 
 @dataclass(frozen=True)
@@ -53,7 +50,7 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
     """What the evidence says of a fit; the held-out figures of ``proof`` are reported beside it."""
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     fit, contributions = full.evidence, Contributions(full)
-    found = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
+    found = effects_by_contribution(full, contributions, proof)
     effects, mismatch = with_alternatives(full, found), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     model = kept_model(setup, full, effects) or None
@@ -71,6 +68,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
     verdict = fit.verdict if too_little is None else "cannot_tell"
     advice = separating(setup.context, there, fit.pairs) if too_little is None else revealing(there, limited)
     reported = with_significance(fit.effects, setup, full)
+    evidence = summarized(setup, full.evidence)
     effects, mismatch = with_classes(reported, fit.mismatch, classes(full.geometry_only.linear.obs, fit.not_separable))
     return Diagnosis(
         verdict=verdict,
@@ -91,12 +89,23 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
             *notes(setup, full),
             *of_effects(setup, full, fit.effects),
             *([] if too_little is None else [too_little]),
+            *undecided_evidence(full),
+            *evidence.untried,
         ),
-        exclusion_limits=exclusion_limits(limited, there),
+        exclusion_limits=exclusion_limits(full, setup.candidates, there),
         between_recordings=between_recordings(full),
         model=fit.model,
+        evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
     )
+
+
+def undecided_evidence(full: ModelFit) -> list[str]:
+    """A sentence where the evidence neither shows an effect nor is as weak as without one."""
+    if not full.evidence.undecided or full.random:
+        return []
+    odds, needed = odds_in_words(float(np.exp(full.evidence.log_e_value))), f"{OPTIONS.least_e_value:.0f} : 1"
+    return [f"the evidence of all effects together against none has {odds}, and an effect is reported from {needed} on: measure more"]
 
 
 def _figures(before: PredictiveScore, after: PredictiveScore) -> tuple[float, float, float, float]:

@@ -23,7 +23,6 @@ LIBRARIES = {  # distribution: module; None: only its presence is asked for
     "pymodbus": "pymodbus",
     "pyserial": "serial",
 }
-OPEN3D = ("open3d-cpu", "open3d")
 LEAST_DISK, GOOD_DISK = 256 << 20, 4 << 30
 LEAST_SHARED = 64 << 20
 ICD = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
@@ -52,14 +51,6 @@ def _libraries() -> Iterator[CheckupLine]:
             yield CheckupLine("error", f"library {name}", problem, f"{sys.executable} -m pip install '{name}'")
         else:
             good.append(f"{name} {importlib.metadata.version(name)}")
-    installed = [name for name in OPEN3D if not _problem(name, None)]
-    if len(installed) != 1:
-        both = "open3d and open3d-cpu are both installed and overwrite each other" if installed else "open3d is not installed"
-        yield CheckupLine(
-            "error", "library open3d", both, f"{sys.executable} -m pip uninstall open3d open3d-cpu, then pip install open3d-cpu"
-        )
-    else:
-        good.append(f"{installed[0]} {importlib.metadata.version(installed[0])}")
     yield CheckupLine("ok", "libraries", ", ".join(good))
 
 

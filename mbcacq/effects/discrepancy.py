@@ -15,10 +15,8 @@ import numpy as np
 
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, learnt_ranges
+from mbcacq.effects.effect_term import SMOOTH, UNKNOWN, EffectTerm, learnt_ranges
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine
-
-SMOOTH = "smooth"  # variant of the terms: told from the groups of a diagnosis
 
 
 @dataclass(frozen=True)

@@ -115,9 +115,12 @@ class Candidate:
     positive
         The first coefficient can only be positive.
     several
-        One location may have the effect several times, each with its own value of the hyper-parameter (several orders).
+        One location may have the effect several times, each with its own value of the hyper-parameter (several orders), or as each of its
+        variants.
     variant
-        Tells candidates of one effect at one location apart, of which at most one is selected.
+        Tells candidates of one effect at one location apart, of which at most one is selected unless there may be several.
+    rarity
+        Share of the arms like this one that can have the effect at all, by which it is less probable beforehand.
     """
 
     name: str
@@ -130,6 +133,7 @@ class Candidate:
     positive: bool = False
     several: bool = False
     variant: str = ""
+    rarity: float = 1.0
 
     @property
     def k(self) -> int:

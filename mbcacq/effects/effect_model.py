@@ -21,24 +21,30 @@ from mbcacq.model.observations import Observations
 FORMAT = "mbcacq-effect-model/1"
 DRIFTED = "it changed in the course of the recording learnt from, and is taken as it was at its end"
 SETTLED = "it is what movements left behind at the speed and with the pauses of the recording learnt from, and is left out"
+NAMED_POSES = 8  # in a sentence
 REPORTED_SHARE = 0.02  # of the poses that must leave a learnt range before that is said
 
 
 @dataclass(frozen=True)
 class Departure:
-    """A covariate that leaves the range in which effects were learnt. share: of the poses; effects: names with their location."""
+    """A covariate that leaves the range in which effects were learnt. share: of the poses; effects: names with their location; poses:
+    numbers of those that do.
+    """
 
     covariate: str
     share: float
     low: float
     high: float
     effects: tuple[str, ...]
+    poses: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         scale, unit = (180 / np.pi, " deg") if is_angle(self.covariate) else (1.0, "")
+        listed = ", ".join(map(str, self.poses[:NAMED_POSES])) + (", .." if len(self.poses) > NAMED_POSES else "")
+        which = f" (numbers {listed})" if self.poses else ""
         return (
-            f"{self.covariate} leaves the range in which {', '.join(self.effects)} was learnt at {self.share:.0%} of the poses "
-            f"(here {scale * self.low:.4g} to {scale * self.high:.4g}{unit}): expect less of it there"
+            f"{self.covariate} leaves the range in which {', '.join(self.effects)} was learnt at {self.share:.0%} of the poses{which}, "
+            f"here {scale * self.low:.4g} to {scale * self.high:.4g}{unit}: expect less of it there"
         )
 
 
@@ -82,13 +88,15 @@ class EffectModel:
         """Of a recording other than the one learnt from: the terms that differ between recordings, as functions of its own covariates.
 
         ``at`` leaves them out, or takes them as they were at the end; there they are as large as ``sigma`` of the term says, with
-        coefficients of which nothing else is known.
+        coefficients of which nothing else is known. So are unmodelled effects beyond where they were learnt.
         """
         if self.learnt.is_of(obs):
             return ()
         here, own = Covariates(obs), LearntRecording.of(obs)
+        beyond = tuple(one for t in self.terms if (one := t.beyond_learnt(here, self.learnt)) is not None)
         bound = [t for t in self.terms if t.bound_to_recording and np.all(np.isfinite(t.sigma)) and not t.missing(here)]
-        return tuple(t.term(here, own) for t in bound if "station" not in t.covariates)  # stations are fitted, or known
+        # Stations are fitted, or known.
+        return (*(t.term(here, own) for t in bound if "station" not in t.covariates), *beyond)
 
     def displacements(self, obs: Observations) -> Displacements | None:
         """What the effects displace at the poses and centres of a recording; None where there are none."""
@@ -115,17 +123,24 @@ class EffectModel:
         """Covariates of a recording that leave their learnt range, largest share first."""
         here = Covariates(obs)
         found: dict[str, tuple[float, float, float, list[str]]] = {}
+        where: dict[str, np.ndarray] = {}
         for t in self.terms:
             for name, known in t.ranges.items():
                 if name in t.missing(here):
                     continue
                 values = here.value(name)
-                share = float(np.mean(known.outside(name, values)))
+                left = known.outside(name, values)
+                share = float(np.mean(left))
                 if share > REPORTED_SHARE:
                     entry = found.setdefault(name, (share, float(values.min()), float(values.max()), []))
                     entry[3].append(f"{t.name} at {'+'.join(t.where)}")
+                    rows = np.flatnonzero(left) if len(left) == obs.n_poses else np.unique(obs.pose[left])
+                    where[name] = np.union1d(where.get(name, rows), rows)
         return sorted(
-            (Departure(name, share, low, high, tuple(dict.fromkeys(effects))[:4]) for name, (share, low, high, effects) in found.items()),
+            (
+                Departure(name, share, low, high, tuple(dict.fromkeys(effects))[:4], tuple(obs.pose_id[where[name]].tolist()))
+                for name, (share, low, high, effects) in found.items()
+            ),
             key=lambda d: -d.share,
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -13,7 +13,7 @@ from mbcacq.effects.covariates import OF_RECORDING, Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.functions import OF_CENTRES, DescribedPart, column_from_json, column_to_json
-from mbcacq.estimation.terms import PLACES, Part, Term, term
+from mbcacq.estimation.terms import PER_POSE, PLACES, Part, Term, term
 from mbcacq.model.observations import Observations
 
 UNKNOWN = "unknown"
@@ -21,6 +21,11 @@ MOVEMENT = "movement_"
 STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
 GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
+FADES_OVER = np.radians(10.0)  # beyond the visited angles: two such steps on nothing is left of what was learnt
+FADES_OVER_SHARE = 0.1  # the same, of the range of any other covariate
+SMOOTH = "smooth"  # variant of the discrepancy of a calibration: told from the groups of a diagnosis
+GIVES_WAY = "rad/Nm"  # unit of what turns in proportion to a load
+COMMON_PATTERN = "common pattern"  # variant of what several joints share: each learns of it in the range of the others
 
 
 @dataclass(frozen=True)
@@ -51,12 +56,23 @@ class LearntRange:
 
     def outside(self, name: str, values: np.ndarray) -> np.ndarray:
         """(k,) bool: values that lie in none of the intervals."""
-        x = np.mod(values, 2 * np.pi) if is_angle(name) else values
-        margin = GAP if is_angle(name) else MARGIN * (self.high - self.low) + 1e-12
-        inside = np.zeros(np.shape(x), bool)
+        return self.beyond(name, values) > 0.0
+
+    def beyond(self, name: str, values: np.ndarray) -> np.ndarray:
+        """(k,) distance of values from the nearest interval, less the margin that is taken to belong to it."""
+        angle = is_angle(name)
+        x = np.mod(values, 2 * np.pi) if angle else np.asarray(values, dtype=float)
+        margin = GAP if angle else MARGIN * (self.high - self.low) + 1e-12
+        distance = np.full(np.shape(x), np.inf)
         for low, high in self.intervals:
-            inside |= (x >= low - margin) & (x <= high + margin)
-        return ~inside
+            for turn in (-2 * np.pi, 0.0, 2 * np.pi) if angle else (0.0,):
+                distance = np.minimum(distance, np.maximum(np.maximum(low + turn - x, x - high - turn), 0.0))
+        return np.maximum(distance - margin, 0.0)
+
+    def within(self, name: str, values: np.ndarray) -> np.ndarray:
+        """(k,) 1 in the range, falling to nought outside of it."""
+        width = FADES_OVER if is_angle(name) else FADES_OVER_SHARE * (self.high - self.low) + 1e-12
+        return np.exp(-0.5 * (self.beyond(name, values) / width) ** 2)
 
 
 @dataclass(frozen=True)
@@ -150,13 +166,48 @@ class EffectTerm:
 
     def parts_at(self, here: Covariates, learnt: LearntRecording) -> list[Part]:
         """Its parts at the poses and centres of a recording."""
+        parts = self._going_on(here, learnt)
+        return [_times(p, self._within(here, own)) for p, own in zip(parts, self.parts, strict=True)] if self.fades else parts
+
+    def _going_on(self, here: Covariates, learnt: LearntRecording) -> list[Part]:
+        """The parts as their functions go on outside of where they were learnt."""
         same = learnt.is_of(here.obs) if self.bound_to_recording else True
         # A hundred functions are of one covariate: its values are looked up once.
         return evaluated(here, self.parts, cache(lambda name: self._value(here, learnt, name, same)))
 
+    @property
+    def fades(self) -> bool:
+        """Whether it shrinks to nothing outside of where it was learnt: a smooth function says nothing of what lies beyond its data. What
+        gives way to a load is no such function, and is held at the end of its range. The discrepancy of a calibration goes on, with the
+        uncertainty of its coefficients.
+        """
+        return self.name == UNKNOWN and self.variant not in (COMMON_PATTERN, SMOOTH) and GIVES_WAY not in self.units
+
+    def _within(self, here: Covariates, part: DescribedPart) -> np.ndarray:
+        """(rows,) of a part: 1 where all its covariates are as they were when it was learnt, falling to nought beyond."""
+        obs = here.obs
+        per_pose = part.place in PER_POSE
+        out = np.ones(obs.n_poses if per_pose else obs.n_centres)
+        for name in sorted(part.covariates & set(self.ranges)):
+            if name in self.missing(here):
+                continue
+            own = self.ranges[name].within(name, here.value(name))
+            out = out * (own if per_pose or name in OF_CENTRES else own[obs.pose])
+        return out
+
     def term(self, here: Covariates, learnt: LearntRecording) -> Term:
         """The term of the estimation at the poses and centres of a recording."""
         return term(self.key, self.parts_at(here, learnt), self.names, self.units, self.sigma)
+
+    def beyond_learnt(self, here: Covariates, learnt: LearntRecording) -> Term | None:
+        """What an unmodelled effect may be beyond where it was learnt, of which its prior is all that is known; None where no pose is."""
+        if not self.fades or not np.all(np.isfinite(self.sigma)):
+            return None
+        left = [np.sqrt(np.maximum(1.0 - self._within(here, own) ** 2, 0.0)) for own in self.parts]
+        if not any(np.any(one) for one in left):
+            return None
+        parts = [_times(p, one) for p, one in zip(self._going_on(here, learnt), left, strict=True)]
+        return term(f"{self.key}:beyond", parts, tuple(f"beyond {name}" for name in self.names), self.units, self.sigma)
 
     def missing(self, here: Covariates) -> tuple[str, ...]:
         """Covariates that a recording lacks; they are taken as they were on average when the effect was learnt."""
@@ -245,6 +296,10 @@ def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str,
     """The range of every covariate of some parts in a recording; without those that have a meaning there alone."""
     names = frozenset().union(*(part.covariates for part in parts)) - {*OF_RECORDING, "ball"}
     return {name: LearntRange.of(name, here.value(name)) for name in sorted(names) if not name.startswith(MOVEMENT)}
+
+
+def _times(part: Part, factor: np.ndarray) -> Part:
+    return replace(part, basis=part.basis * factor[:, None])
 
 
 def is_angle(name: str) -> bool:

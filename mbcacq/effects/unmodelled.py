@@ -1,7 +1,7 @@
 """Groups of basis functions for what no effect of the catalogue describes, written down so that they can be kept.
 
 A group acts at one location and is a function of one covariate. Angles enter by sines and cosines of whole orders, so a group means the
-same a turn further on; everything else is held at the end of its learnt range.
+same a turn further on. Outside of where it was learnt a group fades to nothing (``EffectTerm.fades``).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Candidate
-from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, is_angle, learnt_ranges
+from mbcacq.effects.effect_term import COMMON_PATTERN, UNKNOWN, EffectTerm, is_angle, learnt_ranges
 from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Function, Product, cosine, linear, of, of_second_degree, sine
 
-COMMON_PATTERN, DEVIATION = "common pattern", "deviation"
+DEVIATION = "deviation"
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from mbcacq.model.observations import Observations
 
 
 def select_phases(obs: Observations, options: CalibrationOptions) -> Observations:
-    """The poses to fit: of the phases asked for, else all but 'verification' where there are others."""
+    """The poses to fit: of the phases asked for, else all but 'verification' where there are others; an exact copy of a pose once."""
     if obs.phase is None:
         keep = np.ones(obs.n_poses, bool)
     elif options.phases is not None:
@@ -21,8 +21,27 @@ def select_phases(obs: Observations, options: CalibrationOptions) -> Observation
     if not keep.any() and options.phases:
         recorded = sorted(set([] if obs.phase is None else obs.phase.tolist()))
         raise ConfigError(f"there is no pose of phase {' or '.join(options.phases)}; these data have {', '.join(recorded)}")
-    keep &= np.bincount(obs.pose, minlength=obs.n_poses) > 0
-    if not keep.any():
+    keep[copies(obs)] = False
+    chosen = (obs if keep.all() else obs.select(keep)).measured()
+    if not chosen.n_poses:
         asked = f" of phase {' or '.join(options.phases)}" if options.phases else ""
         raise CalibrationError(f"there is no pose with a measured centre{asked}; nothing can be calibrated")
-    return obs if keep.all() else obs.select(keep)
+    return chosen
+
+
+def copies(obs: Observations) -> np.ndarray:
+    """Indices of poses that are exact copies of an earlier one: the same station, angles, balls and every digit of the centres. They are no
+    second measurement, which would differ by noise."""
+    _, first, of = np.unique(np.c_[obs.station, obs.q], axis=0, return_index=True, return_inverse=True)
+    again = np.flatnonzero(first[of.ravel()] != np.arange(obs.n_poses))
+    if not len(again):
+        return again
+    rows = {p: np.flatnonzero(obs.pose == p) for p in np.unique([*again, *first[of.ravel()[again]]])}
+    seen: dict[tuple, int] = {}
+    out = []
+    for p in sorted(rows):
+        measured = obs.xyz[rows[p]]
+        key = (int(of.ravel()[p]), obs.ball[rows[p]].tobytes(), measured.tobytes())
+        if len(measured) and seen.setdefault(key, p) != p:
+            out.append(p)
+    return np.array(out, dtype=int)

@@ -7,12 +7,9 @@ as keys, balls listed under ``balls`` or ``spheres``; or an artefact file of our
 
 from __future__ import annotations
 
-import codecs
-import csv
-import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,56 +18,32 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
+from mbcacq.files.csv_text import Dialect, csv_text, read_csv_text, read_text, text_of_mappings
+from mbcacq.files.table import Column, Table, TableSchema, as_table
+from mbcacq.files.table_schema import coverage_factor, score
+from mbcacq.files.units import same_dimension, unit_named
 from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact
-from mbcacq.model.heading_units import UnknownUnitError, converted, split_heading
 from mbcacq.plan.plausibility import SMALLEST_BALL_MM
 
 MAX_BYTES = 16 << 20
-Row = dict[str, Any]  # of a certificate, by the keys that ALIASES leads to
+WHAT = "a certificate"
 NEEDED = ("label", "x", "y", "z", "d")
-ALIASES = {
-    "label": "label",
-    "ball": "label",
-    "id": "label",
-    "name": "label",
-    "feature": "label",
-    "sphere": "label",
-    "x": "x",
-    "y": "y",
-    "z": "z",
-    "d": "d",
-    "diameter": "d",
-    "dia": "d",
-    "u": "U",
-    "uncertainty": "U",
-    "expanded_uncertainty": "U",
-    "sigma": "sigma",
-    "std": "sigma",
-    "standard_uncertainty": "sigma",
-    "k": "k",
-    "t": "T",
-    "temperature": "T",
-    "reference_temperature": "T",
-    "alpha": "alpha",
-    "expansion": "alpha",
-    "cte": "alpha",
-}
+LABEL = Column("label", kind="text", aliases=("ball", "id", "name", "feature", "sphere"))
+# Of all balls, or of each.
+ABOUT = (
+    Column("U", "mm", aliases=("uncertainty", "expanded_uncertainty", "u95"), required=False, assumed="mm"),
+    Column("k", required=False, aliases=("coverage_factor",)),
+    Column("T", "degC", aliases=("temperature", "reference_temperature"), required=False, assumed="degC"),
+    Column("alpha", "ppm/K", aliases=("expansion", "cte"), required=False, assumed="ppm/K"),
+)
+SIGMA = Column("sigma", "mm", aliases=("std", "standard_uncertainty"), required=False, assumed="mm")
 OURS = ("balls", "spheres", "unit", "units", "id", "name", "certificate", "comment", "notes")  # keys that say nothing of the geometry
-WANTED = {"x": "mm", "y": "mm", "z": "mm", "d": "mm", "U": "mm", "sigma": "mm", "T": "degC", "alpha": "ppm/kelvin"}  # units inside
-SEPARATORS = (",", ";", "\t")
-LINE_END = re.compile(r"\r\n|\r|\n")
 _UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
+_SMALL_U = re.compile(r"u(?![A-Za-z0-9])")
 
 
-@dataclass(frozen=True)
-class CertifiedColumn:
-    """What a heading or key says. key: our name, None where it is not known; unit: '' for ours; k: coverage factor that stands in it."""
-
-    heading: str
-    key: str | None
-    unit: str = ""
-    k: float | None = None
+Row = dict[str, Any]  # of a sphere, by names of columns
 
 
 @dataclass(frozen=True)
@@ -95,15 +68,15 @@ def read_certificate_file(path: str | Path, artefact_id: str, name: str = "") ->
     largest counts.
     """
     path = Path(path)
-    text = _text(path)
-    columns: list[CertifiedColumn] = []
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        rows, about = _from_csv(text, path, columns)
+        rows, unused, notes = _from_csv(path)
+        about: Row = {}
     elif suffix in (".yaml", ".yml"):
-        rows, about = _from_yaml(text, path, columns)
+        rows, about, unused = _from_yaml(path)
+        notes = []
     elif suffix in (".dmo", ".dmi", ".dms"):
-        rows, about = dmis.spheres(text, str(path)), {}
+        rows, about, unused, notes = dmis.spheres(read_text(path, MAX_BYTES), str(path)), {}, (), []
     else:
         raise ConfigError(f"{path}: a certificate must be .csv, .yaml or DMIS output (.dmo), not '{suffix}'; convert it")
     if not rows:
@@ -125,11 +98,10 @@ def read_certificate_file(path: str | Path, artefact_id: str, name: str = "") ->
         reference_temperature_C=float(about.get("T", next((r["T"] for r in rows if r.get("T") is not None), 20.0))),
         expansion_ppm_per_K=_optional(about.get("alpha", next((r["alpha"] for r in rows if r.get("alpha") is not None), None))),
     )
-    unused = tuple(dict.fromkeys(c.heading for c in columns if c.key is None and c.heading.strip()))
-    notes = [f"not used: {', '.join(unused)}"] if unused else []
+    notes += [f"not used: {', '.join(unused)}"] if unused else []
     if not U:
         notes.append("it states no uncertainty; 0.001 mm (k = 1) is taken")
-    return Certificate(artefact, unused, tuple(notes))
+    return Certificate(artefact, tuple(unused), tuple(notes))
 
 
 def _refuse_other_units(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -157,80 +129,61 @@ def artefact_yaml(artefact: Artefact) -> str:
 
 def certificate_csv(artefact: Artefact) -> str:
     """The artefact as CSV (RFC 4180) that ``read_certificate`` reads back, with U at k = 2."""
-    out = io.StringIO()
-    writer = csv.writer(out)
-    writer.writerow(["label", "x_mm", "y_mm", "z_mm", "d_mm", "U_mm", "k", "T_C"])
-    for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True):
-        writer.writerow(
-            [
-                ball,
-                *(repr(float(v)) for v in centre),
-                repr(float(diameter)),
-                repr(2 * float(artefact.uncertainty_mm)),
-                2,
-                repr(float(artefact.reference_temperature_C)),
-            ]
-        )
-    return out.getvalue()
+    rows = [
+        [
+            str(ball),
+            *(repr(float(v)) for v in centre),
+            repr(float(diameter)),
+            repr(2 * float(artefact.uncertainty_mm)),
+            "2",
+            repr(float(artefact.reference_temperature_C)),
+        ]
+        for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
+    ]
+    return csv_text(["label", "x_mm", "y_mm", "z_mm", "d_mm", "U_mm", "k", "T_C"], rows, Dialect(newline="\r\n"))
 
 
-def _text(path: Path) -> str:
-    try:
-        raw = path.read_bytes()[: MAX_BYTES + 1]
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the certificate's file") from error
-    if len(raw) > MAX_BYTES:
-        raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; this is no certificate")
-    try:
-        return raw.decode("utf-16" if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
+def _schema(headings: Sequence[str], unit: str = "mm") -> TableSchema:
+    """Columns of a table of spheres. unit: of lengths whose heading has none."""
+    lengths = (*(Column(axis, "mm", assumed=unit) for axis in "xyz"), Column("d", "mm", aliases=("diameter", "dia"), assumed=unit))
+    return TableSchema(WHAT, (LABEL, *lengths, *_about(headings, unit)), max_bytes=MAX_BYTES, comment="#", preamble=True)
 
 
-def _from_csv(text: str, path: Path, columns: list[CertifiedColumn]) -> tuple[list[Row], Row]:
-    every = [(i, line) for i, line in enumerate(LINE_END.split(text), 1) if line.strip()]
-    lines = [(i, line) for i, line in every if not line.lstrip().startswith("#")]
-    if not lines:
-        return [], {}
-    unit = _unit_in(" ".join(line for _, line in every if line.lstrip().startswith("#")), str(path))
-    separator = max(SEPARATORS, key=lines[0][1].count)
-    columns += [_column(h) for h in _cells(lines[0][1], separator, f"{path}:{lines[0][0]}")]
-    keys = [c.key for c in columns if c.key is not None]
-    if twice := next((key for key in keys if keys.count(key) > 1), None):
-        raise ConfigError(f"{path}:{lines[0][0]}: two columns are '{twice}'; remove one")
-    for needed in NEEDED:
-        if needed not in keys:
-            raise ConfigError(
-                f"{path}:{lines[0][0]}: column '{needed}' is missing; a certificate needs label, x, y, z and d in mm, or with a unit"
-            )
-    rows = [_csv_row(line, separator, columns, unit, f"{path}:{number}") for number, line in lines[1:]]
-    return [row for row in rows if row], {}
+def _about(headings: Sequence[str], unit: str) -> tuple[Column, ...]:
+    """Columns that are not of the geometry. A small u is a standard uncertainty, a capital one is expanded."""
+    small = any(_SMALL_U.match(heading) and coverage_factor(heading) is None for heading in headings)
+    sigma = replace(SIGMA, aliases=(*SIGMA.aliases, "u")) if small else SIGMA
+    return tuple(replace(column, assumed=unit) if column.unit == "mm" else column for column in (sigma, *ABOUT))
 
 
-def _csv_row(line: str, separator: str, columns: list[CertifiedColumn], unit: str, where: str) -> Row:
-    """One sphere; nothing of a row of empty cells. Raises ConfigError."""
-    cells, row = _cells(line, separator, where), Row()
-    while len(cells) > len(columns) and not cells[-1].strip():
-        cells.pop()
-    if not any(cell.strip() for cell in cells):
-        return row
-    if len(cells) != len(columns):
-        raise ConfigError(f"{where}: {len(cells)} cells under {len(columns)} columns; correct the line")
-    for column, cell in zip(columns, cells, strict=True):
-        if column.key is not None and cell.strip():
-            plain = cell.replace(",", ".") if separator != "," else cell
-            _take(row, column, cell.strip() if column.key == "label" else plain, f"{where}: column '{column.key}'", unit)
-    if missing := [k for k in NEEDED if row.get(k) in (None, "")]:
-        raise ConfigError(f"{where}: column '{missing[0]}' is empty; correct the line")
-    _positive(row, where)
-    return row
+def _from_csv(path: Path) -> tuple[list[Row], tuple[str, ...], list[str]]:
+    """One row a sphere, what was not used, and notes."""
+    schema = _schema(())
+    text = read_csv_text(path, max_bytes=MAX_BYTES, comment="#", score=lambda headings: score(schema.columns, headings))
+    above = " ".join((*text.preamble, *text.comments))
+    table = as_table(path, text, _schema(text.headings, _unit_in(above, str(path)) or "mm"))
+    notes = []
+    if text.preamble:
+        notes.append(f"of the lines above the headings only a unit of length and k are read: {' | '.join(text.preamble)[:300]}")
+    return _rows(table, coverage_factor(above)), table.unused, notes
 
 
-def _cells(line: str, separator: str, where: str) -> list[str]:
-    try:
-        return next(csv.reader([line], delimiter=separator, strict=True))
-    except (csv.Error, StopIteration) as error:
-        raise ConfigError(f"{where}: is no row of a table ({error}); correct the line") from None
+def _rows(table: Table, k: float | None = None) -> list[Row]:
+    """A row of values for each row of a table, without those that are empty. k: coverage factor, where no column or heading states it."""
+    columns: dict[str, Any] = {name: table.text(name) if name == "label" else table.number(name) for name in NEEDED if table.has(name)}
+    for row, label in enumerate(columns.get("label", ())):
+        if not label.strip():
+            raise ConfigError(f"{table.where(row, 'label')}: the cell is empty; name the sphere")
+    columns |= {c.name: table.number(c.name, empty=np.nan) for c in (SIGMA, *ABOUT) if table.has(c.name)}
+    if "k" not in columns:
+        in_heading = coverage_factor(table.heading("U")) if table.has("U") else None
+        columns["k"] = np.full(len(table), np.nan if (in_heading or k) is None else in_heading or k)
+    for name, what in (("d", "diameter"), ("k", "coverage factor")):
+        wrong = np.flatnonzero(columns.get(name, np.ones(1)) <= 0)
+        if wrong.size:
+            raise ConfigError(f"{table.where(int(wrong[0]), name)}: the {what} is not positive; correct the certificate")
+    of_each = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    return [{name: v for name, v in row.items() if isinstance(v, str) or not np.isnan(v)} for row in of_each]
 
 
 def _unit_in(text: str, where: str) -> str:
@@ -238,110 +191,55 @@ def _unit_in(text: str, where: str) -> str:
     match = _UNITS.search(text)
     if match is None:
         return ""
-    try:
-        converted(1.0, match[1], "mm")
-    except UnknownUnitError:
-        raise ConfigError(f"{where}: the unit '{match[1]}' is no length that is known; give mm, cm, m, um or inch") from None
-    return match[1]
+    unit = unit_named(match[1])
+    if unit is None or not same_dimension(unit, "mm"):
+        raise ConfigError(f"{where}: the unit '{match[1]}' is no length that is known; give mm, cm, m, um or inch")
+    return unit
 
 
-def _column(heading: str) -> CertifiedColumn:
-    name, unit, k = split_heading(heading)
-    key = ALIASES.get(name)
-    if key == "U" and heading.strip().startswith("u") and name == "u" and k is None:
-        key = "sigma"  # a small u is a standard uncertainty, a capital one is expanded
-    return CertifiedColumn(heading, key, unit, k)
-
-
-def _take(row: Row, column: CertifiedColumn, value: Any, where: str, unit: str = "") -> None:
-    """Put one value into a row, in our unit. unit: that of lengths whose heading has none. Raises ConfigError."""
-    assert column.key is not None, "only known columns are read"
-    if column.key == "label":
-        row["label"] = str(value)
-        return
-    number, wanted = _number(value, where), WANTED.get(column.key)
-    stated = column.unit or (unit if wanted == "mm" else "")
-    if stated:
-        try:
-            number = converted(number, stated, wanted or "")
-        except UnknownUnitError:
-            of = f"can be given in {wanted}" if wanted else "belongs here"
-            raise ConfigError(f"{where}: '{stated}' in '{column.heading}' is no unit that {of}; correct the heading") from None
-    row[column.key] = number
-    if column.k is not None:
-        row["k"] = column.k
-
-
-def _from_yaml(text: str, path: Path, columns: list[CertifiedColumn]) -> tuple[list[Row], Row]:
-    data = _mapping(text, path)
+def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:
+    """One row a sphere, what holds for all of them, and keys that were not used."""
+    data = _mapping(path)
     balls = data.get("balls", data.get("spheres"))
-    if not isinstance(balls, list):
+    if not isinstance(balls, list) or not balls:
         raise ConfigError(f"{path}: has no list 'balls' or 'spheres'; give one, with label, x, y, z and diameter of each")
+    for i, ball in enumerate(balls, 1):
+        if not isinstance(ball, dict):
+            raise ConfigError(f"{path}: sphere {i} is not a mapping; give label, x, y, z and diameter")
     stated = data.get("units", data.get("unit"))
-    unit = _unit_in(f"unit {stated}", str(path)) if stated is not None else ""
-    about = _yaml_about(data, path, columns, unit)
-    return [_yaml_row(ball, f"{path}: sphere {i}", columns, unit) for i, ball in enumerate(balls, 1)], about
+    unit = (_unit_in(f"unit {stated}", str(path)) if stated is not None else "") or "mm"
+    text = text_of_mappings([_with_axes(ball) for ball in balls], "sphere")
+    table = as_table(path, text, _schema(text.headings, unit))
+    # Our own artefact files give the standard uncertainty (k = 1) as uncertainty_mm.
+    others = {("sigma_mm" if key == "uncertainty_mm" else str(key)): value for key, value in data.items() if key not in OURS}
+    if not others:
+        return _rows(table), {}, table.unused
+    text = text_of_mappings([others], "of all spheres, line")
+    about = as_table(path, text, TableSchema(WHAT, _about(text.headings, unit)))
+    return _rows(table), _rows(about)[0], (*table.unused, *about.unused)
 
 
-def _mapping(text: str, path: Path) -> dict[Any, Any]:
-    """The mapping in a YAML text, an empty one where the text is something else."""
+def _with_axes(ball: dict[Any, Any]) -> dict[str, Any]:
+    """A sphere with its centre as three coordinates: ``centre_mm: [x, y, z]`` as x_mm, y_mm, z_mm."""
+    out: dict[str, Any] = {}
+    for key, value in ball.items():
+        word, _, unit = str(key).partition("_")
+        if word.lower() in ("centre", "center") and isinstance(value, list) and len(value) == 3:
+            out |= {f"{axis}_{unit}" if unit else axis: v for axis, v in zip("xyz", value, strict=True)}
+        else:
+            out[str(key)] = value
+    return out
+
+
+def _mapping(path: Path) -> dict[Any, Any]:
+    """The mapping in a YAML file, an empty one where it holds something else."""
     try:
-        data = yaml12.load(text)
+        data = yaml12.load(read_text(path, MAX_BYTES))
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark else 1
         raise ConfigError(f"{path}:{line}: is not YAML; correct the certificate") from error
     return data if isinstance(data, dict) else {}
-
-
-def _yaml_about(data: dict[Any, Any], path: Path, columns: list[CertifiedColumn], unit: str) -> Row:
-    """What holds for all spheres: U, k, T, alpha. Our own artefact files give the standard uncertainty (k = 1) as uncertainty_mm."""
-    about: Row = {}
-    for key, value in data.items():
-        column = _column(str(key))
-        if column.key in ("U", "sigma", "k", "T", "alpha") and value is not None:
-            if key == "uncertainty_mm":
-                column = CertifiedColumn(str(key), "sigma", "mm")
-            _take(about, column, value, f"{path}: {key}", unit)
-        elif key not in OURS:
-            columns.append(CertifiedColumn(str(key), None))
-    return about
-
-
-def _yaml_row(ball: Any, where: str, columns: list[CertifiedColumn], unit: str) -> Row:
-    if not isinstance(ball, dict):
-        raise ConfigError(f"{where} is not a mapping; give label, x, y, z and diameter")
-    row: Row = {}
-    for key, value in ball.items():
-        column = _column(str(key))
-        name, stated, _ = split_heading(str(key))
-        if column.key is not None and value is not None:
-            _take(row, column, value, f"{where}: {key}", unit)
-        elif name in ("centre", "center") and isinstance(value, list) and len(value) == 3:
-            for axis, v in zip("xyz", value, strict=True):
-                _take(row, CertifiedColumn(str(key), axis, stated), v, f"{where}: {key}", unit)
-        else:
-            columns.append(CertifiedColumn(str(key), None))
-    if missing := [k for k in NEEDED if k not in row]:
-        raise ConfigError(f"{where} has no '{missing[0]}'; a certificate needs label, x, y, z and diameter")
-    _positive(row, where)
-    return row
-
-
-def _number(value: Any, where: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ConfigError(f"{where}: '{value}' is not a number; correct the certificate") from None
-    if not np.isfinite(number) or isinstance(value, bool):
-        raise ConfigError(f"{where}: '{value}' is not a finite number; correct the certificate")
-    return number
-
-
-def _positive(row: Row, where: str) -> None:
-    for key, what in (("d", "diameter"), ("k", "coverage factor")):
-        if row.get(key) is not None and row[key] <= 0:
-            raise ConfigError(f"{where}: the {what} {row[key]:g} is not positive; correct the certificate")
 
 
 def _numbers(labels: list[str]) -> tuple[int, ...]:

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.format import ExportedResult, Targets, formats
+from mbcacq.exports.format import ExportedResult, ExportFormat, Targets, formats
 from mbcacq.exports.marks import with_comments
+from mbcacq.exports.mount import UndeterminedMount
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 
@@ -21,7 +22,7 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
     exported = ExportedResult(result, targets, observations)
     files, owner = dict[str, bytes](), dict[str, str]()
     for one in formats(targets.only):
-        for name, content in one.files(exported).items():
+        for name, content in _files(one, exported).items():
             if name in files:
                 raise ConfigError(f"the formats '{owner[name]}' and '{one.name}' both write {name}; choose by --only, or mend one package")
             if Path(name).name != name:
@@ -29,6 +30,16 @@ def contents(result: Mapping[str, Any], targets: Targets, observations: Observat
             owner[name] = one.name
             files[name] = content if isinstance(content, bytes) else with_comments(name, content, exported.comments).encode("utf-8")
     return files
+
+
+def _files(one: ExportFormat, exported: ExportedResult) -> Mapping[str, str | bytes]:
+    """The files of a format; none where it needs a frame on the flange that was not determined, unless it was asked for by name."""
+    try:
+        return one.files(exported)
+    except UndeterminedMount:
+        if one.name in exported.targets.only:
+            raise
+        return {}
 
 
 def write_folder(files: Mapping[str, bytes], folder: Path) -> list[Path]:

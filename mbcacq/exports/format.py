@@ -17,10 +17,12 @@ from mbcacq.calibration.result_io import effects_of
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.exports.marks import comments
+from mbcacq.exports.mount import UndeterminedMount, is_target, undetermined
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.observations import Observations
 
 GROUP = "mbcacq.exports"
+TARGET_FRAME = "target_frame"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +80,30 @@ class ExportedResult:
 
     @cached_property
     def T_flange_scanner(self) -> np.ndarray:
-        """(4, 4) mm: the calibrated hand-eye transform."""
+        """(4, 4) mm: the calibrated hand-eye transform. Raises UndeterminedMount where the measurements did not determine all of it."""
+        if why := undetermined(self.result):
+            raise UndeterminedMount(f"{why}, so it cannot be exported; the table of parameters (--only csv) holds what is known")
         return state_from_dict(dict(self.result)).T_flange_scanner
+
+    @property
+    def known_mount(self) -> np.ndarray | None:
+        """(4, 4) mm as ``T_flange_scanner``; None where the measurements did not determine all of it."""
+        return None if undetermined(self.result) else self.T_flange_scanner
+
+    @property
+    def of_target(self) -> bool:
+        """Whether the frame on the flange is that of a target, and the instrument stands in the base."""
+        return is_target(self.result)
+
+    @property
+    def instruments(self) -> dict[str, np.ndarray]:
+        """T_base_instrument (4, 4) mm by name, of the instruments that stand in the base; empty where the scanner is on the flange."""
+        return {s["id"]: np.array(s["T_base_station"], dtype=float) for s in self.result["stations"]} if self.of_target else {}
+
+    @property
+    def mounted_frame(self) -> str:
+        """Name of the frame on the flange."""
+        return TARGET_FRAME if self.of_target else self.targets.scanner_frame
 
     @cached_property
     def effects(self) -> EffectModel | None:

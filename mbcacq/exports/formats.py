@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
+import numpy as np
+
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.exports import joint_frames, kuka, mjcf, ros, tables, urdf
-from mbcacq.exports.format import ExportedResult, ExportFormat
+from mbcacq.exports.format import ExportedResult, ExportFormat, Targets
 from mbcacq.exports.marks import mjcf_comments, with_comments
 from mbcacq.exports.result_json import result_schema
+
+TARGET_TOOL = "mbcacq target"
 
 
 class ResultJson(ExportFormat):
@@ -41,10 +45,12 @@ class KukaTool(ExportFormat):
     summary = "TOOL_DATA of a KUKA controller, and a diff against its $config.dat"
 
     def files(self, exported: ExportedResult) -> Mapping[str, str | bytes]:
-        T, targets = exported.T_flange_scanner, exported.targets
-        files: dict[str, str | bytes] = {"tool_data.txt": kuka.tool_data(T, targets.tool, targets.tool_name)}
+        targets = exported.targets
+        T = exported.T_flange_scanner
+        name = TARGET_TOOL if exported.of_target and targets.tool_name == Targets.tool_name else targets.tool_name
+        files: dict[str, str | bytes] = {"tool_data.txt": kuka.tool_data(T, targets.tool, name)}
         if targets.config_dat is not None:
-            difference = kuka.config_diff(targets.config_dat, T, targets.tool, targets.tool_name)
+            difference = kuka.config_diff(targets.config_dat, T, targets.tool, name)
             files["config.dat.diff"] = with_comments("config.dat.diff", difference, exported.comments).encode("latin-1")
         return files
 
@@ -54,14 +60,26 @@ class Ros(ExportFormat):
     summary = "the hand-eye transform for easy_handeye2 and TF, and the kinematics as ROS parameters"
 
     def files(self, exported: ExportedResult) -> Mapping[str, str | bytes]:
-        T, t = exported.T_flange_scanner, exported.targets
-        hand_eye = ros.hand_eye_yaml(T, name=t.name, base=t.base_frame, flange=t.flange_frame, scanner=t.scanner_frame)
-        return {
-            f"{t.name}.calib": hand_eye,
-            "scanner.launch.py": ros.launch_file(T, t.flange_frame, t.scanner_frame),
-            "static_transform.sh": "#!/bin/sh\nexec " + ros.static_transform_command(T, t.flange_frame, t.scanner_frame) + "\n",
-            "kinematics.yaml": joint_frames.kinematics_yaml(exported.chains[1], exported.robot_name),
-        }
+        t = exported.targets
+        files: dict[str, str | bytes] = {"kinematics.yaml": joint_frames.kinematics_yaml(exported.chains[1], exported.robot_name)}
+        for number, (name, T) in enumerate(exported.instruments.items()):
+            scanner = t.scanner_frame if number == 0 else f"{t.scanner_frame}_{number + 1}"
+            stem = t.name if number == 0 else f"{t.name}_{number + 1}"
+            files |= _ros_frame(T, t, stem, t.base_frame, scanner, f"instrument '{name}'")
+        if not exported.of_target and exported.known_mount is not None:
+            files |= _ros_frame(exported.T_flange_scanner, t, t.name, t.flange_frame, t.scanner_frame, "")
+        return files
+
+
+def _ros_frame(T: np.ndarray, t: Targets, stem: str, parent: str, scanner: str, instrument: str) -> dict[str, str]:
+    """Hand-eye file, launch file and command of one frame. instrument: what stands in the base, or '' for the scanner on the flange."""
+    tail = stem.removeprefix(t.name)
+    kept = ros.hand_eye_yaml(T, name=stem, base=t.base_frame, flange=t.flange_frame, scanner=scanner, fixed=bool(instrument))
+    return {
+        f"{stem}.calib": f"# {instrument}\n{kept}" if instrument else kept,
+        f"scanner{tail}.launch.py": ros.launch_file(T, parent, scanner),
+        f"static_transform{tail}.sh": "#!/bin/sh\nexec " + ros.static_transform_command(T, parent, scanner) + "\n",
+    }
 
 
 class Mjcf(ExportFormat):
@@ -70,7 +88,8 @@ class Mjcf(ExportFormat):
 
     def files(self, exported: ExportedResult) -> Mapping[str, str | bytes]:
         lines, name = mjcf_comments(exported.result), exported.robot_name or "arm"
-        return {"arm.mjcf.xml": mjcf.mjcf(exported.chains[1], exported.T_flange_scanner, name, lines, exported.effects)}
+        site = "target" if exported.of_target else "scanner"
+        return {"arm.mjcf.xml": mjcf.mjcf(exported.chains[1], exported.known_mount, name, lines, exported.effects, site=site)}
 
 
 class Urdf(ExportFormat):
@@ -82,5 +101,5 @@ class Urdf(ExportFormat):
         if t.urdf is None:
             return {}
         joints = t.joints or None
-        where = {"T_flange_scanner": exported.T_flange_scanner, "scanner": t.scanner_frame}
+        where = {"T_flange_scanner": exported.known_mount, "scanner": exported.mounted_frame}
         return {t.urdf.name: urdf.patch(t.urdf, *exported.chains, joints=joints, comments=exported.comments, **where)}

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
-from mbcacq.calibration.caveats import caveats
+from mbcacq.calibration.caveats import with_warnings
 from mbcacq.calibration.result_io import effects_of
 from mbcacq.exports.mjcf import expressed_effects
+from mbcacq.exports.mount import remark
 
 COMMENT = {
     "tool_data.txt": ";",
@@ -22,7 +23,7 @@ COMMENT = {
 
 def comments(result: Mapping[str, Any]) -> list[str]:
     """The lines for a result: 'simulated: true' first where it is, then the sentences."""
-    return [*(["simulated: true"] if result.get("simulated") else []), *caveats(result), *geometry_alone(result)]
+    return [*(["simulated: true"] if result.get("simulated") else []), *with_warnings(result), *remark(result), *geometry_alone(result)]
 
 
 def mjcf_comments(result: Mapping[str, Any]) -> list[str]:

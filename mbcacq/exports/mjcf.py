@@ -95,10 +95,18 @@ def _cause(column: Column) -> str | None:
 
 
 def mjcf(
-    chain: Chain, T_flange_scanner: np.ndarray, robot: str = "arm", comments: Sequence[str] = (), effects: EffectModel | None = None
+    chain: Chain,
+    T_flange_scanner: np.ndarray | None,
+    robot: str = "arm",
+    comments: Sequence[str] = (),
+    effects: EffectModel | None = None,
+    *,
+    site: str = "scanner",
 ) -> str:
-    """The arm for MuJoCo, sites at flange and scanner. Without effects, what the calibration knows is geometry; ranges, inertia tensors and
-    drives are of another file always. comments: put in front."""
+    """The arm for MuJoCo, sites at flange and, where its frame is known, at the scanner (called ``site``).
+
+    Without effects, what the calibration knows is geometry; ranges, inertia tensors and drives are of another file always. comments: put
+    in front."""
     found = expressed_effects(effects) if effects else ExpressedEffects((0.0, np.zeros(3)))
     frames, flange = joint_frames(chain)
     weights = _weights(chain, effects)
@@ -124,7 +132,9 @@ def mjcf(
         lines += [f'{indent}  <joint name="{_tied(axis, by)}" type="hinge" axis="0 0 1" armature="0.01"/>' for axis, by in tied]
         lines.append(f"{indent}  {weights[i]}")
     indent = "  " * (chain.n + 3)
-    lines += [f'{indent}<site name="flange" {_place(flange)}/>', f'{indent}<site name="scanner" {_place(flange @ T_flange_scanner)}/>']
+    lines.append(f'{indent}<site name="flange" {_place(flange)}/>')
+    if T_flange_scanner is not None:
+        lines.append(f"{indent}<site name={quoteattr(site)} {_place(flange @ T_flange_scanner)}/>")
     mass, com = found.payload
     if mass > 0:
         place = _numbers(1e-3 * se3.apply(flange, com))

@@ -8,6 +8,7 @@ from typing import Any
 from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.calibration.result_schema import ResultFile, check_result
 from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import finish_set
 from mbcacq.model.json_text import read_json
 from mbcacq.recording.run_folder.latest import refuse_plan
 
@@ -26,6 +27,8 @@ def load_result(path: str | Path) -> dict[str, Any]:
     Raises ConfigError naming file and what is wrong."""
     path, number = split_number(Path(path))
     refuse_plan(path)
+    if path.is_dir():
+        finish_set(path)
     file = path / "result.json" if path.is_dir() else path
     try:
         if file.stat().st_size > MAX_BYTES:

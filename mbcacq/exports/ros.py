@@ -19,20 +19,24 @@ MAX_BYTES = 1 << 20
 
 
 def hand_eye_yaml(
-    T_flange_scanner: np.ndarray,
+    T: np.ndarray,
     *,
     name: str,
     base: str = "base_link",
     flange: str = "tool0",
     scanner: str = "scanner_frame",
     artefact: str = "artefact",
+    fixed: bool = False,
 ) -> str:
-    """Text of ``~/.ros2/easy_handeye2/calibrations/NAME.calib``: scanner on the flange, parent ``flange``, child ``scanner``."""
-    x, y, z, qx, qy, qz, qw = _metres(T_flange_scanner)
+    """Text of ``~/.ros2/easy_handeye2/calibrations/NAME.calib``.
+
+    T: (4, 4) mm, T_flange_scanner of a scanner on the flange; ``fixed``: T_base_scanner of one that stands in the base.
+    """
+    x, y, z, qx, qy, qz, qw = _metres(T)
     data = {
         "parameters": {
             "name": name,
-            "calibration_type": "eye_in_hand",
+            "calibration_type": "eye_on_base" if fixed else "eye_in_hand",
             "robot_base_frame": base,
             "robot_effector_frame": flange,
             "tracking_base_frame": scanner,

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.calibration import CalibratedCell, uncertainty
 from mbcacq.errors import ConfigError
+from mbcacq.exports.mount import is_target, undetermined
 from mbcacq.geometry import se3
 
 CHUNK = 200_000
@@ -34,8 +35,16 @@ class ScanPlacement:
 def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ScanPlacement]:
     """Points (N, 3) mm in the scanner frame, measured at joints q (n,) rad as the controller reports them -> (N, 3) float64 in the base.
 
-    Raises ConfigError for a wrong number of joints, joints outside the arm's limits (where the result has them), or a damaged result.
+    Raises ConfigError for a wrong number of joints, joints outside the arm's limits (where the result has them), a damaged result, or one
+    that does not say where a scanner is on the flange.
     """
+    if is_target(result):
+        raise ConfigError(
+            "this calibration is of a target on the flange, seen by an instrument in the base: it does not say where a scanner is on the "
+            "flange; give the result of a run with the scanner mounted"
+        )
+    if why := undetermined(result):
+        raise ConfigError(f"{why}, so a scan cannot be placed; calibrate from measurements that show it")
     cell = CalibratedCell.from_dict(dict(result))
     state = cell.state
     q = np.asarray(q, dtype=float)

@@ -6,12 +6,13 @@ The content goes to a temporary file in the same folder and is brought to the di
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import shutil
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from mbcacq.errors import RecordingError
 PART = ".part"
 ABANDONED_S = 3600.0  # a temporary file of a process that was killed; none is written for so long
 INCOMPLETE = "INCOMPLETE.txt"
+_SAYS = "These files were being replaced as a set when the program was stopped; any mbcacq command on this folder completes it."
 _NAME_BYTES = 200  # of a temporary name; file systems allow 255
 _NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)  # what cannot be synchronised, such as some network folders
 
@@ -64,6 +66,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
         if target.exists() and not target.is_file():
             yield target  # a pipe, a terminal, a device: nothing that could be replaced
             return
+        finish_set(target.parent)
         partial = _partial(target)
         try:
             yield partial
@@ -79,8 +82,8 @@ def replacing(path: Path | str) -> Iterator[Path]:
 def write_files(folder: Path | str, files: Mapping[str, bytes | str]) -> list[Path]:
     """Write several files of one folder as a set.
 
-    A folder that is new appears with all of them. In one that is there, all are on the disk before the first takes its name; while they
-    take their names, a file INCOMPLETE.txt says that old and new ones stand side by side.
+    A folder that is new appears with all of them. In one that is there, all are on the disk before the first takes its name, and a file
+    INCOMPLETE.txt lists them while they do: where that is stopped, ``finish_set`` completes it, and the set is never half the old one.
 
     Parameters
     ----------
@@ -126,7 +129,40 @@ def sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
+def finish_set(folder: Path | str) -> None:
+    """Complete a set of files that was stopped while its files took their names. Whoever reads a folder of sets calls it first.
+
+    All of them are on the disk then: the set is the new one from the moment that INCOMPLETE.txt lists it. Raises RecordingError.
+    """
+    folder = Path(folder)
+    note = folder / INCOMPLETE
+    try:
+        lines = note.read_text(encoding="utf-8").splitlines()[1:] if note.is_file() else []
+    except OSError as error:
+        raise RecordingError(f"{note} cannot be read: {error.strerror or error}; look at the disk and its rights") from error
+    try:
+        pairs = [_pair(folder, line) for line in lines]
+    except (ValueError, TypeError, KeyError):
+        return  # of an earlier version, or of somebody else
+    if pairs:
+        try:
+            _rename_set(folder, pairs)
+        except OSError as error:
+            raise _unwritable(folder, error) from error
+
+
+def _pair(folder: Path, line: str) -> tuple[Path, Path]:
+    """Temporary file and target that a line of INCOMPLETE.txt names. Raises ValueError, TypeError or KeyError for any other text."""
+    entry = json.loads(line)
+    inside = Path(entry["name"])
+    target = Path(os.path.realpath(folder / entry["name"]))
+    if inside.is_absolute() or ".." in inside.parts or not _is_partial_of(target.name, entry["from"]):
+        raise ValueError(line)
+    return target.with_name(entry["from"]), target
+
+
 def _replace_set(folder: Path, content: Mapping[str, bytes]) -> None:
+    finish_set(folder)
     targets = {name: _target(folder / name) for name in content}
     partials: dict[str, Path] = {}
     try:
@@ -134,30 +170,36 @@ def _replace_set(folder: Path, content: Mapping[str, bytes]) -> None:
             partials[name] = _partial(targets[name])
             partials[name].write_bytes(data)
             _prepare(partials[name], targets[name])
-        _rename_set(folder, partials, targets)
+        if len(partials) > 1:
+            _list_set(folder, partials)
+    except BaseException:
+        if not (folder / INCOMPLETE).exists():  # else the set is the new one, whatever else happens
+            for partial in partials.values():
+                _remove(partial)
+        raise
+    _rename_set(folder, [(partials[name], targets[name]) for name in content])
+
+
+def _list_set(folder: Path, partials: Mapping[str, Path]) -> None:
+    """Write INCOMPLETE.txt, whole and on the disk: from here on the set is the new one."""
+    lines = [json.dumps({"name": name, "from": partial.name}) for name, partial in partials.items()]
+    note = _partial(folder / INCOMPLETE)
+    try:
+        note.write_text("\n".join((_SAYS, *lines)) + "\n", encoding="utf-8")
+        publish(note, folder / INCOMPLETE)
     finally:
-        for partial in partials.values():
-            _remove(partial)
+        _remove(note)
 
 
-def _rename_set(folder: Path, partials: Mapping[str, Path], targets: Mapping[str, Path]) -> None:
-    """Give the names to the files of a set. INCOMPLETE.txt stands in the folder as long as some have theirs and others have not."""
-    note = folder / INCOMPLETE
-    mixed = len(partials) > 1 and any(target.exists() for target in targets.values())
-    if mixed:
-        try:
-            note.write_text("These files were being replaced as a set; write them again:\n" + "\n".join(partials) + "\n", encoding="utf-8")
-            _sync_file(note)
-        except OSError:
-            _remove(note)
-            raise
-        sync_folder(folder)
-    for name, partial in partials.items():
-        os.replace(partial, targets[name])
-    for parent in {target.parent for target in targets.values()}:
+def _rename_set(folder: Path, pairs: Sequence[tuple[Path, Path]]) -> None:
+    """Give the files of a set their names; one that another process gave its name already is passed over."""
+    for partial, target in pairs:
+        with suppress(FileNotFoundError):
+            os.replace(partial, target)
+    for parent in {target.parent for _, target in pairs}:
         sync_folder(parent)
-    if mixed or note.exists():
-        note.unlink(missing_ok=True)
+    if len(pairs) > 1:
+        (folder / INCOMPLETE).unlink(missing_ok=True)
         sync_folder(folder)
 
 
@@ -197,9 +239,15 @@ def _partial(target: Path) -> Path:
     stem = target.name.encode("utf-8", errors="surrogateescape")[:_NAME_BYTES].decode("utf-8", errors="ignore")
     with suppress(OSError):
         for old in target.parent.iterdir():
-            if re.fullmatch(rf"{re.escape(stem)}\.\d+-\d+{PART}", old.name) and time.time() - old.stat().st_mtime > ABANDONED_S:
+            if _is_partial_of(stem, old.name) and time.time() - old.stat().st_mtime > ABANDONED_S:
                 _remove(old)
     return target.with_name(f"{stem}.{os.getpid()}-{threading.get_ident() % 100_000}{PART}")
+
+
+def _is_partial_of(name: str, partial: str) -> bool:
+    """Whether a file name is that of a temporary file which is to become ``name``, or begins as it does."""
+    stem = name.encode("utf-8", errors="surrogateescape")[:_NAME_BYTES].decode("utf-8", errors="ignore")
+    return re.fullmatch(rf"{re.escape(stem)}\.\d+-\d+{PART}", partial) is not None
 
 
 def _remove(path: Path) -> None:

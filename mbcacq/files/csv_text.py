@@ -6,9 +6,10 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mbcacq.errors import ConfigError
 
@@ -35,7 +36,8 @@ class Dialect:
 
 @dataclass(frozen=True)
 class CsvText:
-    """Rows of a file. line: of each row in the file; preamble, comments: lines before the headings, and those left out."""
+    """Rows of a file. line: of each row in the file; preamble, comments: lines before the headings, and those left out; counted: what
+    ``line`` numbers, 'line' in a file of lines."""
 
     headings: list[str]
     rows: list[list[str]]
@@ -44,6 +46,7 @@ class CsvText:
     dialect: Dialect
     preamble: tuple[str, ...] = ()
     comments: tuple[str, ...] = ()
+    counted: str = "line"
 
 
 def read_csv_text(
@@ -65,6 +68,8 @@ def read_csv_text(
     comments = tuple(line.strip() for line in lines if comment and line.lstrip().startswith(comment))
     if comment:
         lines = ["\n" if line.lstrip().startswith(comment) else line for line in lines]
+    if hint is None and (blank := _blanks_as_tabs(lines, score)) is not None:
+        lines = blank
     start, separator = _headings_at(lines, hint[1] if hint else None, score)
     preamble = tuple(line.strip() for line in lines[:start] if line.strip())
     lines[:start] = ["\n"] * start
@@ -73,6 +78,20 @@ def read_csv_text(
     headings, rows = _without_empty_columns(path, at, headings, rows)
     _refuse_ragged(path, headings, rows, numbers)
     return CsvText(headings, rows, numbers, at, replace(dialect, separator=separator, newline=newline), preamble, comments)
+
+
+def read_text(path: Path, max_bytes: int) -> str:
+    """A text file in UTF-8, UTF-16 or Windows-1252. Raises ConfigError."""
+    return _decoded(path, _bytes(path, max_bytes))[0]
+
+
+def text_of_mappings(rows: Sequence[Mapping[Any, Any]], counted: str) -> CsvText:
+    """Mappings of a YAML or JSON list as rows of cells, keys as headings; what a mapping lacks is an empty cell."""
+    headings = list(dict.fromkeys(str(key) for row in rows for key in row))
+    cells = [{str(key): "" if value is None else str(value) for key, value in row.items()} for row in rows]
+    return CsvText(
+        headings, [[row.get(h, "") for h in headings] for row in cells], list(range(1, len(rows) + 1)), 1, Dialect(), counted=counted
+    )
 
 
 def _parsed(path: Path, lines: list[str], separator: str) -> tuple[list[str], list[list[str]], list[int], int]:
@@ -114,6 +133,43 @@ def _refuse_ragged(path: Path, headings: list[str], rows: list[list[str]], line:
                 f"{path}:{number}: column {headings[min(len(row), len(headings) - 1)]}: the row has {len(row)} cells, "
                 f"the header {len(headings)}; correct the row (decimal point and comma, or decimal comma and semicolon)"
             )
+
+
+def _blanks_as_tabs(lines: Sequence[str], score: Callable[[Sequence[str]], tuple[int, bool]] | None) -> list[str] | None:
+    """A table whose columns stand apart by blanks, with tabs in their place; None where it has separators, or rows of different lengths.
+
+    Its headings may be behind a mark of comments (``# x y z``), a unit may stand apart from its name (``X [mm]``).
+    """
+    rows = [i for i, line in enumerate(lines) if line.strip()]
+    first = next((k for k, i in enumerate(rows) if k and _numeric(_words(lines[i]))), None)
+    if first is None:
+        return None
+    words = _words(lines[rows[first]])
+    headings = [_words(re.sub(r"^[#%/;]+", "", lines[i].strip())) for i in rows[:first]]
+    fitting = [k for k, cells in enumerate(headings) if len(cells) == len(words) and not _numeric(cells)]
+    at = next((k for k in fitting if score is not None and score(headings[k])[1]), fitting[-1] if fitting else None)
+    if at is None or len(words) < 2 or any(separator in lines[rows[first]].strip() for separator in SEPARATORS):
+        return None
+    if any(separator in lines[rows[at]].strip() for separator in SEPARATORS):
+        return None
+    out = list(lines)
+    out[rows[at]] = "\t".join(headings[at]) + "\n"
+    for k in range(first, len(rows)):
+        out[rows[k]] = "\t".join(_words(lines[rows[k]])) + "\n"
+    if score is None:
+        out[: rows[at]] = ["\n"] * rows[at]
+    return out
+
+
+def _words(line: str) -> list[str]:
+    """Words of a line, each with the bracket of a unit that stands behind it."""
+    return [word.strip() for word in re.findall(r"\S+?(?:\s*[\[(][^\])]*[\])])|\S+", line.strip())]
+
+
+def _numeric(cells: Sequence[str]) -> bool:
+    """Whether at least half of the cells are numbers."""
+    numbers = sum(re.fullmatch(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?", cell) is not None for cell in cells)
+    return len(cells) > 1 and 2 * numbers >= len(cells)
 
 
 def _headings_at(lines: Sequence[str], hint: str | None, score: Callable[[Sequence[str]], tuple[int, bool]] | None) -> tuple[int, str]:

@@ -1,28 +1,31 @@
 """The one reader of CSV tables that enter: every cell by its column's name, in the program's unit, or a refusal with file, line and column.
 
 The separator is the comma; the semicolon or the tab of a spreadsheet that writes decimal commas is read as well: then '1,5' is a number,
-and a cell with a point beside such cells is refused, since the point may separate thousands. Rows of nothing but empty cells are left out.
+and a cell with a point beside such cells is refused, since the point may separate thousands. In a table with commas a quoted '1,5' is read
+likewise, but not '1,500'. A cell may have a unit of its own: '90°', '0.4 m', 'pi/2'. Rows of nothing but empty cells are left out.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.clock import ClockError, is_clock, seconds
 from mbcacq.files.csv_text import CsvText, Dialect, csv_text, read_csv_text
 from mbcacq.files.table_schema import Column, HeadingError, HeadingMatch, TableSchema, joint_columns, matched, score
-from mbcacq.files.units import AmbiguousUnit, converted, same_dimension, unit_named
+from mbcacq.files.units import AmbiguousUnit, converted, number_with_unit, same_dimension, unit_named
 
-__all__ = ["Column", "Table", "TableSchema", "joint_columns", "read_table"]
+__all__ = ["Column", "Table", "TableSchema", "as_table", "joint_columns", "read_table"]
 
 MAX_BYTES = 1 << 30
 SHOWN = 24  # headings that an error lists
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+_THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _WITH_POINT = re.compile(r"\s*[+-]?[\d.,]*\.[\d.,]*([eE][+-]?\d+)?\s*")
 
 
@@ -46,6 +49,8 @@ class Table:
         Line of the headings.
     preamble, comments
         Lines before the headings, and lines left out.
+    counted
+        What ``line`` numbers: 'line', or 'row', 'sphere' .. of a file that has no lines.
     """
 
     path: Path
@@ -59,6 +64,7 @@ class Table:
     preamble: tuple[str, ...] = ()
     comments: tuple[str, ...] = ()
     decimal_comma: bool = False
+    counted: str = "line"
 
     def __len__(self) -> int:
         return len(self.line)
@@ -89,7 +95,17 @@ class Table:
 
     def where(self, row: int, name: str) -> str:
         """File, line and column of a cell, for errors."""
-        return f"{self.path}:{self.line[row]}: column {self.heading(name)}"
+        place = f":{self.line[row]}" if self.counted == "line" else f": {self.counted} {self.line[row]}"
+        return f"{self.path}{place}: column {self.heading(name)}"
+
+    @property
+    def at_headings(self) -> str:
+        """File and line of the headings, for errors."""
+        return f"{self.path}:{self.heading_line}" if self.counted == "line" else str(self.path)
+
+    def names_unit(self, name: str) -> bool:
+        """Whether the file says in which unit a column of the schema is."""
+        return name in self.found and not self.found[name].assumed
 
     def require(self, names: Sequence[str]) -> None:
         """Raise ConfigError where a column is missing."""
@@ -115,12 +131,27 @@ class Table:
             values = np.array(cells, dtype=float)
         except ValueError:
             values = np.full(len(cells), np.nan)
+        own: dict[int, float] = {}
         if not np.isfinite(values).all() or any("_" in cell for cell in cells):
+            own = self._with_own_units(name, cells)
+            cells = tuple("0" if row in own else cell for row, cell in enumerate(cells))
             self._refuse_number(name, cells)
+            values = np.array(cells, dtype=float)
         values = self._in_unit(name, values, cells)
+        values[list(own)] = list(own.values())
         if empty is not None:
             values = np.where(blank, empty, values)
         return values
+
+    def time(self, name: str) -> np.ndarray:
+        """(rows,) s of a column of numbers, times of day or dates; see ``mbcacq.files.clock``."""
+        cells = self.text(name)
+        if not any(map(is_clock, cells)):
+            return self.number(name)
+        try:
+            return seconds(cells)
+        except ClockError as error:
+            raise ConfigError(f"{self.where(error.row, name)}: '{_short(cells[error.row])}' {error}; correct it") from None
 
     def numbers(self, names: Sequence[str], *, empty: float | None = None) -> np.ndarray:
         """(rows, len(names)) of several columns."""
@@ -162,6 +193,10 @@ class Table:
         if not self.decimal_comma:
             return cells
         for row, cell in enumerate(cells):
+            if self.dialect.separator == "," and _THOUSANDS.fullmatch(cell):
+                raise ConfigError(
+                    f"{self.where(row, name)}: '{_short(cell)}' may have a decimal comma or one of thousands; write it with a point"
+                )
             if _WITH_POINT.fullmatch(cell):
                 raise ConfigError(
                     f"{self.where(row, name)}: '{_short(cell)}' has a point in a file with decimal commas; "
@@ -179,6 +214,18 @@ class Table:
             row = int(np.argmax(~np.isfinite(values)))
             raise ConfigError(f"{self.where(row, name)}: '{_short(cells[row])}' is out of range; correct it")
         return values
+
+    def _with_own_units(self, name: str, cells: Sequence[str]) -> dict[int, float]:
+        """Row -> value in the column's unit, of cells that state their own unit."""
+        column = self._column(name)
+        if column is None or column.unit is None:
+            return {}
+        found = {row: pair for row, cell in enumerate(cells) if (pair := number_with_unit(cell))}
+        return {
+            row: float(converted(np.array([value]), unit, column.unit)[0])
+            for row, (value, unit) in found.items()
+            if np.isfinite(value) and same_dimension(unit, column.unit)
+        }
 
     def _column(self, name: str) -> Column | None:
         return next((c for c in self.schema.columns if name in (c.name, c.preferred)), None) if self.schema else None
@@ -203,7 +250,13 @@ class Table:
                 raise ConfigError(f"{where}: '{_short(cell)}' is not a finite number; remove the row or correct it")
 
 
-def read_table(path: Path | str, schema: TableSchema | None = None, *, names: Mapping[str, str] | None = None) -> Table:
+def read_table(
+    path: Path | str,
+    schema: TableSchema | None = None,
+    *,
+    names: Mapping[str, str] | None = None,
+    headings: Callable[[Sequence[str]], bool] | None = None,
+) -> Table:
     """Read a CSV file in UTF-8, UTF-16 or (from a spreadsheet) Windows-1252.
 
     Parameters
@@ -214,6 +267,8 @@ def read_table(path: Path | str, schema: TableSchema | None = None, *, names: Ma
         Columns by their names, with units; without one the columns are named by their headings and numbers have no unit.
     names
         What the file calls a column -> the heading that is to be read in its place.
+    headings
+        Of a table without schema: whether a line is that of the headings; lines before it are allowed then.
 
     Raises
     ------
@@ -223,21 +278,28 @@ def read_table(path: Path | str, schema: TableSchema | None = None, *, names: Ma
     """
     path = Path(path)
     if schema is None:
-        return _table(path, _renamed(path, read_csv_text(path, max_bytes=MAX_BYTES), names))
+        judged = (lambda cells: (len(cells), headings(cells))) if headings is not None else None
+        return _table(path, _renamed(path, read_csv_text(path, max_bytes=MAX_BYTES, score=judged), names))
     scored = (lambda headings: score(schema.columns, headings)) if schema.preamble else None
     text = _renamed(path, read_csv_text(path, max_bytes=schema.max_bytes, comment=schema.comment, score=scored), names)
+    return as_table(path, text, schema)
+
+
+def as_table(path: Path, text: CsvText, schema: TableSchema) -> Table:
+    """Headings and rows as the columns of a schema; see ``read_table``."""
+    table = _table(path, text)
+    table.schema = schema
     try:
         found = matched(schema.columns, text.headings)
     except HeadingError as error:
-        raise ConfigError(f"{path}:{text.heading_line}: {error}") from None
-    table = _table(path, text)
-    table.schema = schema
+        raise ConfigError(f"{table.at_headings}: {error}") from None
     table.found = found | {c.preferred: found[c.name] for c in schema.columns if c.name in found}
     missing = [column.preferred for column in schema.columns if column.required and column.name not in found]
     if missing:
         _refuse_missing(table, missing)
     _take_units(table, schema)
-    table.decimal_comma = _has_decimal_commas(table, [f.heading for n, f in found.items() if (c := table._column(n)) and c.kind != "text"])
+    numbers = [match.heading for name, match in found.items() if (column := table._column(name)) and column.kind != "text"]
+    table.decimal_comma = any("," in cell and _DECIMAL_COMMA.fullmatch(cell) for heading in numbers for cell in table.columns[heading])
     return table
 
 
@@ -255,7 +317,14 @@ def _table(path: Path, text: CsvText) -> Table:
         raise ConfigError(f"{path}:{text.heading_line + 1}: there are no rows below the header; at least one is needed")
     columns = dict(zip(text.headings, zip(*text.rows, strict=True), strict=True))
     table = Table(
-        path, columns, text.line, heading_line=text.heading_line, dialect=text.dialect, preamble=text.preamble, comments=text.comments
+        path,
+        columns,
+        text.line,
+        heading_line=text.heading_line,
+        dialect=text.dialect,
+        preamble=text.preamble,
+        comments=text.comments,
+        counted=text.counted,
     )
     table.decimal_comma = _has_decimal_commas(table, list(columns))
     return table
@@ -276,19 +345,20 @@ def _take_units(table: Table, schema: TableSchema) -> None:
     below = _units_below(table) if silent else None
     for column in silent:
         heading = table.found[column.name].heading
-        unit = (below or {}).get(heading) or column.assumed
+        stated = (below or {}).get(heading)
+        unit = stated or column.assumed
         if not unit and not column.required:  # another thing of that name, perhaps: it counts as unused
             table.found.pop(column.name)
             table.found.pop(column.preferred, None)
             continue
         if not unit:
             raise ConfigError(
-                f"{table.path}:{table.heading_line}: column {column.preferred} is missing: column {heading} names no unit; "
+                f"{table.at_headings}: column {column.preferred} is missing: column {heading} names no unit; "
                 f"name it so if it is in {column.written or column.unit}, else with its own unit in brackets"
             )
         if not same_dimension(unit, column.unit or ""):
-            raise ConfigError(f"{table.path}:{table.heading_line}: column {heading} cannot be given in {unit}; correct the unit")
-        table.found[column.name] = table.found[column.preferred] = HeadingMatch(heading, unit)
+            raise ConfigError(f"{table.at_headings}: column {heading} cannot be given in {unit}; correct the unit")
+        table.found[column.name] = table.found[column.preferred] = HeadingMatch(heading, unit, assumed=not stated)
 
 
 def _units_below(table: Table) -> dict[str, str] | None:
@@ -315,7 +385,7 @@ def _refuse_missing(table: Table, missing: Sequence[str]) -> None:
     more = ", ..." if len(there) > SHOWN else ""
     kind = f"; {table.schema.what} needs it" if table.schema else ""
     listed = ", ".join(map(_short, there[:SHOWN])) + more
-    raise ConfigError(f"{table.path}:{table.heading_line}: column {', '.join(missing)} is missing (the header has: {listed}){kind}; add it")
+    raise ConfigError(f"{table.at_headings}: column {', '.join(missing)} is missing (the header has: {listed}){kind}; add it")
 
 
 def _with_point(cell: str) -> str:

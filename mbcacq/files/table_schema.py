@@ -10,7 +10,12 @@ from typing import Literal
 from mbcacq.files.units import AmbiguousUnit, same_dimension, suffix_unit, unit_named
 
 _BRACKETS = re.compile(r"([^\[\](]+)[\s_]*[\[(]([^\[\]]*)[\])]\s*")
+_COVERAGE = re.compile(r"[,;\s]*\bk\s*=\s*(\d+(?:[.,]\d+)?)\s*[,;]?")
+_EMPTY_BRACKETS = re.compile(r"\s*[\[(]\s*[\])]")
 _BEHIND_WORD = re.compile(r"(.+?)(?: in | ?/ ?)(\S+)\s*")
+
+# Names of a joint's angle beside q1, by what controllers and other programs write.
+JOINT_NAMES = ("a{}", "j{}", "joint{}", "joint_{}", "axis{}", "axis_{}", "achse{}", "achse_{}")
 
 _IN_HEADINGS = {"degC": "C", "ppm/K": "ppm_per_K"}
 
@@ -34,7 +39,10 @@ class Column:
     required
         Whether a table without it is refused.
     assumed
-        Unit of a heading that names none; empty: such a heading is refused.
+        Unit of a heading that names none; empty: such a heading is refused. Where one is assumed, a word in brackets that is no unit is
+        refused.
+    assumed_of_aliases
+        The same of a heading that is one of the aliases: a controller's ``A1`` is in deg, where ``q1`` alone says nothing.
     """
 
     name: str
@@ -44,6 +52,7 @@ class Column:
     aliases: tuple[str, ...] = ()
     required: bool = True
     assumed: str = ""
+    assumed_of_aliases: str = ""
 
     @property
     def preferred(self) -> str:
@@ -79,10 +88,12 @@ class TableSchema:
 
 @dataclass(frozen=True)
 class HeadingMatch:
-    """A column of a file. heading: as in the file; unit: that it names, None where it names none."""
+    """A column of a file. heading: as in the file; unit: that it names, None where it names none; assumed: whether the unit stands in
+    ``Column.assumed`` alone."""
 
     heading: str
     unit: str | None
+    assumed: bool = False
 
 
 class HeadingError(ValueError):
@@ -114,6 +125,12 @@ def joint_columns(
     )
 
 
+def coverage_factor(text: str) -> float | None:
+    """k of an expanded uncertainty, where a heading or a comment states it: ``U (k=2)``."""
+    found = _COVERAGE.search(text)
+    return float(found[1].replace(",", ".")) if found else None
+
+
 def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, HeadingMatch]:
     """Column name -> its heading. Raises HeadingError where two headings are equally good, or a unit is of the wrong kind."""
     out: dict[str, HeadingMatch] = {}
@@ -125,7 +142,8 @@ def matched(columns: Sequence[Column], headings: Sequence[str]) -> dict[str, Hea
         rank, heading, unit = ranked[0]
         if len(ranked) > 1 and ranked[1][0] == rank:
             raise HeadingError(f"columns {heading} and {ranked[1][1]} both give {column.preferred}; remove one")
-        out[column.name] = HeadingMatch(heading, unit or None)
+        by_alias = column.assumed_of_aliases if rank >= 2 and not unit else ""
+        out[column.name] = HeadingMatch(heading, unit or by_alias or None, assumed=bool(by_alias))
         free.remove(heading)
     return out
 
@@ -159,6 +177,7 @@ def _hit(column: Column, heading: str) -> tuple[int, str] | None:
 
 def _readings(column: Column, heading: str) -> list[tuple[str, str, bool]]:
     """Name, unit ('' for none) and whether the unit is marked as one, in the ways that a heading may be read."""
+    heading = _EMPTY_BRACKETS.sub("", _COVERAGE.sub("", heading)).strip()
     out = [(heading, "", False)]
     marked = _BRACKETS.fullmatch(heading) or _BEHIND_WORD.fullmatch(heading)
     if marked:
@@ -177,9 +196,14 @@ def _named(column: Column, heading: str, text: str) -> str | None:
     if column.unit is None:
         return None
     try:
-        return unit_named(text)
+        unit = unit_named(text)
     except AmbiguousUnit as error:
         raise HeadingError(f"column {heading}: '{text}' may be {error}; name the column {column.preferred}") from None
+    if unit is None and column.assumed and text.strip():
+        raise HeadingError(
+            f"column {heading}: '{text}' is no unit that can be given in {column.written or column.unit}; correct the heading"
+        )
+    return unit
 
 
 def _without_suffix(name: str, column: Column) -> str:

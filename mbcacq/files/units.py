@@ -19,8 +19,10 @@ SPELLINGS = {
     "percent": "percent", "%": "percent", "µm": "um", "μm": "um", "inch": "in", "inches": "in", "zoll": "in", "millimeter": "mm",
     "millimetre": "mm", "meter": "m", "metre": "m", "sec": "s", "seconds": "s", "min": "min", "h": "h", "1e-6/k": "ppm/K", "1/k": "1/K",
     "10^-6/k": "ppm/K", "ppm/k": "ppm/K", "ppm_per_k": "ppm/K", "µm/m/k": "ppm/K", "µm/(m*k)": "ppm/K", "deg_s": "deg/s",
-    "°/s": "deg/s", "rad_s": "rad/s", "mm_s": "mm/s", "m_s": "m/s",
+    "°/s": "deg/s", "rad_s": "rad/s", "mm_s": "mm/s", "m_s": "m/s", '"': "in", "/k": "1/K", "1/°c": "1/K", "1/c": "1/K",
+    "ppm/°c": "ppm/K", "1e-6_k": "ppm/K", "um/m/k": "ppm/K", "um/(m*k)": "ppm/K", "µm/(m·k)": "ppm/K",
 }  # fmt: skip
+SPELLINGS |= {spelt.casefold(): unit for spelt, unit in SPELLINGS.items()}  # the micro sign becomes a Greek letter
 # Units that a heading may end in behind '_' or a blank: a short list, since a word such as 'point' is a unit too.
 SUFFIXES = frozenset(
     "mm cm dm m um in ft deg rad mrad arcsec arcmin gon s ms us min h degC degF K N*m kN*m N*mm A mA percent kg g N V W ppm/K 1/K".split()
@@ -28,6 +30,9 @@ SUFFIXES = frozenset(
 )
 _WORD = r"[A-Za-zµμ°]{1,16}(?:\^-?\d|\*\*-?\d)?"
 _UNIT = re.compile(rf"{_WORD}(?:[*/·.]{_WORD}){{0,3}}")  # nothing else goes to pint, which evaluates powers of powers
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_WITH_UNIT = re.compile(rf"({_NUMBER})\s*([^\d\s.,+\-][^,]*)")
+_PI = re.compile(r"([-+]?)\s*(\d+(?:\.\d+)?)?\s*\*?\s*(?:pi|π)\s*(?:/\s*(\d+(?:\.\d+)?))?", re.IGNORECASE)
 AMBIGUOUS = {"grad": "degrees (deg) or gon", "grd": "degrees (deg) or gon"}
 
 
@@ -49,6 +54,21 @@ def unit_named(text: str) -> str | None:
         if attempt in SUFFIXES:
             return attempt
     return plain if _UNIT.fullmatch(plain) and _parsed(plain) is not None else None
+
+
+def number_with_unit(cell: str) -> tuple[float, str] | None:
+    """A number and the unit that stand in one cell: '90°', '0.4 m', '-pi/2'; None where the text is something else."""
+    plain = cell.strip()
+    if match := _PI.fullmatch(plain):
+        divisor = float(match[3] or 1)
+        size = float(match[2] or 1) * np.pi / divisor if divisor else np.nan
+        return (-size if match[1] == "-" else size), "rad"
+    match = _WITH_UNIT.fullmatch(plain)
+    try:
+        unit = unit_named(match[2]) if match else None
+    except AmbiguousUnit:
+        return None
+    return (float(match[1]), unit) if match and unit else None
 
 
 def suffix_unit(text: str) -> str | None:

@@ -20,12 +20,14 @@ Progress = Callable[[int, int, Mapping[str, Any]], None]
 
 @dataclass(frozen=True)
 class Fleet:
-    """What became of a fleet. rows: one a recording, as in the table; outliers: what is outside the control limits; table, page: files."""
+    """What became of a fleet. rows: one a recording, as in the table; outliers: what is outside the control limits; table, page: files;
+    damaged: results kept before that were damaged and were computed anew."""
 
     rows: tuple[Mapping[str, Any], ...]
     outliers: tuple[Outlier, ...]
     table: Path
     page: Path
+    damaged: tuple[Path, ...] = ()
 
     @property
     def broken(self) -> tuple[Mapping[str, Any], ...]:
@@ -67,7 +69,7 @@ def evaluate_fleet(
         row["out_of_control"] = sorted({o.name for o in outside if o.recording == row["recording"]})
     table = store.write_table(rows)
     page = write_fleet_page(fleet_content(rows, kinds, outside), Path(out) / PAGE)
-    return Fleet(tuple(rows), tuple(outside), table, page)
+    return Fleet(tuple(rows), tuple(outside), table, page, tuple(store.damaged))
 
 
 def rows_of(

@@ -30,15 +30,16 @@ class FleetTask:
 def evaluate_recording(recording: FleetRecording, task: FleetTask) -> dict[str, Any]:
     """The content of the file of a recording: 'row' for the table, 'result' as result.json, 'diagnosis' where asked for.
 
-    status of the row: 'evaluated'; 'refused', with the reason, where the recording is broken or determines nothing; 'failed' where the
-    program or the computer is at fault.
+    status of the row: 'evaluated', with what its calibration warned of as the reason; 'refused', with the reason, where the recording is
+    broken or determines nothing; 'failed' where the program or the computer is at fault.
     """
     begin, used = time.perf_counter(), time.process_time()
     row: dict[str, Any] = {"recording": recording.path, "arm": recording.arm, "time": recording.time or None}
     content: dict[str, Any] = {"format": FORMAT}
     try:
         content |= _evaluated(recording, task, row)
-        row |= {"status": EVALUATED, "reason": None}
+        warned = (content.get("result") or {}).get("warnings") or ()
+        row |= {"status": EVALUATED, "reason": "; ".join(warned) or None}
     except MbcacqError as error:
         row |= {"status": REFUSED, "reason": str(error)}
     except Exception as error:  # noqa: BLE001 - whatever is wrong with one recording, the others go on

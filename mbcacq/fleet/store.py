@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mbcacq.calibration.sealed_json import sealed_text, unsealed
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask
 from mbcacq.fleet.recordings import FleetRecording
@@ -33,16 +34,20 @@ class StoredResult:
 
 def stored_result(content: Mapping[str, Any], stamp: str) -> StoredResult:
     """content: as ``evaluate_recording`` gives it. stamp: of the recording before it was read."""
-    return StoredResult(content["row"], json.dumps({**content, "stamp": stamp}).encode())
+    return StoredResult(content["row"], sealed_text({**content, "stamp": stamp}).encode())
 
 
 class FleetStore:
-    """Results in a folder. A result counts while recording, task and version of the program are what they were."""
+    """Results in a folder. A result counts while recording, task and version of the program are what they were, and its checksum holds.
+
+    damaged: files of results whose content is damaged, which do not count.
+    """
 
     def __init__(self, folder: Path, task: FleetTask):
         from mbcacq.version import __version__
 
         tried = Path(task.verify).read_bytes() if task.verify and Path(task.verify).is_file() else b""
+        self.damaged: list[Path] = []
         self.folder, self.task = folder, hashlib.sha256(f"{__version__}|{task!r}|".encode() + tried).hexdigest()
         try:
             (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
@@ -57,10 +62,15 @@ class FleetStore:
         return hashlib.sha256(f"{self.task}|{recording.fingerprint()}".encode()).hexdigest()
 
     def row(self, recording: FleetRecording) -> dict[str, Any] | None:
-        """The row of a recording that is done; None where it is not, has changed since, or failed for no fault of its own."""
+        """The row of a recording that is done; None where it is not, is damaged, has changed since, or failed for no fault of its own."""
+        path = self.path(recording)
         try:
-            content = json.loads(self.path(recording).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            content = unsealed(json.loads(path.read_bytes()), path)
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, RecursionError):  # ConfigError of a checksum is a ValueError
+            if path not in self.damaged:
+                self.damaged.append(path)
             return None
         if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("stamp") != self.stamp(recording):
             return None

@@ -20,7 +20,8 @@ class RobotModel:
 
     limits: (n, 2) rad. speed, acceleration, jerk: (n,) rad/s, rad/s^2 and rad/s^3, or None where the source did not say.
     com: (n, 3) mm, each in the frame of its link (behind its MD-H row). gear_ratio: (n,) or None.
-    payload_com: (3,) mm in the flange frame. gravity: (3,) unit vector in the base frame, pointing down.
+    payload_com: (3,) mm in the flange frame. gravity: (3,) unit vector in the base frame, pointing down. balancer: whether a spring or gas
+    balancer carries A2; None where the source does not say.
     """
 
     name: str
@@ -36,6 +37,7 @@ class RobotModel:
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     repeatability_mm: float | None = None
     jerk: np.ndarray | None = None
+    balancer: bool | None = None
 
     @property
     def n(self) -> int:

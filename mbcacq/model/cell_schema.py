@@ -76,6 +76,7 @@ class RobotSpec(Strict):
     payload: PayloadSpec = PayloadSpec()
     base_to_gravity: Vector = (0.0, 0.0, -1.0)
     repeatability_mm: float | None = Field(default=None, gt=0)
+    balancer: bool | None = None
 
     def model(self) -> cell.RobotModel:
         column = {
@@ -108,6 +109,7 @@ class RobotSpec(Strict):
             payload_com=np.array(self.payload.com_mm, dtype=float),
             gravity=_unit(gravity),
             repeatability_mm=self.repeatability_mm,
+            balancer=self.balancer,
         )
 
 

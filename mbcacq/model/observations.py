@@ -85,6 +85,11 @@ class Observations:
         temperatures = {k: v[keep] for k, v in self.temperatures.items()}
         return replace(self, **by_pose, **by_centre, extra=extra, temperatures=temperatures)
 
+    def measured(self) -> Observations:
+        """The poses with at least one centre: the only ones that say anything of a cell."""
+        seen = np.bincount(self.pose, minlength=self.n_poses) > 0
+        return self if seen.all() else self.select(seen)
+
 
 POSE_COLUMNS = (
     "pose_id", "station", "q", "phase", "time_s", "direction", "movement", "torque", "current", "payload_kg", "velocity",

@@ -19,7 +19,8 @@ class LoadedPlan:
     """A plan with the files it names. cell: robot, artefacts and stations (T_base_station as planned; not for the solver).
 
     text: the plan's YAML as read. lines: path of a YAML node (('steps', 2, 'views', 0)) -> line, for messages. files: names of the robot
-    and artefact files as the plan gives them -> their texts. planning: the numbers that tune its checks and routes.
+    and artefact files as the plan gives them -> their texts. planning: the numbers that tune its checks and routes. grown_from: number of
+    poses that the plan of a run had before others were added to it; None for a plan as its author wrote it.
     """
 
     path: Path
@@ -29,6 +30,7 @@ class LoadedPlan:
     lines: dict[tuple[str | int, ...], int]
     files: dict[str, str] = field(default_factory=dict)
     planning: PlanningLimits = PlanningLimits()
+    grown_from: int | None = None
     computed: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)  # what follows from it, computed once
 
     def __getstate__(self) -> dict[str, Any]:

@@ -68,6 +68,7 @@ class ScannerUse(Strict):
     noise_far_mm: tuple[Noise, Noise, Noise] | None = None  # the same at its far end, where it differs; between them by their ratio
     noise_factor_at_60_deg: float = Field(default=1.0, ge=1, le=100)  # how many times noisier a surface is that is seen 60 deg aslant
     resolution_mm: float | None = Field(default=None, gt=0.03)  # between neighbouring points, in the middle of the field of view
+    keep_clouds: Literal["balls", "all"] = "balls"  # in the recording: the points of the balls with a thinned rest, or every point
     scan_time_s: float = Field(default=1.0, ge=0)  # of one exposure with its transfer, for the estimate of the duration
     reconnect_s: float = Field(default=90.0, ge=0)  # how long a scanner that went away (a reboot, a cable) is tried again
 

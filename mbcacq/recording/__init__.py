@@ -67,12 +67,15 @@ def load_observations(path: Path | str) -> Observations:
     Raises ConfigError if it is none of these or its content is wrong, RecordingError if a recording is torn.
     """
     from mbcacq.errors import ConfigError
+    from mbcacq.files.atomic_write import finish_set
     from mbcacq.recording.run_folder.latest import refuse_plan
 
     path = Path(path)
     if not path.exists():
         raise ConfigError(f"{path} does not exist; give {ACCEPTED}")
     refuse_plan(path)
+    if path.is_dir():
+        finish_set(path)
     if path.is_dir() and (path / "trajectory.csv").exists() and not (path / "poses.csv").exists():
         raise ConfigError(f"{path} is a trajectory set, a recording in time; only mbcacq diagnose takes it")
     if path.is_dir() and (path / "cell.yaml").exists():

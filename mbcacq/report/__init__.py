@@ -13,8 +13,10 @@ if TYPE_CHECKING:
     from mbcacq.report.content import Content, FleetContent, ReportVerdict
 
 __all__ = [
+    "accuracy_in_words",
     "content_of",
     "judged",
+    "pdf_from_result",
     "read_run_identity",
     "read_run_info",
     "report_from_result",
@@ -43,6 +45,13 @@ def content_of(result: Mapping[str, Any], observations: Observations | None = No
     return from_result.content_of(result, observations, run_info)
 
 
+def accuracy_in_words(result: Mapping[str, Any]) -> tuple[str, str] | None:
+    """What the calibration expects of a point in the workspace, and a remark on the misfit in it: as page one has them."""
+    from mbcacq.report.verdict import expected_accuracy
+
+    return expected_accuracy(result)
+
+
 def judged(result: Mapping[str, Any]) -> tuple[ReportVerdict, list[tuple[str, str, str]], str]:
     """The verdict on a result, its uncertainty budget, and a sentence on places beyond their expected uncertainty: as page one has them."""
     from mbcacq.report.sources.from_result import spacing_of
@@ -57,6 +66,18 @@ def write_report_page(content: Content, path: str | Path) -> Path:
     from mbcacq.report.page import render, write
 
     return write(render(content), path)
+
+
+def pdf_from_result(
+    result: Mapping[str, Any], *, path: str | Path, observations: Observations | None = None, run_info: Mapping[str, Any] | None = None
+) -> Path:
+    """Write the report of a result.json as PDF; as ``report_from_result``.
+
+    Raises ConfigError too where the libraries for it are missing.
+    """
+    from mbcacq.report.paper import write_pdf
+
+    return write_pdf(content_of(result, observations, run_info), path)
 
 
 def write_diagnosis_page(

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.quantities import K, decimal_places, fixed
 
 
@@ -247,7 +248,7 @@ class FleetContent:
 @dataclass(frozen=True)
 class Content:
     """All that a report says: of the cell with what its diagnosis found where the run has that, else of its geometry. earlier: the spacing
-    with the geometry alone, at the places of ``spacing``, where the cell has effects."""
+    with the geometry alone, at the places of ``spacing``, where the cell has effects. arm_improved: of a run with corrected targets."""
 
     title: str
     subtitle: str
@@ -276,6 +277,7 @@ class Content:
     devices: Devices | None = None
     diagnosis: DiagnosisContent | None = None
     earlier: Spacing | None = None
+    arm_improved: ArmImprovement | None = None
     warnings: list[str] = field(default_factory=list)
     caveats: list[str] = field(default_factory=list)
     versions: list[tuple[str, str]] = field(default_factory=list)

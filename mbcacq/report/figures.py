@@ -9,7 +9,7 @@ from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, 
 
 def report_figures(content: Content) -> dict[str, Any]:
     """Plotly figures of a report without its diagnosis."""
-    from mbcacq.report.charts import parameter_charts, sphere_charts, workspace_charts
+    from mbcacq.report.charts import parameter_charts, residual_charts, sphere_charts, workspace_charts
 
     figures: dict[str, Any] = {}
     if content.residuals is not None and len(content.residuals.xyz):
@@ -24,6 +24,8 @@ def report_figures(content: Content) -> dict[str, Any]:
         figures |= _coverage_figures(content.coverage)
     if content.devices is not None:
         figures |= _device_figures(content.devices)
+    if content.arm_improved is not None:
+        figures["arm_improved"] = residual_charts.places_missed(content.arm_improved)
     return figures
 
 

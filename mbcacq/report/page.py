@@ -17,10 +17,13 @@ from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity, readable
 
 HERE = Path(__file__).parent
+WHOLE_WIDTH, HALF_WIDTH, THIRD_WIDTH = 680.0, 330.0, 215.0  # px of CSS, on A4 with the margins of the page
+PAPER_HEIGHT, CORRELATION_HEIGHT = 0.8, 0.72  # over that on the screen
+WHOLE_WIDTH_FIGURES = ("pose", "joints", "states", "correlation", "evidence_map")
 
 
-def render(content: Content) -> str:
-    """HTML of a report. Every text is escaped; the plotting library is inlined once."""
+def render(content: Content, *, paper: bool = False) -> str:
+    """HTML of a report. Every text is escaped; the plotting library is inlined once. paper: figures as pictures, and nothing that moves."""
     from markupsafe import Markup
 
     from mbcacq.report.charts.spacing_svg import spacing_picture
@@ -31,7 +34,8 @@ def render(content: Content) -> str:
     return _template(
         "page.html.j2",
         c=content,
-        figures=_embedded(figures),
+        figures=static_figures(figures) if paper else _embedded(figures),
+        paper=paper,
         np=np,
         picture=picture,
         stages=stages,
@@ -39,7 +43,7 @@ def render(content: Content) -> str:
         matrices=matrices(content),
         held=held(content),
         d=content.diagnosis,
-        scene=_scene(content),
+        scene=None if paper else _scene(content),
     )
 
 
@@ -107,6 +111,22 @@ def _template(name: str, **values: Any) -> str:
 
 def curve_title(effect: str, location: str) -> str:
     return f"{'Unmodelled effect' if effect == 'unknown' else readable(effect).capitalize()} at {location}"
+
+
+def static_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Each figure as a picture of the width that it has on paper."""
+    import base64
+
+    from markupsafe import Markup
+
+    from mbcacq.report.charts.static_svg import static_svg
+
+    out = {}
+    for name, figure in figures.items():
+        width = WHOLE_WIDTH if name in WHOLE_WIDTH_FIGURES else THIRD_WIDTH if name.startswith("axis_") else HALF_WIDTH
+        data = base64.b64encode(static_svg(figure, width, PAPER_HEIGHT if name != "correlation" else CORRELATION_HEIGHT).encode()).decode()
+        out[name] = Markup(f'<img class="picture" alt="{name.replace("_", " ")}" src="data:image/svg+xml;base64,{data}">')
+    return out
 
 
 def _embedded(figures: Mapping[str, Any]) -> dict[str, Any]:

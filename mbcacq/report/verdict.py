@@ -138,6 +138,21 @@ def one_sign(spacing: Spacing | None) -> str:
     )
 
 
+def expected_accuracy(result: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Expanded uncertainty (k = 2) of a point in the workspace with its unit, and a remark on the misfit that is in it, or ''.
+
+    Where the residuals need clearly more than the stated noise, the model lacks something that nobody has named, and a new point is off by
+    it too: the part of the residual beyond the stated noise is added in quadrature. None where the result expects nothing.
+    """
+    expected = result["fit"].get("expected_accuracy_mm")
+    if expected is None:
+        return None
+    factor = max((result.get("noise") or {}).get("check_factor") or [0.0])
+    misfit = float(result["fit"]["rms_mm"]) * np.sqrt(1 - 1 / factor**2) if factor > SUSPICIOUS else 0.0
+    value = f"{uncertainty(1e3 * K * np.hypot(expected, misfit))} µm"
+    return value, f"with {micrometres(misfit)} (3D rms) of the residual that the stated noise does not explain" if misfit else ""
+
+
 def headlines(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spacing | None = None) -> list[tuple[str, str, str]]:
     """(label, value with unit, remark) of the first screen. earlier: as in ``verdict_of``."""
     fit, out = result["fit"], []
@@ -148,9 +163,9 @@ def headlines(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spaci
         before = _compared(spacing, earlier).strip(" ()")
         remark = before if U is None else f"± is U (k = 2) of judging it; {before}"
         out.append(("largest sphere spacing error", measured(abs(spacing.after[worst]), U, "mm"), remark))
-    if fit.get("expected_accuracy_mm") is not None:
-        expected = f"{uncertainty(1e3 * K * fit['expected_accuracy_mm'])} µm"
-        out.append(("expected accuracy of a point", expected, f"in the workspace, 3D, U (k = 2){aside}"))
+    if (expected := expected_accuracy(result)) is not None:
+        value, misfit = expected
+        out.append(("expected accuracy of a point", value, f"in the workspace, 3D, U (k = 2){aside}{f', {misfit}' if misfit else ''}"))
     out.append(("residual", micrometres(fit["rms_mm"]), f"3D rms of {fit['centres']} centres, {fit['poses']} poses"))
     return out
 

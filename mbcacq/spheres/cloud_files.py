@@ -100,19 +100,46 @@ def _text(path: Path) -> np.ndarray:
     start = next((k for k, line in enumerate(lines[:100]) if _numbers(line) is not None), None)
     if start is None:
         raise ConfigError(f"{path}: none of its first lines has three numbers; save the cloud as x, y, z a line")
-    if ";" in lines[start] or re.search(r"\d,\d+\s+[-+\d]", lines[start]):
-        decimal_comma = bool(re.search(r"\d,\d", lines[start]))
-    else:
-        decimal_comma = False
-    body = "\n".join(line for line in lines[start:] if line.strip() and line.lstrip()[0] not in "#/;")
-    body = body.replace(",", ".") if decimal_comma else body.replace(",", " ")
-    body = body.replace(";", " ").replace("\t", " ")
+    kept = [k for k in range(start, len(lines)) if lines[k].strip() and lines[k].lstrip()[0] not in "#/;"]
+    separator = _separator(lines[start])
+    decimal_comma = separator != "," and any("," in lines[k] for k in kept)
+    _refuse_two_readings(path, lines, kept, separator, decimal_comma)
+    announced = lines[start - 1].strip() if start else ""
+    if announced.isdecimal() and int(announced) != len(kept):
+        raise ConfigError(f"{path}:{start}: announces {announced} points, and {len(kept)} follow; save the cloud anew")
+    body = "\n".join(lines[k] for k in kept)
+    body = body.replace(",", "." if decimal_comma else " ").replace(";", " ").replace("\t", " ")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return np.loadtxt(io.StringIO(body), usecols=(0, 1, 2), ndmin=2)
     except (ValueError, IndexError):
         raise _bad_line(path, lines, start) from None
+
+
+def _separator(line: str) -> str:
+    """What stands between the numbers of a line: ';', ' ' (blanks or tabs) or ','."""
+    if ";" in line:
+        return ";"
+    return " " if "\t" in line.strip() or re.search(r"[\d.]\s+[-+.\d]", line) else ","
+
+
+def _refuse_two_readings(path: Path, lines: list[str], kept: list[int], separator: str, decimal_comma: bool) -> None:
+    """Raises ConfigError for a line of another length than the first, and for commas that may be decimal marks or separators."""
+    between = None if separator == " " else separator
+    columns = len([cell for cell in lines[kept[0]].split(between) if cell.strip()])
+    for k in kept:
+        found = len([cell for cell in lines[k].split(between) if cell.strip()])
+        if found != columns and _numbers(lines[k]) is not None:
+            raise ConfigError(
+                f"{path}:{k + 1}: the line has {found} columns, the first one {columns}; save the cloud anew, with decimal points"
+            )
+        if decimal_comma and "." in lines[k]:
+            raise ConfigError(f"{path}:{k + 1}: has a point in a cloud with decimal commas; save it with one kind of decimal mark")
+    if separator == "," and columns % 2 == 0 and columns >= 2 * len("xyz") and not any("." in lines[k] for k in kept):
+        raise ConfigError(
+            f"{path}:{kept[0] + 1}: its {columns} columns of whole numbers may be numbers with decimal commas; save it with decimal points"
+        )
 
 
 def _bad_line(path: Path, lines: list[str], start: int) -> ConfigError:

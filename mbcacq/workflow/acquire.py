@@ -29,6 +29,7 @@ from mbcacq.workflow.resume import measured_balls, merge_parts
 if TYPE_CHECKING:
     from mbcacq.acquisition.runner import Pause
     from mbcacq.plan.motion_preview import Swept
+    from mbcacq.workflow.corrected_targets import CorrectedTargets
 
 
 def versions() -> dict[str, str]:
@@ -77,7 +78,8 @@ def solver_cell(loaded: LoadedPlan) -> Cell:
 @dataclass
 class Acquisition:
     """A checked path to execute, and the folder of its recording. part: number of the recording (0, but for a resumed run); done: numbers
-    of the poses to pass over; cell: which cell is driven, in words, so that a resumed run stays with it; simulated: it is a fake one."""
+    of the poses to pass over; cell: which cell is driven, in words, so that a resumed run stays with it; simulated: it is a fake one;
+    corrected: the targets, where a calibrated arm steers."""
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
@@ -88,6 +90,7 @@ class Acquisition:
     done: frozenset[int] = frozenset()
     cell: str = ""
     simulated: bool = False
+    corrected: CorrectedTargets | None = None
 
     def sweep(self) -> Swept:
         """The box that the arm will sweep, and its largest speed."""
@@ -125,9 +128,13 @@ class Acquisition:
 
         (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
-        plan_files = plan_files_text(self.loaded.files, self.cell, self.loaded.path)
+        steered = None if self.corrected is None else self.corrected.to_dict()
+        plan_files = plan_files_text(self.loaded.files, self.cell, self.loaded.path, steered, self.loaded.grown_from)
         keep_plan(self.folder, self.loaded.text, plan_files)
-        with closing(Recorder(self.folder, live=live, part=self.part)) as recorder, closing(Journal(self.folder)) as journal:
+        with (
+            closing(Recorder(self.folder, live=live, part=self.part, all_points=self.loaded.plan.scanner.keep_clouds == "all")) as recorder,
+            closing(Journal(self.folder)) as journal,
+        ):
             if recorder.live_url:
                 message(f"watch it live: rerun {recorder.live_url}")
             Runner(

@@ -16,11 +16,15 @@ from mbcacq.calibration.joint_result import JointCalibration
 from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
-from mbcacq.errors import ConfigError
+from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.effects import Effects, as_effects
 from mbcacq.workflow.load import as_observations
+
+MOVED_MM = 2.0  # rms with places known, above which it is asked whether they were moved: more than any arm's own errors
+MOVED_SHARE = 0.1  # of that rms: what is left with the places fitted, where the arm is the learnt one
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,8 @@ def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | 
 
     place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is; poses at stations that the
     calibrated cell does not have are left out). Raises ConfigError where the recording is of another arm (name or nominal links), or
-    none of its stations is known, CalibrationError where it does not determine its own places.
+    none of its stations is known, CalibrationError where it does not determine its own places, or these were moved and are not where
+    they are known to be.
     """
     from mbcacq.calibration.result_io import chain_of
 
@@ -108,7 +113,23 @@ def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | 
         sign = cell.state.chain.sign.tolist()
         chain = chain_of({"robot": {"sign": sign, "calibrated": alone["calibrated"]}}, "calibrated")
     name = str(data) if isinstance(data, Path | str) else ""
-    return check_transfer(as_observations(data), cell, chain, place=place, recording=name)
+    observations = as_observations(data)
+    found = check_transfer(observations, cell, chain, place=place, recording=name)
+    if place == "known" and found.with_effects.rms_mm > MOVED_MM:
+        _refuse_moved(found, check_transfer(observations, cell, chain, place="fitted", recording=name), observations)
+    return found
+
+
+def _refuse_moved(known: Transfer, fitted: Transfer, observations: Observations) -> None:
+    """Raises CalibrationError where the arm is the learnt one, and only what stands around it is elsewhere."""
+    near, far = fitted.with_effects.rms_mm, known.with_effects.rms_mm
+    if near > MOVED_SHARE * far:
+        return
+    what = "the instrument or the robot's base" if observations.cell.measurement == TARGET_IN_BASE else "the artefacts or the robot's base"
+    raise CalibrationError(
+        f"{known.recording or 'the recording'}: {what} were moved since the result was made: {near:.3g} mm is left with their places "
+        f"fitted, {far:.3g} mm where they are known; use --place fitted"
+    )
 
 
 def compare(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
@@ -20,6 +19,7 @@ from mbcacq.acquisition.collected.found_cloud import FoundCloud, look_at
 from mbcacq.acquisition.collected.placement_fit import PlacementFit
 from mbcacq.acquisition.event_bus import EventBus
 from mbcacq.errors import ConfigError
+from mbcacq.files.table import Column, TableSchema, read_table
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
 from mbcacq.spheres import SphereOptions, find_spheres
 from mbcacq.spheres.cloud_files import SUFFIXES, UNITS, CloudFormat, read_points, says_simulated
@@ -34,6 +34,9 @@ from mbcacq.workflow.run import Operator
 CELL = "clouds collected from files"
 MOST_CLOUDS = 20_000
 TABLE = "poses.csv"
+PROGRAM_TABLE = TableSchema(
+    "the table of a robot program", (Column("pose", kind="integer"), Column("exposure", kind="integer"), Column("plan", kind="text"))
+)
 SAME_TIME_S = 1.0  # file times closer than this say nothing about an order
 
 
@@ -180,21 +183,20 @@ def _slots(loaded: LoadedPlan, poses: Sequence[PlannedPose], table: Path | None,
     index = {pose.number: k for k, pose in enumerate(poses)}
     if table is None:
         return [Slot(k, e) for k, pose in enumerate(poses) if pose.number not in done for e in range(pose.exposures)]
-    try:
-        with table.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-        digests = {row["plan"] for row in rows}
-        slots = [Slot(index[int(row["pose"])], int(row["exposure"])) for row in rows]
-    except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{table}: is no table of a robot program of this plan ({type(error).__name__}); take the one written with it"
-        ) from None
+    rows = read_table(table, PROGRAM_TABLE)
+    digests = set(rows.text("plan"))
+    numbers, exposures = rows.integer("pose"), rows.integer("exposure")
+    unknown = next((row for row, number in enumerate(numbers) if int(number) not in index), None)
     if digests != {plan_digest(loaded)}:
         raise ConfigError(
             f"{table}: the robot program was written for another plan, or for this one before it was changed; give the plan it was written "
             f"for, or write the program anew (plan {plan_digest(loaded)}, program {', '.join(sorted(digests))[:40]})"
         )
-    return slots
+    if unknown is not None:
+        raise ConfigError(
+            f"{rows.where(unknown, 'pose')}: the plan has no pose {numbers[unknown]}; take the table written with the program"
+        )
+    return [Slot(index[int(number)], int(exposure)) for number, exposure in zip(numbers, exposures, strict=True)]
 
 
 def _paired(session: _Session, sources: Sources, done: frozenset[int]) -> list[CollectedPose]:
@@ -372,7 +374,10 @@ def _record(paired: PairedClouds, folder: Path, part: int, done: frozenset[int],
     keep_plan(folder, loaded.text, plan_files)
     mark_latest(folder)
     known = resuming.measured_balls(folder, loaded, done) if done else {}
-    with closing(Recorder(folder, part=part)) as recorder, closing(Journal(folder)) as journal:
+    with (
+        closing(Recorder(folder, part=part, all_points=loaded.plan.scanner.keep_clouds == "all")) as recorder,
+        closing(Journal(folder)) as journal,
+    ):
         CollectedRun(
             loaded,
             len(session.poses),

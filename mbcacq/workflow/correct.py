@@ -94,7 +94,7 @@ def correct(
     refuse_existing(output, force, f"{output} exists; give another --out, or --force to replace it")
     arm = CalibratedCell.from_dict(as_result(cell))
     nominal = arm.preliminary.chain
-    _refuse_uncalibrated(arm, simulated_anyway)
+    refuse_uncalibrated(arm, simulated_anyway)
     limits = arm.content["robot"].get("limits")
     bounds = None if limits is None else np.array(limits, dtype=float).reshape(nominal.n, 2)
     points = _points(program, nominal.n)
@@ -113,11 +113,12 @@ def correct(
     return Correction(output, points.names, points.lines, before, change, found, points.left_alone, points.notes)
 
 
-def _refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
+def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
+    """Raises ConfigError for a simulated calibration, unless ``simulated_anyway``, and for an arm that was not calibrated."""
     if arm.content.get("simulated") and not simulated_anyway:
         raise ConfigError(
-            "this calibration is simulated, and a program corrected by it would be taken for one of a measured arm; "
-            "give that of a real arm, or --simulated-anyway"
+            "this calibration is simulated, and what it corrects would be taken for corrected by one of a measured arm; "
+            "give that of a real arm (or --simulated-anyway for a program)"
         )
     if np.array_equal(arm.state.chain.rows, arm.preliminary.chain.rows) and not arm.effects:
         raise ConfigError(
@@ -150,7 +151,7 @@ def _points(path: Path, n: int) -> _Points:
     def rows(found: JointTargets) -> bytes:
         return table.written(found.q, found.error_mm, found.reached, found.reasons)
 
-    return _Points(table.q, table.goals, tuple(f"line {line}" for line in table.lines), table.lines, (), table.notes, rows)
+    return _Points(table.q, table.goals, tuple(f"line {line}" for line in table.lines), table.lines, (), (), rows)
 
 
 def _from_anywhere(arm: CalibratedCell, goals: np.ndarray, bounds: np.ndarray | None) -> JointTargets:

@@ -19,10 +19,12 @@ from mbcacq.workflow.diagnose_recordings import (
     diagnose_together,
     is_trajectory,
     provenance,
+    to_be_checked,
 )
 from mbcacq.workflow.diagnose_simulation import Question, diagnose_against
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
-from mbcacq.workflow.load import as_observations
+from mbcacq.workflow.load import as_observations, is_run_folder
+from mbcacq.workflow.next_plan import with_reachable_advice
 
 
 def diagnose(
@@ -67,12 +69,16 @@ def diagnose(
     if isinstance(one, Trajectory):
         raise TypeError("a trajectory is diagnosed as motion")
     observations = as_observations(one)
+    others = to_be_checked(observations, check)
     found = diagnose_poses(observations, progress, workers, options, propose, fitted=not check)
     found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
     if check:
-        others = [other for other in check if not isinstance(other, Trajectory)]
         found = checked(observations, found, others, place, progress)
-    return found if isinstance(one, Observations) else combined_with_motion(found, Path(one), progress)
+    if isinstance(one, Observations):
+        return found
+    if is_run_folder(Path(one)):
+        found = with_reachable_advice(found, Path(one))
+    return combined_with_motion(found, Path(one), progress)
 
 
 def listed(data: Data | Sequence[Data]) -> list[Data]:

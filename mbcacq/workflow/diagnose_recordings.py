@@ -8,9 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
@@ -40,26 +41,61 @@ def diagnose_together(
     return found
 
 
+def to_be_checked(learnt: Observations, others: Sequence[Data]) -> list[tuple[str, Observations]]:
+    """The recordings that something learnt is to be tried on, with their names; read beforehand, so that a wrong one costs no diagnosis.
+
+    Raises ConfigError where one cannot be read or is of another arm.
+    """
+    out = []
+    for other in others:
+        if isinstance(other, Trajectory):
+            continue
+        name = "" if isinstance(other, Observations) else str(other)
+        recording, robot = as_observations(other), learnt.cell.robot
+        refuse_other_arm("what is learnt is of", robot.name, robot.chain, recording.cell.robot, name or "the other recording")
+        out.append((name, recording))
+    return out
+
+
 def checked(
-    learnt: Observations, found: DiagnosisResult, others: Sequence[Observations | Path | str], place: str, progress: Callable[[str], None]
+    learnt: Observations, found: DiagnosisResult, others: Sequence[tuple[str, Observations]], place: str, progress: Callable[[str], None]
 ) -> DiagnosisResult:
-    """What was found in a recording, calibrated there once and tried on the others. The diagnosis keeps the effects as they were tried."""
+    """What was found in a recording, calibrated there once and tried on the others. The diagnosis keeps the effects as they were tried. A
+    trial that fails is a note of the diagnosis, which stays.
+
+    others: with their names.
+    """
     from mbcacq.calibration import CalibrationOptions
     from mbcacq.calibration.maximum_likelihood import calibrate
     from mbcacq.calibration.with_effects import calibrate_with_effects
 
     options = CalibrationOptions(refuse=False)
     progress("calibrating with what was found")
-    alone = calibrate(learnt, options)
-    cell = calibrate_with_effects(learnt, options, found.model) if found.model else alone
+    try:
+        alone = calibrate(learnt, options)
+        cell = calibrate_with_effects(learnt, options, found.model) if found.model else alone
+    except Exception as error:  # noqa: BLE001 -- whatever it is, the diagnosis is not lost for it
+        return with_note(found, f"what was found was tried on no other recording, as the cell cannot be calibrated with it: {said(error)}")
     checks = []
-    for other in others:
-        name = "" if isinstance(other, Observations) else str(other)
+    for name, other in others:
         progress(f"trying it on {name or 'the other recording'}")
-        checks.append(check_transfer(as_observations(other), cell, alone.state.chain, place=place, recording=name))
+        try:
+            checks.append(check_transfer(other, cell, alone.state.chain, place=place, recording=name))
+        except Exception as error:  # noqa: BLE001 -- whatever it is, the diagnosis is not lost for it
+            found = with_note(found, f"what was found could not be tried on {name or 'the other recording'}: {said(error)}")
     if found.poses is not None and cell.effects is not None:
         found = replace(found, poses=replace(found.poses, model=cell.effects))
     return replace(found, checks=tuple(checks))
+
+
+def with_note(found: DiagnosisResult, note: str) -> DiagnosisResult:
+    """The same diagnosis with one note more."""
+    return found if found.poses is None else replace(found, poses=replace(found.poses, notes=(*found.poses.notes, note)))
+
+
+def said(error: Exception) -> str:
+    """What an error says; of one that is not for users, its kind as well."""
+    return str(error) if isinstance(error, MbcacqError) else f"unexpected {type(error).__name__}: {error}; please report it"
 
 
 def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> dict[str, Any]:

@@ -97,7 +97,7 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
     arm = load_arm(model)
     observations = observations_of_model(_one_of_poses(recorded), arm)
     found = diagnose_poses(observations, how.progress, how.workers, how.options)
-    others = [observations_of_model(_one_of_poses([other]), arm) for other in how.check]
+    others = [(_name(other), observations_of_model(_one_of_poses([other]), arm)) for other in how.check]
     found = _checked(found, observations, others, how, recorded[0])
     if found.poses is not None:
         found = replace(found, poses=replace(found.poses, notes=(*found.poses.notes, *remarks_on_masses(arm, arm.spec))))
@@ -125,13 +125,12 @@ def _poses_against_set(recorded: Sequence[Data], simulated: Sequence[Data], how:
 
 
 def _checked(
-    found: DiagnosisResult, observations: Observations, others: Sequence[Observations], how: Question, source: Data
+    found: DiagnosisResult, observations: Observations, others: Sequence[tuple[str, Observations]], how: Question, source: Data
 ) -> DiagnosisResult:
     origin = provenance(source, how.check, {"place": how.place, "workers": how.workers})
     if others:
         found = checked(observations, found, others, how.place, how.progress)
-    checks = tuple(replace(one, recording=_name(name)) for one, name in zip(found.checks, how.check, strict=True))
-    return replace(found, provenance=origin, checks=checks)
+    return replace(found, provenance=origin)
 
 
 def _name(data: Data) -> str:

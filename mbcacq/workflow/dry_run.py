@@ -18,7 +18,7 @@ def device_overrides(loaded: LoadedPlan, poses: Sequence[PlannedPose], dry_run: 
     if not dry_run:
         yield {"positioner": yes} if yes else {}
         return
-    with load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=seed) as fake:
+    with load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=seed, first_poses=loaded.grown_from) as fake:
         overrides = fake.overrides()
         yield {**overrides, "positioner": {**overrides.get("positioner", {}), **yes}} if yes else overrides
 

@@ -13,6 +13,7 @@ from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.errors import CalibrationError
 from mbcacq.quantities import fixed
+from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import load_observations
 
 
@@ -85,6 +86,8 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     }
     if not options.kinematics:
         content["scope"] = HAND_EYE_ALONE
+    if (improved := improvement_of_run(run, observations)) is not None:
+        content["arm_improved"] = improved.to_dict()
     write_file(run / "result.json", sealed_text(content))
     progress("writing the report")
     page = content_of(content, observations, read_run_info(run))

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.files.table import read_table
+from mbcacq.files.table import Column, TableSchema, joint_columns, read_table
+from mbcacq.files.table_schema import JOINT_NAMES
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.controller_joints import from_controller
 
 NEAR = float(np.radians(3.0))  # of a planned pose: a program goes there exactly
-NAMES = ("q{}_deg", "A{}", "J{}", "a{}", "j{}", "q{}", "joint{}", "Joint{}", "joint_{}")
 _AT = re.compile(r"mb_at\[(\d+)\]\s*=\s*\{([^{}]*)\}", re.IGNORECASE)
 _TEXT_MESSAGE = re.compile(r"mbcacq joints\s*\[([^\]]*)\]")
 
@@ -44,13 +44,10 @@ def read_joint_log(path: Path, loaded: LoadedPlan, poses: list[PlannedPose]) -> 
 
 
 def _table(path: Path, n: int) -> tuple[np.ndarray, list[int] | None]:
-    table = read_table(path)
+    joints = joint_columns("q", n, unit="deg", aliases=JOINT_NAMES, assumed="deg")
+    table = read_table(path, TableSchema("a log of joints", (Column("pose", kind="integer", required=False), *joints), preamble=True))
     number = [int(v) for v in table.integer("pose")] if table.has("pose") else None
-    for pattern, factor in (*((name, 1.0) for name in NAMES), ("q{}_rad", 180 / np.pi)):
-        columns = [pattern.format(k) for k in range(1, n + 1)]
-        if all(table.has(name) for name in columns):
-            return factor * np.stack([table.number(name) for name in columns], axis=1), number
-    raise ConfigError(f"{path}:1: has no columns q1_deg..q{n}_deg (or A1..A{n}, J1..J{n}, q1_rad..q{n}_rad); name the columns so")
+    return table.numbers([column.name for column in joints]), number
 
 
 def _krl(path: Path, n: int) -> tuple[np.ndarray, None]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration import Calibration
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.joint_file import split_number
 from mbcacq.calibration.result_io import read_result
+from mbcacq.calibration.sealed_json import SEAL
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
@@ -94,6 +97,19 @@ def as_result(cell: Calibration | CalibratedCell | dict[str, Any] | Path | str) 
     if isinstance(cell, dict):
         return cell
     return read_result(Path(cell))
+
+
+def unsealed_note(source: Path | str) -> list[str]:
+    """A sentence where the file of a result carries no checksum, so that nothing shows whether it was changed; else nothing."""
+    path, _ = split_number(Path(source))
+    file = path / "result.json" if path.is_dir() else path
+    try:
+        content = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):  # whoever reads the result says what is wrong with it
+        return []
+    if not isinstance(content, dict) or SEAL in content:
+        return []
+    return [f"unsealed: {file} carries no checksum ({SEAL}), so it may have been edited or damaged; its values are used as they stand"]
 
 
 def refuse_existing(path: Path, force: bool, sentence: str) -> None:

@@ -14,7 +14,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.latest import refuse_plan
 from mbcacq.workflow.diagnose_recordings import diagnose_poses
-from mbcacq.workflow.load import is_run_folder, load_observations
+from mbcacq.workflow.load import is_run_folder, load_observations, unsealed_note
 
 
 def write_report(
@@ -24,7 +24,7 @@ def write_report(
     diagnose: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Path:
-    """Write one HTML page that opens offline and prints well; its path.
+    """Write one HTML page that opens offline and prints well, or a PDF where ``out`` ends in .pdf; its path.
 
     data: a calibration, or a run folder, a recording (.rrd), an observation set. A result.json in a run folder is used, otherwise the cell
     is calibrated; so is a diagnosis that is kept there. out: the page (default: report.html in the folder). diagnose: make a diagnosis
@@ -47,13 +47,13 @@ def _write(
     data: Calibration | Path | str, run: Path | None, out: Path | str | None, diagnose: bool, progress: Callable[[str], None]
 ) -> Path:
     """The report; whoever calls holds the lock of the run folder."""
-    from mbcacq.report import report_from_result
+    from mbcacq.report import pdf_from_result, report_from_result
 
     progress("reading the recording")
     observations = data.observations if isinstance(data, Calibration) else load_observations(data)
     result = _result(data, observations, progress)
     if run is not None and run.is_dir():
-        result["gaps"] = _gaps(run)
+        result["gaps"] = [*_gaps(run), *(unsealed_note(run) if (run / "result.json").exists() else ())]
     if observations.cell.simulated:
         result["simulated"] = True
     progress("reading timing and health of the devices")
@@ -62,7 +62,8 @@ def _write(
         info |= _diagnosis(observations, run, progress)
     progress("drawing the report")
     target = Path(out) if out is not None else Path(run or "") / "report.html"
-    return report_from_result(result, path=target, observations=observations, run_info=info)
+    write = pdf_from_result if target.suffix.lower() == ".pdf" else report_from_result
+    return write(result, path=target, observations=observations, run_info=info)
 
 
 def _result(data: Calibration | Path | str, observations: Observations, progress: Callable[[str], None]) -> dict[str, Any]:

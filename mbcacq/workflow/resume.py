@@ -25,7 +25,8 @@ def new_progress() -> Progress:
 
 
 def resumed_progress(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
-    """What an interrupted run has measured, its torn recordings made readable and its copies of the plan restored.
+    """What an interrupted run has measured, its torn recordings made readable and its copies of the plan restored. A plan that has grown
+    (``workflow.extend``) was compared with that of the folder already.
 
     Raises ConfigError where there is no run, or where it belongs to another plan or another ``cell``.
     """
@@ -34,7 +35,8 @@ def resumed_progress(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
 
     progress = repair_and_read_progress(folder)
     kept = read_kept_plan(folder)
-    refuse_change(folder, kept, loaded.text, loaded.files, cell)
+    if loaded.grown_from is None:
+        refuse_change(folder, kept, loaded.text, loaded.files, cell)
     return replace(progress, repairs=(*progress.repairs, *kept.repairs))
 
 

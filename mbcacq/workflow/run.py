@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.acquisition.event_bus import Subscriber
 from mbcacq.design.planned_scope import scope_sentence
@@ -18,6 +20,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
 from mbcacq.workflow.address_space import refuse_small_address_space
+from mbcacq.workflow.corrected_targets import CalibratedArm, CorrectedTargets, corrected_targets, to_go_on_with
 from mbcacq.workflow.dry_run import device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.load import as_plan
@@ -58,7 +61,7 @@ class Operator:
     began: Callable[[Path], None] = lambda folder: None
 
 
-def run(
+def run(  # noqa: PLR0913 -- the whole job: one argument an option of its command
     plan: LoadedPlan | Path | str,
     *,
     dry_run: bool = False,
@@ -68,12 +71,15 @@ def run(
     live: bool = False,
     seed: int = 0,
     operator: Operator | None = None,
+    corrected: CalibratedArm | None = None,
 ) -> RunResult:
     """Execute a plan, record it, calibrate the cell and verify it; the files stand in the folder of the run.
 
     dry_run: against the fake cell of ``seed``, on this computer. out: the folder of the run (default runs/TIME_NAME). resume: go on with
     this folder; poses measured already are passed over, with ``measure_again`` but for those at partly measured stations. live: serve the
-    recording on 127.0.0.1 while it grows. operator: who allows a real arm to move, and is asked and informed.
+    recording on 127.0.0.1 while it grows. operator: who allows a real arm to move, and is asked and informed. corrected: a calibrated arm
+    with its effects, whose model steers: the joint angles of every pose are those with which that arm stands where the plan means it to. A
+    resumed run keeps the targets that it began with.
 
     Raises ConfigError for a plan or options that cannot be executed, SafetyStop, what a device reports, CalibrationError, RecordingError
     (also where another process writes in the folder), SystemRefused.
@@ -100,12 +106,15 @@ def run(
         before = resuming.new_progress() if folder is None else resuming.resumed_progress(folder, loaded, cell)
         for sentence in before.repairs:
             operator.message(sentence)
+        targets = _targets(loaded, poses, corrected, folder, dry_run, operator)
+        poses = poses if targets is None else targets.steer(poses)
         done = resuming.poses_to_skip(loaded, poses, before, operator.artefact_moved, measure_again)
         if folder is not None and all(pose.number in done for pose in poses):
             operator.message(f"all {len(poses)} poses were measured already; nothing moves")
             return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
         operator.progress("checking every motion between the poses")
         acquisition = plan_acquisition(loaded, poses, done, before.part, cell)
+        acquisition.corrected = targets
         acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
         operator.progress("")
         if not dry_run:
@@ -122,6 +131,26 @@ def run(
         except ConnectError as error:
             raise _with_fakes_named(error, loaded, dry_run) from error
         return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
+
+
+def _targets(
+    loaded: LoadedPlan, poses: list[PlannedPose], calibrated: CalibratedArm | None, folder: Path | None, dry_run: bool, operator: Operator
+) -> CorrectedTargets | None:
+    """The targets of a run that a calibrated arm steers, checked like those of the plan: limits, clearances, fields of view. folder: of the
+    run that goes on, or None."""
+    if calibrated is None and folder is None:
+        return None
+    operator.progress("correcting the targets by the calibrated arm" if calibrated is not None else "")
+    targets = None if calibrated is None else corrected_targets(loaded, poses, calibrated, dry_run)
+    targets = targets if folder is None else to_go_on_with(folder, targets)
+    if targets is not None:
+        refuse_errors(loaded, targets.steer(poses))
+        operator.message(
+            f"the targets of {len(poses)} poses are corrected: by the model the nominal arm would miss their places by "
+            f"{np.sqrt(np.mean(targets.moved_mm**2)):.3f} mm rms, up to {targets.moved_mm.max():.3f} mm"
+        )
+    operator.progress("")
+    return targets
 
 
 def refuse_unknown_drivers(loaded: LoadedPlan) -> None:

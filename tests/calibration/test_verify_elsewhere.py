@@ -12,7 +12,7 @@ import mbcacq
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.cli.verify import command
-from mbcacq.errors import ConfigError
+from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.recording import write_observation_set
 
 NOISE, JOINT_NOISE = (0.005, 0.005, 0.009), 8e-6
@@ -137,3 +137,13 @@ def test_figures_are_said_once_where_there_are_no_effects_and_chi2_with_them(res
         f"{own['chi2_dof']:.2f} with a geometry fitted there\n" in done.stdout
     )
     assert "effects" not in done.stdout
+
+
+def test_places_that_were_moved_are_said_and_no_figure_of_the_arm(other, result):
+    """Everything but the arm stands 300 mm elsewhere: what a base or a tracker that was moved looks like."""
+    moved = replace(other, q=other.q + np.array([0.1, 0, 0, 0, 0, 0]))  # a turn of the first joint alone is a turn of the base
+    with pytest.raises(
+        CalibrationError, match=r"the artefacts or the robot's base were moved since the result was made: .* use --place fitted"
+    ):
+        mbcacq.verify_elsewhere(moved, result, place="known")
+    assert mbcacq.verify_elsewhere(moved, result, place="fitted").with_effects.rms_mm < 0.1

@@ -17,6 +17,7 @@ POINTS = np.array([[1.5, 2.25, -3.0], [4.0, -5.5, 6.125], [7.0, 8.0, 9.0]])
         "3\n1.5 2.25 -3.0 255\n4.0 -5.5 6.125 12\n7 8 9 0\n",
         "# a cloud\nx,y,z\n1.5,2.25,-3.0\n4.0,-5.5,6.125\n7,8,9\n",
         "x;y;z\n1,5;2,25;-3,0\n4,0;-5,5;6,125\n7,0;8,0;9,0\n",
+        "1,5 2,25 -3\n4 -5,5 6,125\n7 8 9\n",
         "1,5\t2,25\t-3,0\n4,0\t-5,5\t6,125\n7\t8\t9\n",
         "1.5;2.25;-3.0;0.1;0.2\n4.0;-5.5;6.125;1;1\n7;8;9;1;1\n\n",
     ],
@@ -35,6 +36,10 @@ def test_texts(tmp_path, text, suffix):
     [
         ("1 2 3\n4 5", "a.xyz:2: the file is cut off in its last line"),
         ("1 2 3\n4 no 6\n7 8 9", "a.xyz:2: '4 no 6' is no x, y, z"),
+        ("1 2 3 255\n4 5 6\n7 8 9 1\n", "a.xyz:2: the line has 3 columns, the first one 4"),
+        ("1,5 2,5 3,5\n1.234 2,5 3,5\n", "a.xyz:2: has a point in a cloud with decimal commas"),
+        ("1,5,2,5,3,5\n4,5,5,5,6,5\n", "a.xyz:1: its 6 columns of whole numbers may be numbers with decimal commas"),
+        ("4\n1 2 3\n4 5 6\n7 8 9\n", "a.xyz:1: announces 4 points, and 3 follow"),
         ("hello", "none of its first lines has three numbers"),
     ],
 )
@@ -43,6 +48,12 @@ def test_broken_texts_name_the_line(tmp_path, text, sentence):
     path.write_text(text)
     with pytest.raises(ConfigError, match=sentence):
         read_points(path)
+
+
+def test_the_first_line_says_nothing_of_decimal_commas_below(tmp_path):
+    path = tmp_path / "a.xyz"
+    path.write_text("7 8 9\n1,5 2,25 -3\n")
+    assert read_points(path) == pytest.approx(POINTS[[2, 0]])
 
 
 def test_stl_binary_and_text(tmp_path):

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import simulated
 
+from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import functions_of, parts_of
+from mbcacq.effects.kinds.gravity_compensator import RARE
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.terms import PER_POSE
 
@@ -79,3 +81,23 @@ def test_no_balancer_is_offered_to_a_light_arm_that_turns_all_around(plan, mass_
     found, dropped = catalogue.candidates(Context(obs, state, forward_model.predict(obs, state)))
     assert any(c.name == "gravity_compensator" for c in found) == offered
     assert ("gravity_compensator" in dropped) != offered
+
+
+@pytest.mark.parametrize(("balancer", "rarity"), [(None, RARE), (True, 1.0), (False, None)])
+def test_a_balancer_is_rare_on_a_light_arm_unless_its_description_says_so(plan, balancer, rarity):
+    obs = replace(plan, cell=replace(plan.cell, robot=replace(plan.cell.robot, balancer=balancer)))
+    state = simulated.nominal_state(obs)
+    found = catalogue.candidates(Context(obs, state, forward_model.predict(obs, state)))[0]
+    assert [c.rarity for c in found if c.name == "gravity_compensator"] == ([] if rarity is None else [rarity])
+    prior = SetPrior.of(found, 1)
+    for one in (c for c in found if c.name == "gravity_compensator"):
+        usual = prior.log_probability(replace(one, rarity=1.0), [])
+        assert prior.log_probability(one, []) == pytest.approx(usual + np.log(rarity))
+
+
+def test_nothing_gives_way_against_its_load(plan):
+    state = simulated.nominal_state(plan)
+    found = catalogue.candidates(Context(plan, state, forward_model.predict(plan, state)))[0]
+    soft = [c for c in found if c.name.endswith("compliance")]
+    assert {c.name for c in soft} == {"base_compliance", "joint_compliance", "mount_compliance"}
+    assert all(c.positive and c.k == 1 for c in soft)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import simulated
 
+import mbcacq
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, with_effects
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.calibration.with_effects import calibrate_with_effects
@@ -113,6 +114,34 @@ def test_an_arm_and_its_effects_hold_on_another_day(plan, recording, fitted):
     assert type(tried).from_dict(json.loads(json.dumps(tried.to_dict()))) == tried
 
 
+@pytest.mark.parametrize("place", ["fitted", "known"])
+def test_poses_without_a_centre_say_nothing_of_another_day(recording, fitted, place):
+    unseen = np.isin(recording.pose, [0, 3, recording.n_poses - 1])
+    day = replace(recording, pose_id=recording.pose_id + 1000, **{c: getattr(recording, c)[~unseen] for c in ("pose", "ball", "xyz")})
+    without = day.select(np.isin(np.arange(day.n_poses), day.pose))
+
+    tried, expected = (check_transfer(one, fitted, place=place) for one in (day, without))
+
+    assert tried == expected
+    assert tried.poses == recording.n_poses - 3
+
+
+def test_a_check_that_fails_loses_nothing_of_the_diagnosis(recording, plan, tmp_path):
+    few = recording.select(np.arange(recording.n_poses) < 1)
+    found = mbcacq.diagnose(recording, check=[few, recording], workers=1)
+    assert [e.name for e in found.effects] == ["joint_compliance", "gear_transmission_error"]
+    assert len(found.checks) == 1
+    assert [n for n in found.poses.notes if n.startswith("what was found could not be tried on the other recording: ")]
+
+
+def test_a_check_of_another_arm_is_refused_before_the_diagnosis(recording):
+    other = replace(recording, cell=replace(recording.cell, robot=replace(recording.cell.robot, name="another arm")))
+    steps = []
+    with pytest.raises(ConfigError, match="the other recording is of 'another arm'"):
+        mbcacq.diagnose(recording, check=[other], progress=steps.append)
+    assert not steps
+
+
 def test_with_known_places_nothing_is_fitted(recording, fitted):
     tried = check_transfer(recording, fitted, place="known")
     assert tried.with_effects.rms_mm == pytest.approx(fitted.rms_mm, rel=0.05)  # balls as certified
@@ -144,7 +173,7 @@ def test_groups_nobody_needs_vanish_and_others_find_their_size(plan, recording):
     kept = {t.where[0] for t in found.effects.terms}
     assert {"A2", "A4"} <= kept
     assert found.chi2 / found.dof < 1.15
-    assert found.rms_mm < 0.7 * calibrate(recording, CalibrationOptions(refuse=False)).rms_mm
+    assert found.rms_mm < 0.7 * calibrate(recording, replace(OPTIONS, discrepancy=False)).rms_mm
 
 
 def test_sizes_found_by_some_of_the_poses_lead_to_the_coefficients_of_all(plan, recording, monkeypatch):
@@ -197,10 +226,42 @@ def test_the_uncertainty_elsewhere_includes_what_movements_leave_behind_there(pl
     assert silent > 2 * stated
 
 
+def first_left(fitted, obs):
+    """(P,) bool of the poses that leave the learnt range of q4."""
+    (known,) = {t.ranges["q4"] for t in fitted.effects.terms if "q4" in t.ranges}
+    return known.outside("q4", obs.q[:, 3])
+
+
+def test_what_is_unmodelled_is_nothing_where_it_was_not_learnt(recording):
+    """A smooth function of an angle says nothing of angles that no pose had; its prior is what is known there."""
+    near = np.abs(recording.q[:, 3]) < 1.0
+    learnt, rng = recording.select(near), np.random.default_rng(1)
+    group = unmodelled.group(Covariates(learnt), "A4", "q4")
+    group = replace(group, coefficients=group.sigma * rng.standard_normal(group.k))
+    model = EffectModel(recording.cell.robot, (group,), LearntRecording.of(learnt))
+
+    far = replace(recording.select(near), pose_id=learnt.pose_id + 1000, q=learnt.q + np.array([0, 0, 0, np.pi, 0, 0]))
+    there, beyond = model.displacements(learnt).joint[:, 3], model.displacements(far).joint[:, 3]
+
+    assert np.abs(beyond).max() < 1e-6 * np.abs(there).max()
+    assert not model.left_out_at(learnt)
+    (prior,) = model.left_out_at(far)
+    spread = np.sqrt(np.sum((prior.parts[0].basis[:, : group.k] * prior.sigma) ** 2, axis=1))
+    np.testing.assert_allclose(spread, np.sqrt(np.sum(group.sigma**2) / 2), rtol=1e-6)  # of sines and cosines of every order
+
+
+def test_elasticity_does_not_end_where_the_loads_did(recording):
+    group = unmodelled.group(Covariates(recording), "A2", "gravity_torque_2")
+    assert not group.fades
+
+
 def test_leaving_the_learnt_range_is_said(recording, fitted):
     beyond = replace(recording, q=recording.q + np.array([0, 0, 0, 2.5, 0, 0]))
     said = " ".join(str(d) for d in fitted.effects.departures(beyond))
     assert "q4 leaves the range" in said
+    (first,) = [d for d in fitted.effects.departures(beyond) if d.covariate == "q4"]
+    assert first.poses == tuple(beyond.pose_id[first_left(fitted, beyond)])
+    assert f"(numbers {first.poses[0]}, " in str(first)
     assert not fitted.effects.departures(recording)
 
 

@@ -16,7 +16,7 @@ from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import alternatives_of
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
-from mbcacq.diagnosis.output.exclusion_limits import coefficient_limit
+from mbcacq.diagnosis.output.sufficient_poses import coefficient_limit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.formulas.propose import located, propose
+from mbcacq.diagnosis.formulas.propose import holds_up, located, propose, refused
 from mbcacq.diagnosis.formulas.search import FormulaSearch, FormulaSpace
 from mbcacq.diagnosis.result import Diagnosis, EffectFound
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects import catalogue
 from mbcacq.errors import ConfigError
@@ -65,7 +67,7 @@ def recording(short):
 def proposals(recording):
     problem = model_fit.prepare(recording)
     full = model_fit.fit_model(problem)
-    return propose(problem, full, [found_at(cell.location, cell.depends_on) for cell in full.cells])
+    return propose(problem, full, [found_at(cell.location, cell.depends_on) for cell in full.cells]).proposals
 
 
 def test_the_concealed_formula_is_the_most_probable(proposals):
@@ -141,6 +143,32 @@ def test_noise_gives_no_formula(short):
 
     assert list(dict.fromkeys(p.location.name for p in terms.placed)) == ["A2", "mount", "A6", "scanner"]
     assert best.log_posterior < 0.0
+
+
+def parts(*chi2):
+    return [PredictiveScore(0.1, 100, float(c), 300.0) for c in chi2]
+
+
+@pytest.mark.parametrize(
+    ("formula", "found_in", "offered"),
+    [
+        ((300, 310, 295, 305), 4, True),  # as good as the smooth model
+        ((300, 310, 340, 290), 3, True),  # worse in sum, within what the parts differ by
+        ((500, 490, 505, 485), 4, False),  # chi2 1.65 against 1.02
+        ((300, 310, 295, 305), 2, False),  # found in the data that it was sought in, and in half of the others
+    ],
+)
+def test_a_formula_is_offered_where_it_holds_up_without_the_data_it_was_found_in(proposals, formula, found_in, offered):
+    smooth = parts(305, 300, 310, 295)
+    one = replace(proposals[0], found_in=found_in, parts=4, held_out_before_chi2_dof=3.0, held_out_chi2_dof=sum(formula) / 1200)
+
+    assert holds_up(one, parts(*formula), smooth) is offered
+
+
+def test_a_formula_that_is_not_offered_is_named_with_the_reason(proposals):
+    said = refused(replace(proposals[0], found_in=0, parts=4, held_out_chi2_dof=1.65, smooth_chi2_dof=1.02))
+    assert proposals[0].formula in said
+    assert "χ²/dof 1.65, the smooth model with 1.02, and came again in 0 of 4 searches" in said
 
 
 def test_proposals_survive_json(proposals):

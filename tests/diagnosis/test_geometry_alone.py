@@ -1,4 +1,4 @@
-"""A diagnosis states the cell that it starts from: to the last digit the one that a calibration of the same recording has."""
+"""A diagnosis states the cell that it starts from: to the last digit the one that a calibration of the geometry alone has."""
 
 import json
 from dataclasses import replace
@@ -20,7 +20,7 @@ from mbcacq.diagnosis.result import Diagnosis, plain
 from mbcacq.diagnosis.schema import diagnosis_schema
 from mbcacq.recording import load_observations, write_observation_set
 
-HELD = CalibrationOptions(refuse=False)
+HELD = CalibrationOptions(refuse=False, discrepancy=False)
 
 
 def in_a_result(content):
@@ -39,7 +39,7 @@ def as_json(content):
 def by_the_commands(folder, tmp_path, *options):
     """What the two commands write of one recording, and what the diagnosis prints. options: of the calibration."""
     written = []
-    for module, more in ((calibrate_command, options), (diagnose_command, ())):
+    for module, more in ((calibrate_command, ("--geometry-alone", *options)), (diagnose_command, ())):
         file = tmp_path / "written.json"
         done = CliRunner().invoke(module.command, [str(folder), "--out", str(file), *more], catch_exceptions=False)
         assert done.exit_code == 0, done.output

@@ -5,7 +5,7 @@ import pytest
 
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
 from mbcacq.diagnosis.output.text import limit_lines
-from mbcacq.diagnosis.result import ExclusionLimit
+from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 
 
 def test_the_uncertainty_of_an_rms_is_that_of_the_chi_square_distribution():
@@ -37,11 +37,20 @@ def test_an_effect_below_its_expanded_uncertainty_is_a_trend(parameters, trend):
     assert is_trend(parameters) is trend
 
 
-def test_a_limit_beyond_a_hundred_usual_sizes_was_not_tested():
-    absurd = ExclusionLimit("mount_compliance", ("mount",), "compliance_mm_per_N", 0.35, 7.9, 0.0089, 3500.0)
-    real = ExclusionLimit("joint_step", ("A6",), "A6.step_deg", 0.0078, 0.22, 0.19, 1.4)
-    lines = limit_lines([absurd, real])
+def test_what_is_beyond_what_machines_have_was_not_tested():
+    absurd = ExclusionLimit("mount_compliance", ("mount",), "compliance_mm_per_N", 0.35, None, None, 350.0, tested=False)
+    absorbed = ExclusionLimit("base_compliance", ("base",), "compliance_rad_per_Nm", None, None, None, None, tested=False)
+    step = ExclusionLimit(
+        "joint_step", ("A6",), "A6.step_deg", 0.0078, 0.22, 0.19, 1.4, holds_for=ExclusionBand("at_pose", 3, 118, (17, 33))
+    )
+    slow = ExclusionLimit(
+        "gear_transmission_error", ("A2",), "A2.amplitude_deg", 0.004, None, None, holds_for=ExclusionBand("order", 1.0, 1.5)
+    )
+    lines = limit_lines([step, slow, absurd, absorbed])
     assert lines == [
-        "Not excluded (95 %): joint_step at A6 up to step 0.0078° (1.4 times the usual size), 0.22 mm in the workspace, 0.19 mm in a length",
-        "Not tested by these poses (only what is over 100 times the usual size would show): mount_compliance at mount (compliance)",
+        "Not excluded (95 %): joint_step at A6 at any pose from 3 to 118, but at 2 moments between up to step 0.0078° "
+        "(1.4 times the usual size), 0.22 mm in the workspace, 0.19 mm in a length",
+        "Not excluded (95 %): gear_transmission_error at A2 of order 1.0 to 1.5 up to amplitude 0.0040°",
+        "Not tested by these poses (only what is over 10 times the usual size would show): mount_compliance at mount (compliance); "
+        "base_compliance at base (compliance)",
     ]

@@ -13,7 +13,7 @@ from mbcacq.recording import load_observations
 
 
 def assert_same_cell(observations):
-    calibrated = calibrate(observations, CalibrationOptions(refuse=False))
+    calibrated = calibrate(observations, CalibrationOptions(refuse=False, discrepancy=False))
     problem = prepare(observations)
     state = problem.linear.state
 
@@ -50,7 +50,7 @@ def test_a_clean_recording_keeps_the_noise_of_its_calibration(plan):
     full = fit_model(prepare(observed))
 
     assert full.model.effects == ()
-    np.testing.assert_allclose(full.noise.joint, calibrate(observed, CalibrationOptions(refuse=False)).noise.joint, rtol=1e-12)
+    np.testing.assert_allclose(full.noise.joint, calibrate(observed, CalibrationOptions(refuse=False, discrepancy=False)).noise.joint, rtol=1e-12)
 
 
 def test_a_latency_of_the_exposure_is_no_other_robot(plan):

@@ -7,6 +7,7 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.model_fit import fit_model, prepare
 from mbcacq.estimation.forward_model import Displacements
 
 AMPLITUDE, ORDER = 1.2e-3, 4.0
@@ -50,3 +51,18 @@ def test_orders_that_look_alike_at_the_angles_of_a_recording_are_all_named(postu
     assert len(orders) > 1
     for order in (effect.parameters["A4.order"].value, *orders):
         assert min((order - 7) % 24, (order + 7) % 24, (7 - order) % 24, (-7 - order) % 24) < 0.3
+
+
+def test_order_and_amplitude_of_half_a_period_are_uncertain_together(postures):
+    """Over half a turn an error of order one is nearly one of order two with another amplitude, and is found as such here."""
+    q, amplitude = postures.copy(), 8e-5
+    q[:, 3] = np.random.default_rng(13).uniform(-1.6, 1.6, len(q))
+    phase = amplitude * np.array([np.cos(16.9), np.sin(16.9)])
+
+    full = fit_model(prepare(simulated.observe(simulated.tracked(q), 13, [("gear_transmission_error", ("A4",), phase, 1.0)])))
+
+    ((candidate, order),) = full.model.effects
+    found = candidate.report(full.model.coefficients, full.model.covariance, order)
+    assert abs(found["A4.order"].value - 1.0) < 3 * found["A4.order"].std
+    assert abs(found["A4.amplitude_deg"].value - np.degrees(amplitude)) < 3.5 * found["A4.amplitude_deg"].std
+    assert found["A4.order"].std < 1.0

@@ -15,11 +15,13 @@ from mbcacq.diagnosis.result import (
     Alternative,
     Diagnosis,
     EffectFound,
+    ExclusionBand,
     ExclusionLimit,
     FitFigures,
     FitSummary,
     HeldOutFigures,
     MismatchEntry,
+    NoiseDependence,
     NotSeparable,
 )
 from mbcacq.effects.effect import ParameterEstimate
@@ -46,8 +48,10 @@ FOUND = Diagnosis(
     notes=("a note",),
     exclusion_limits=(
         ExclusionLimit("joint_scale", ("A6",), "A6.ratio", 2e-4, 0.05, 0.03),
+        ExclusionLimit("joint_step", ("A6",), "A6.step_deg", 0.01, None, None, 12.0, False, ExclusionBand("at_pose", 3.0, 90.0, (17.0,))),
         ExclusionLimit("station_drift", ("stationp1",), "shift_mm", None, None, None),
     ),
+    noise_depends_on=(NoiseDependence("instrument", "reach", "mm", 500.0, 900.0, 0.005, 0.015, 1e-9),),
 )
 
 
@@ -80,7 +84,9 @@ def test_the_keys_stand_in_the_order_of_the_format():
         "exclusion_limits",
         "between_recordings",
         "proposals",
+        "noise_depends_on",
         "model",
+        "evidence",
     ]
     assert list(content["effects"][0])[:7] == ["name", "where", "parameters", "p_value", "held_out_gain", "alternatives", "depends_on"]
     assert list(content["effects"][0])[7:] == ["p_local", "p_corrected", "log_bayes_factor", "equivalent"]

@@ -9,8 +9,8 @@ import simulated
 
 from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.output.exclusion_limits import excluded_share, says_too_little, sufficient_poses
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
+from mbcacq.diagnosis.output.sufficient_poses import excluded_share, says_too_little, sufficient_poses
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,9 @@ import simulated
 import mbcacq
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
+from mbcacq.diagnosis.evidence.hypothesis import Member, SetPrior, estimated
+from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
@@ -13,6 +16,7 @@ from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
 from mbcacq.effects.functions import evaluate
 from mbcacq.estimation.forward_model import Displacements
+from mbcacq.estimation.variance_components import pack
 
 
 def test_a_bayes_factor_of_a_hundred_is_rare_without_an_effect():
@@ -113,6 +117,25 @@ def test_what_a_process_describes_is_kept_for_other_places(plan):
     assert set(kept.clamped) == kept.covariates == {"q5", "q6"}
     (check,) = found.checks
     assert check.with_effects.rms_mm < 0.5 * check.geometry_alone.rms_mm
+
+
+def test_a_name_that_mends_a_shape_is_left_out_for_a_more_general_shape():
+    """The bump over two angles as functions of one of them, and a step of the mount in time that follows the rest of it by chance."""
+    setup = model_fit.prepare(simulated.observe(simulated.plan(6, 2, 6), 125, [pull_on_joint_five_where_five_and_six_meet]))
+    blocks = UnmodelledEffects(setup.design_blocks)
+    point = NoisePoint(setup.linear, setup.prior_noise, pack(setup.noise))
+    shift = next(c for c in setup.candidates if c.name == "mount_shift")
+    plain = next(m for _, m in blocks.evidence(point.projected) if m.candidate.where == ("A5",))
+    search = EvidenceSearch(setup.candidates, blocks, SetPrior.of(setup.candidates, blocks.locations), setup.context)
+    mended = (plain, Member(shift, float(shift.hyper.values[20])))
+    best = estimated(mended, point, search.log_prior(mended))
+
+    search.generalise(best)
+
+    (general,) = search.known.values()
+    assert general.labels == {"unknown:A5"}
+    assert general.members[0].candidate.variant.startswith("process")
+    assert general.log_posterior > best.log_posterior
 
 
 def test_cosines_on_a_box_are_a_process_with_a_matern_kernel():

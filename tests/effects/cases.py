@@ -193,7 +193,6 @@ CASES = (
     Case("base_compliance", ("base",), base_compliance, {"compliance_rad_per_Nm": 1e-9}, depends_on="gravity_torque_2"),
     Case("mount_compliance", ("mount",), bracket(3e-8, 0.0), {"compliance_rad_per_Nm": 3e-8}, variant="tilt"),
     Case("mount_compliance", ("mount",), bracket(0.0, 2e-6), {"compliance_mm_per_N": 2e-6}, variant="shift"),
-    Case("mount_compliance", ("mount",), bracket(3e-8, 2e-6), {"compliance_rad_per_Nm": 3e-8, "compliance_mm_per_N": 2e-6}),
     Case(
         "gear_transmission_error",
         ("A4",),

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from peer_open3d import open3d
 
 from mbcacq.cli.app import app
 from mbcacq.cli.apply import command
@@ -13,7 +14,6 @@ from mbcacq.exports.format import chains
 from mbcacq.exports.scan_correction import place_scan
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.lazy import open3d
 
 ONE_POINT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
 Q = np.radians([10.0, -60, 95, 15, 35, 20])

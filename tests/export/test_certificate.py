@@ -92,16 +92,16 @@ def test_csv_reads_back_exactly(write):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("c.csv", "", "lists no sphere"),
-        ("c.csv", "label,x,y,z\n1,2,3,4\n", r"c\.csv:1: column 'd' is missing"),
-        ("c.csv", "label,x,y,z,d\n1,2,3,4\n", r"c\.csv:2: 4 cells under 5"),
-        ("c.csv", "label,x,y,z,d\n1,2,up,4,12\n", r"c\.csv:2: column 'y': 'up'"),
+        ("c.csv", "", r"c\.csv:1: the file is empty"),
+        ("c.csv", "label,x,y,z\n1,2,3,4\n", r"c\.csv:1: column d_mm is missing"),
+        ("c.csv", "label,x,y,z,d\n1,2,3,4\n", r"c\.csv:2: column d: the row has 4 cells, the header 5"),
+        ("c.csv", "label,x,y,z,d\n1,2,up,4,12\n", r"c\.csv:2: column y: 'up' is not a number"),
         ("c.csv", "label,x,y,z,d\n1,2,nan,4,12\n", "not a finite number"),
         ("c.csv", "label,x,y,z,d\n1,2,3,4,12\n1,2,3,9,12\n", "listed twice"),
         ("c.csv", "label,x,y,z,d\n1,2,3,4,-12\n", "not positive"),
         ("c.yaml", "a: [", "is not YAML"),
         ("c.yaml", "a: 1", "no list"),
-        ("c.yaml", "balls:\n - {label: 1, x: 1, y: 2, z: 3}\n", "sphere 1 has no 'd'"),
+        ("c.yaml", "balls:\n - {label: 1, x: 1, y: 2, z: 3}\n", r"c\.yaml: column d_mm is missing"),
         ("c.dmo", "FA(A)=FEAT/SPHERE,OUTER,POL,1,2,3,4\n", r"c\.dmo:1"),
         ("c.dmo", "\nFA(A)=FEAT/SPHERE,OUTER,CART,1,2,x,4\n", r"c\.dmo:2"),
         ("c.pdf", "x", "must be .csv"),
@@ -191,10 +191,10 @@ def test_what_is_not_used_is_listed(write):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("label,x (kg),y,z,d\nB1,1,2,3,12\n", "'kg' in 'x .kg.' is no unit that can be given in mm"),
-        ("label,x (deg),y,z,d\nB1,1,2,3,12\n", "is no unit that can be given in mm"),
+        ("label,x (kg),y,z,d\nB1,1,2,3,12\n", "column x .kg.: x_mm cannot be given in kg"),
+        ("label,x (deg),y,z,d\nB1,1,2,3,12\n", "column x .deg.: x_mm cannot be given in deg"),
         ("# units: furlongsx\nlabel,x,y,z,d\nB1,1,2,3,12\n", "the unit 'furlongsx' is no length"),
-        ("label,x,y,z,d,x (mm)\nB1,1,2,3,12,4\n", "two columns are 'x'"),
+        ("label,x,y,z,d,x (mm)\nB1,1,2,3,12,4\n", "columns x and x .mm. both give x_mm"),
     ],
 )
 def test_units_that_cannot_be_honoured_are_refused(write, text, words):

@@ -171,7 +171,7 @@ def test_a_point_at_a_limit_stays_as_programmed(tmp_path):
         ("a.dat", "DECL E6POS X={X 1,Y 2,Z 3,A 0,B 0,C 0}", "no absolute target with all 6 joint angles"),
         ("a.csv", "a,b\n1,2\n", "neither q1_deg"),
         ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,x\n", "a.csv:2"),
-        ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,nan\n", "not finite"),
+        ("a.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n1,2,3,4,5,nan\n", "not a finite number"),
         ("a.txt", "", "give a robot program"),
     ],
 )
@@ -228,12 +228,12 @@ def test_tables_are_read_and_written_in_their_own_form(tmp_path, data):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (table(SIX, "10,-80,5,70,15,40,-5"), "p.csv:2: the row has 7 cells, the header 6"),
-        (table(SIX, "1_0,-80.5,70,15,40,-5"), "p.csv:2: column q1_deg: '1_0' is no number"),
+        (table(SIX, "10,-80,5,70,15,40,-5"), "p.csv:2: column q6_deg: the row has 7 cells, the header 6"),
+        (table(SIX, "1_0,-80.5,70,15,40,-5"), "p.csv:2: column q1_deg: '1_0' is not a number"),
         (table(SIX.replace(",", ";"), "10;-80,5;70.5;15;40;-5"), "has a point in a file with decimal commas"),
         (table("q1,q2,q3,q4,q5,q6", "0.1745,-1.405,1.2217,0.2618,0.698,-0.087"), "all joint angles are within 2 pi and q1 says no unit"),
-        (table("x,y,z,a,b,c", "1,2,3,4,5,6"), "column 'x' says no unit"),
-        (table(SIX, "10,-80.5,70,15,40," + "9" * 400), "is not finite|is no number"),
+        (table("x,y,z,a,b,c", "1,2,3,4,5,6"), "column x_mm is missing: column x names no unit"),
+        (table(SIX, "10,-80.5,70,15,40," + "9" * 400), "is not a finite number"),
         ("a\0b\n1\n", "NUL"),
     ],
 )

@@ -10,8 +10,10 @@ import pytest
 
 from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.result_io import read_result
+from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError
 from mbcacq.exports.result_json import load_result
+from mbcacq.workflow.load import unsealed_note
 
 READERS = [CalibratedCell.from_json, load_result, read_result]
 PYTHON = re.compile(r"NoneType|KeyError|TypeError|ValueError|Expecting|codec|subscriptable|broadcast|reshape|instance of|tuple|dictionary")
@@ -83,3 +85,12 @@ def test_what_is_no_json_is_said_in_words(tmp_path, read, data, fault):
     with pytest.raises(ConfigError, match=re.escape(f"result.json is not JSON ({fault}")) as error:
         read(file)
     assert not PYTHON.search(str(error.value).replace(str(file), ""))
+
+
+def test_a_result_whose_checksum_was_taken_out_is_said_to_be_unsealed(tmp_path, solved):
+    path = tmp_path / "result.json"
+    path.write_text(sealed_text(solved[0]))
+    assert unsealed_note(path) == unsealed_note(tmp_path) == []
+    path.write_text(json.dumps({key: value for key, value in json.loads(path.read_text()).items() if key != "sha256"}))
+    (note,) = unsealed_note(tmp_path)
+    assert note.startswith(f"unsealed: {path} carries no checksum")

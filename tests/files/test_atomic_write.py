@@ -7,7 +7,7 @@ import pytest
 
 from mbcacq.errors import ExitCode, RecordingError
 from mbcacq.files import atomic_write
-from mbcacq.files.atomic_write import replacing, write_file, write_files
+from mbcacq.files.atomic_write import finish_set, replacing, write_file, write_files
 
 
 def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeypatch):
@@ -26,7 +26,49 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeyp
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.src", "set"]
 
 
-def test_a_set_that_was_half_renamed_says_so(tmp_path, monkeypatch):
+class Killed(BaseException):
+    """The process ends here."""
+
+
+@pytest.mark.parametrize("new_too", [False, True])
+def test_a_set_that_is_stopped_anywhere_is_the_old_one_or_the_new_one(tmp_path, monkeypatch, new_too):
+    """Stopped before each rename, synchronisation and removal; whoever reads next completes it, or finds the old set."""
+    old = {"a": "1", "b": "2", "c": "3"}
+    new = {name: text * 2 for name, text in old.items()} | ({"d": "44"} if new_too else {})
+    ends = []
+    for stop in range(100):
+        folder = tmp_path / str(stop)
+        write_files(folder, old)
+        left = stop
+
+        def counted(call):
+            def wrapper(*arguments, **options):
+                nonlocal left
+                left -= 1
+                if left < 0:
+                    raise Killed
+                return call(*arguments, **options)
+
+            return wrapper
+
+        with monkeypatch.context() as patched:
+            for name in ("replace", "fsync", "unlink"):
+                patched.setattr(atomic_write.os, name, counted(getattr(os, name)))
+            try:
+                write_files(folder, new)
+            except Killed:
+                pass
+            else:
+                break
+        finish_set(folder)
+        found = {p.name: p.read_text() for p in folder.iterdir() if not p.name.endswith(".part")}
+        assert found in (old, new)
+        ends.append(found == new)
+    assert ends == sorted(ends)  # from one moment on
+    assert {True, False} == set(ends)
+
+
+def test_a_rename_that_fails_is_an_error_and_the_next_writer_completes_the_set(tmp_path, monkeypatch):
     replace = os.replace
     write_files(tmp_path / "set", {"a": "1", "b": "2"})
 
@@ -40,8 +82,18 @@ def test_a_set_that_was_half_renamed_says_so(tmp_path, monkeypatch):
         write_files(tmp_path / "set", {"a": "3", "b": "4"})
     assert (tmp_path / "set" / "INCOMPLETE.txt").is_file()
     monkeypatch.undo()
-    write_files(tmp_path / "set", {"a": "3", "b": "4"})
-    assert {p.name: p.read_text() for p in (tmp_path / "set").iterdir()} == {"a": "3", "b": "4"}
+    write_files(tmp_path / "set", {"c": "5"})
+    assert {p.name: p.read_text() for p in (tmp_path / "set").iterdir()} == {"a": "3", "b": "4", "c": "5"}
+
+
+@pytest.mark.parametrize("line", ['{"name": "../a", "from": "a.1-2.part"}', '{"name": "a", "from": "b"}', "a", "[]"])
+def test_a_list_that_is_not_ours_moves_nothing(tmp_path, line):
+    (tmp_path / "set").mkdir()
+    for name in ("a.1-2.part", "set/b", "set/a.1-2.part"):
+        (tmp_path / name).write_text("x")
+    (tmp_path / "set" / "INCOMPLETE.txt").write_text(f"of somebody\n{line}\n")
+    finish_set(tmp_path / "set")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["INCOMPLETE.txt", "a.1-2.part", "a.1-2.part", "b", "set"]
 
 
 def test_links_stay_links_and_devices_are_written_to(tmp_path):

@@ -28,6 +28,9 @@ def table(tmp_path, data, schema=DH):
         "theta;d\n[deg];[cm]\n90,0;50,0\n",
         "sep=;\ntheta_deg;d_mm;;\r\n90;500;;\r\n;;;\r\n",
         "d_mm\ttheta_deg\r500\t90\r",
+        'theta_deg,d_mm\n"90,0","500,0"\n',
+        "theta_deg,d_mm\n90°,0.5 m\n",
+        "theta_deg;d_mm\npi/2;50cm\n",
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])
@@ -50,7 +53,10 @@ def test_units_and_dialects_give_the_same_numbers(tmp_path, text, encoding):
         ("theta [Grad],d_mm\n90,5\n", r"'Grad' may be degrees \(deg\) or gon"),
         ("theta_deg,d [kg]\n90,5\n", r"d_mm cannot be given in kg"),
         ("theta_deg,theta_rad,d_mm\n90,1,5\n", r"columns theta_deg and theta_rad both give theta_deg"),
-        ('theta_deg,d_mm\n90,"1,5"\n', r"'1,5' is not a number; .*decimal comma needs the semicolon"),
+        ('theta_deg,d_mm\n90,"1,500"\n', r"column d_mm: '1,500' may have a decimal comma or one of thousands"),
+        ('theta_deg,d_mm\n9.5,"1,5"\n', r"'9\.5' has a point in a file with decimal commas"),
+        ("theta_deg,d_mm\n90 mm,5\n", r"column theta_deg: '90 mm' is not a number"),
+        ("theta_deg,d_mm\npi/0,5\n", r"column theta_deg: 'pi/0' is not a number"),
         ("theta_deg;d_mm\n1,5;1.234\n", r"t\.csv:2: column d_mm: '1\.234' has a point in a file with decimal commas"),
         ("theta_deg,d_mm\n90,\n", r"t\.csv:2: column d_mm: the cell is empty"),
         ("theta_deg [9**9**9],d_mm\n", r"t\.csv:"),
@@ -78,3 +84,11 @@ def test_joints_of_a_german_spreadsheet(tmp_path):
     schema = TableSchema("joints", joint_columns("q", 2, aliases=("A{}",), assumed="deg"))
     found = table(tmp_path, "A1;A2\n0;-90,5\n", schema)
     assert found.numbers(("q1", "q2")).tolist() == [[0.0, np.radians(-90.5)]]
+
+
+def test_an_assumed_unit_is_never_taken_for_one_that_is_spelt_wrongly(tmp_path):
+    schema = TableSchema("lengths", (Column("x", "mm", assumed="mm"),))
+    assert table(tmp_path, "x (k=2)\n5\n", schema).number("x").tolist() == [5.0]
+    assert table(tmp_path, '"x (µm, k = 2)"\n5\n', schema).number("x") == pytest.approx([0.005])
+    with pytest.raises(ConfigError, match=r"t\.csv:1: column x \(my\): 'my' is no unit that can be given in mm"):
+        table(tmp_path, "x (my)\n5\n", schema)

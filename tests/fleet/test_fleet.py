@@ -148,6 +148,11 @@ def test_a_recording_counts_as_done_until_it_or_the_task_changes(folder, tmp_pat
     store.keep(one, stored_result(evaluate_recording(one, FleetTask()), store.stamp(one)))
     assert store.row(one)["status"] == "evaluated"
     assert FleetStore(tmp_path, FleetTask(diagnose=True)).row(one) is None
+    text = store.path(one).read_text()
+    store.path(one).write_text(text.replace('"poses": 1', '"poses": 2', 1) if '"poses": 1' in text else text.replace("0.1", "0.2", 1))
+    assert store.row(one) is None  # a changed digit
+    assert store.damaged == [store.path(one)]
+    store.path(one).write_text(text)
     file = Path(one.path) / "centres.csv"
     os.utime(file, ns=(0, file.stat().st_mtime_ns + 1_000_000_000))
     assert store.row(one) is None

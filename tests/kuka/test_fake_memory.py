@@ -14,7 +14,7 @@ from mbcacq_fakes.protocols.krc.control import Control
 from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
 from mbcacq_fakes.protocols.krc.server import FakeKrc
 
-from mbcacq.errors import ConnectError
+from mbcacq.errors import SystemRefused
 
 SHM = Path("/dev/shm")
 pytestmark = pytest.mark.skipif(not SHM.is_dir(), reason="no shared memory as files here")
@@ -65,7 +65,7 @@ def test_what_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(ConnectError, match=r"no 15364 KiB of shared memory \(No space left on device\); free some in /dev/shm"):
+    with pytest.raises(SystemRefused, match=r"no 15364 KiB of shared memory \(No space left on device\); free some in /dev/shm"):
         Control.create(log=True)
     assert len(blocks) == 1
     assert not blocks[0].exists()
@@ -116,5 +116,5 @@ def test_a_full_or_read_only_dev_shm_is_a_sentence_and_no_sigbus(mounted, reason
     if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("a mount of its own is not permitted here")
     assert done.returncode == 0, done
-    assert done.stdout.startswith("ConnectError the fake controller has no ")
+    assert done.stdout.startswith("SystemRefused the fake controller has no ")
     assert f"of shared memory ({reason})" in done.stdout

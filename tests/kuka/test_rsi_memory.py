@@ -14,7 +14,7 @@ from mbcacq_fakes.cell.ports import free_port
 from mbcacq_kuka.rsi.driver import KukaRsi
 from mbcacq_kuka.rsi.shared import RING_BYTES, Shared
 
-from mbcacq.devices import ConnectError
+from mbcacq.devices import SystemRefused
 
 SHM = Path("/dev/shm")
 pytestmark = pytest.mark.skipif(not SHM.is_dir(), reason="no shared memory as files here")
@@ -56,7 +56,7 @@ def test_a_ring_that_cannot_be_allocated_is_said_and_leaves_nothing(monkeypatch)
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(ConnectError, match=r"no shared memory for the RSI cycles \(No space left on device\); free some in /dev/shm"):
+    with pytest.raises(SystemRefused, match=r"no shared memory for the RSI cycles \(No space left on device\); free some in /dev/shm"):
         KukaRsi("arm", "", {"limits_deg": LIMITS_DEG, "port": free_port()}).connect()
     assert len(blocks) == 1
     assert not blocks[0].exists()
@@ -86,4 +86,4 @@ def test_a_full_or_read_only_dev_shm_ends_no_driver_by_sigbus(mounted, reason):
     if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("a mount of its own is not permitted here")
     assert done.returncode == 0, done
-    assert done.stdout.startswith(f"ConnectError robot 'arm': no shared memory for the RSI cycles ({reason})")
+    assert done.stdout.startswith(f"SystemRefused robot 'arm': no shared memory for the RSI cycles ({reason})")

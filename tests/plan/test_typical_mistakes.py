@@ -225,7 +225,7 @@ MISTAKES = {  # what was done: how, words of the cause, words of the cure
     "the same ball number on the bar": (file("bar.yaml", ("id: 9,", "id: 3,")), "exists already in artefact 'mbc'", "number the balls"),
     "balls inside each other": (file("mbc.yaml", ("diameter_mm: 12.0", "diameter_mm: 80.0")), "overlap", "correct centre_mm or diameter_mm"),
     "a symmetric artefact": (square, "looks the same turned", "make all distances between its balls differ"),
-    "a certificate without diameters": (certificate("label,x,y,z\nB1,0,0,0\n"), "column 'd' is missing", "needs label, x, y, z and d in mm"),
+    "a certificate without diameters": (certificate("label,x,y,z\nB1,0,0,0\n"), "column d_mm is missing", "add it"),
     "a certificate as PDF": (certificate("%PDF-1.7", "certificate.pdf"), "must be .csv, .yaml or DMIS output (.dmo), not '.pdf'", "convert it"),
     "a certificate in metres": (certificate("label,x,y,z,d\nB1,0,0,0,0.012\nB2,0.06,0,0,0.012\n"), "looks like metres or inches", "in mm"),
     "a certificate in inches": (certificate("label,x,y,z,d\nB1,0,0,0,0.47\nB2,2.4,0,0,0.47\n"), "looks like metres or inches", "in mm"),
@@ -242,7 +242,7 @@ MISTAKES = {  # what was done: how, words of the cause, words of the cure
     "an SDF for a URDF": (robot(URDF.replace("robot", "sdf")), "begins with <sdf>", "give a .urdf, .xacro or MJCF file"),
     "DH rows without their convention": (robot("theta_deg,d_mm,a_mm,alpha_deg\n", "rows.csv"), "which convention", "say --convention"),
     "DH rows without units": (
-        robot("theta,d_mm,a_mm,alpha_deg\n0,1,2,3\n0,1,2,3\n", "rows.csv", convention="standard"), "has no column theta_deg", "the unit is part",
+        robot("theta,d_mm,a_mm,alpha_deg\n0,1,2,3\n0,1,2,3\n", "rows.csv", convention="standard"), "column theta_deg is missing", "name it so if it is in deg",
     ),
     "decimal commas between commas": (data("poses.csv", "0.5,-90.5", "0,5,-90,5"), "the row has 6 cells, the header 4", "and semicolon"),
     "a column forgotten": (data("poses.csv", "q2_deg", "A2"), "column q2_deg is missing", "add it"),

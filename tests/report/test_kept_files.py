@@ -28,6 +28,14 @@ def test_absent_damaged_and_newer_are_three_answers(tmp_path, name):
         read_run_info(tmp_path)
 
 
+def test_damaged_pictures_of_a_diagnosis_are_not_left_out_without_a_word(tmp_path):
+    (tmp_path / "diagnosis.json").write_text('{"format": "mbcacq-diagnosis/2"}')
+    assert read_run_info(tmp_path)["pictures"] is None
+    (tmp_path / "diagnosis-pictures.json").write_text('{"format": "mbcacq-diagnosis-pictures/1", "cur')
+    with pytest.raises(ConfigError, match="diagnosis-pictures.json.*write it anew with mbcacq diagnose"):
+        read_run_info(tmp_path)
+
+
 def test_a_changed_number_in_the_result_with_effects_is_refused(tmp_path):
     from mbcacq.calibration.sealed_json import sealed_text
 

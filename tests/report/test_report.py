@@ -259,6 +259,17 @@ def test_verification_on_the_poses_of_the_fit_is_labelled_as_such(tmp_path):
     assert "took part in the calibration" in page(tmp_path, result).words
 
 
+def test_the_accuracy_that_the_page_states_includes_the_misfit_that_it_shows(tmp_path):
+    """Residuals of 0.1 mm where 0.02 mm were stated: no point is known within 0.03 mm."""
+    result = make_result()
+    result["fit"] |= {"rms_mm": 0.1, "expected_accuracy_mm": 0.015}
+    stated = page(tmp_path, result | {"noise": result["noise"] | {"check_factor": [1.0, 1.1, 1.0]}})
+    misfit = page(tmp_path, result | {"noise": result["noise"] | {"check_factor": [5.0, 4.0, 3.0]}})
+    assert "30 µm" in stated.words
+    assert "200 µm with 98.0 µm (3D rms) of the residual" in misfit.words  # 2 sqrt(0.015² + 0.1² (1 - 1 / 5²)) = 0.198 mm, two digits
+    assert "30 µm" not in misfit.words
+
+
 def test_parameters_with_their_expanded_uncertainties(tmp_path):
     words = page(tmp_path, make_result()).words
     assert "+0.143 ± 0.011" in words

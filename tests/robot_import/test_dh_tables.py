@@ -64,14 +64,14 @@ def test_one_arm_in_many_forms(read, text):
         (PLAIN.replace("alpha_deg", "alpha_rad"), "which looks like degrees; name the column alpha_deg"),
         (
             PLAIN.replace("theta_deg,d_mm", "theta,d_mm"),
-            "has no column theta_deg or theta_rad .its columns are a_mm, alpha_deg, d_mm, theta.; the unit is part of the name",
+            "rows.csv:1: column theta_deg is missing: column theta names no unit; name it so if it is in deg",
         ),
-        (PLAIN.replace("d_mm", "d (kg)"), "'kg' is no unit of d"),
-        (PLAIN.replace("d_mm", "d_deg"), "is no unit of d"),
+        (PLAIN.replace("d_mm", "d (kg)"), "rows.csv:1: column d .kg.: d_mm cannot be given in kg"),
+        (PLAIN.replace("d_mm", "d_deg"), "column d_mm is missing .the header has: theta_deg, d_deg"),
         (FORMS["type R"].replace(",R", ",P", 1), "row 1 is of type 'P'; an arm of revolute joints is needed"),
-        (PLAIN.replace("0,400,25,-90", "0,400,25,5,-90"), "rows.csv:2: the row has 5 cells, the header 4"),
+        (PLAIN.replace("0,400,25,-90", "0,400,25,5,-90"), "rows.csv:2: column alpha_deg: the row has 5 cells, the header 4"),
         (PLAIN.replace("400", "4_00"), "not a number"),
-        (PLAIN.replace("theta_deg", "d_cm"), "are both d"),
+        (PLAIN.replace("theta_deg", "d_cm"), "columns d_cm and d_mm both give d_mm"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(read, text, words):

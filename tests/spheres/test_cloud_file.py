@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from peer_open3d import open3d
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports.clouds import write_cloud
-from mbcacq.lazy import open3d
 from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
 
 ROWS = [(1.5, -2.0, 300.25, 40000, 65535), (2.5, 0.0, 301.0, 1, 0), (-3.5, 1.0, 299.5, 500, 256)]

@@ -3,9 +3,9 @@
 import clouds
 import numpy as np
 import pytest
+from peer_open3d import open3d
 
 from mbcacq.errors import ConfigError
-from mbcacq.lazy import open3d
 from mbcacq.spheres import centres_from_ply, read_cloud
 
 MBC = clouds.artefact()

@@ -22,10 +22,10 @@ def test_too_small_an_address_space_is_said_before_anything_moves(tmp_path):
         capture_output=True,
         text=True,
         timeout=120,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (1_500_000_000, 1_500_000_000)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (800_000_000, 800_000_000)),
     )
     assert done.returncode == 10
-    assert "1430 MiB of addresses here, and a run needs 4096 MiB" in one_sentence(done)
+    assert "762 MiB of addresses here, and a run needs 1024 MiB" in one_sentence(done)
     assert not (tmp_path / "run").exists()
 
 

@@ -26,6 +26,7 @@ from mbcacq.devices import (
     ProtocolError,
     RobotState,
     SafetyStop,
+    SystemRefused,
     signals_deferred,
 )
 from mbcacq_kuka.controller_files import rsi_files
@@ -114,7 +115,8 @@ class KukaRsi:
         )
 
     def connect(self) -> None:
-        """Wait for the controller's telegrams. Raises ConnectError (none came, port taken), ProtocolError (not usable)."""
+        """Wait for the controller's telegrams. Raises ConnectError (none came, port taken), ProtocolError (not usable),
+        SystemRefused (no shared memory)."""
         self.close()
         self._error, self._move_seq, self._pending, self._mover = None, 0, None, None
         self._kept.clear()
@@ -172,12 +174,12 @@ class KukaRsi:
         self.close()
 
     def _open(self, wait_s: float) -> None:
-        """A new session with the controller. Raises ConnectError, ProtocolError."""
+        """A new session with the controller. Raises ConnectError, ProtocolError, SystemRefused."""
         try:
             with signals_deferred():
                 process = self._process = CycleProcess()
         except OSError as error:
-            raise ConnectError(
+            raise SystemRefused(
                 f"robot '{self._name}': no shared memory for the RSI cycles ({error.strerror}); "
                 "free some in /dev/shm, which must be writable"
             ) from error

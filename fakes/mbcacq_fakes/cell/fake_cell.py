@@ -32,11 +32,19 @@ class FakeCell:
 
     realtime: the controller's 4 ms by the clock; else lock-step, as fast as the client answers. ports: 'free' takes free ports on
     127.0.0.1, which ``overrides()`` gives to the drivers; 'plan' listens where the plan's drivers will look. Everything the
-    world draws follows from ``seed``. The plan's ``fake:`` section says which effects are injected (docs/fakes.md).
+    world draws follows from ``seed``. first_poses: how many of the poses the plan of the run had at first, where it has grown since: the
+    cell stays the one that it was made for. The plan's ``fake:`` section says which effects are injected (docs/fakes.md).
     """
 
     def __init__(
-        self, loaded: Any, poses: list[Any], *, realtime: bool = False, seed: int = 0, ports: Literal["free", "plan"] = "free"
+        self,
+        loaded: Any,
+        poses: list[Any],
+        *,
+        realtime: bool = False,
+        seed: int = 0,
+        ports: Literal["free", "plan"] = "free",
+        first_poses: int | None = None,
     ) -> None:
         plan = loaded.plan
         self._scanner = normal(plan.scanner.driver) if normal(plan.scanner.driver) in (*SCANNERS, FOLDER) else NEUTRAL
@@ -52,7 +60,9 @@ class FakeCell:
         self._seed = seed if self._options.seed is None else self._options.seed
         self._planned_q = np.array([p.q for p in poses], dtype=float).reshape(-1, loaded.cell.robot.n)
         pace_s = PACE_S * self._options.climate.time_scale
-        self._facts: CellFacts = replace(from_cell(loaded.cell, plan.scanner.field_of_view), planned_q=self._planned_q, pace_s=pace_s)
+        self._facts: CellFacts = replace(
+            from_cell(loaded.cell, plan.scanner.field_of_view), planned_q=self._planned_q[:first_poses], pace_s=pace_s
+        )
         check(self._options, self._facts)
         check_options(plan.robot.driver, self._options.robot)
         make_world(self._facts, self._options, self._seed)  # says now, in one sentence, what it would not accept later

@@ -30,6 +30,8 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling
 from mbcacq.effects.effect import Candidate
 
+LEAST_LOG_E_VALUE = float(np.log(OPTIONS.least_e_value))  # above which there is an effect, at any look at a recording that grows
+
 
 @dataclass
 class EvidenceSearch:
@@ -147,7 +149,9 @@ class EvidenceSearch:
         return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member.of(scored)
 
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
-        return candidate.several or not any(c.name == candidate.name and c.where == candidate.where for c in present)
+        if candidate.several:
+            return candidate.hyper is not None or not any(c.key == candidate.key for c in present)
+        return not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
     def polished(self, best: Hypothesis) -> Hypothesis:
         """A set whose last effect is a further order of a gear, or a further breakpoint, with all of these looked for anew beside each
@@ -201,7 +205,7 @@ class EvidenceSearch:
         unmodelled effects at that location. Whether there is an effect at all is decided without.
         """
         last = best.members[-1]
-        there = log_e_value(self.ranked()) > log_e_value_at_false_alarm_rate(best.point.linear.obs.n_poses)
+        there = log_e_value(self.ranked()) > LEAST_LOG_E_VALUE
         if last.candidate.name != UNMODELLED or not there:
             return best
         rest = tuple(m for m in best.members if m.label != last.label)
@@ -215,8 +219,21 @@ class EvidenceSearch:
         self.known[found.key] = found
         return max(best, found, key=lambda h: h.log_posterior)
 
+    def generalise(self, best: Hypothesis) -> None:
+        """Sets without one of the named effects that came last, and with an unmodelled effect in its most general form: a name that only
+        mends the shape of something unmodelled is unnecessary then.
+        """
+        for named in best.catalogued[-OPTIONS.beam :]:
+            for plain in best.unmodelled:
+                others = tuple(m for m in best.members if m is not named and m is not plain)
+                process = self.unmodelled.process(conditioned(best.point, others), plain)
+                members = others if process is None else (*others, process)
+                if process is not None and key_of(members) not in self.known:
+                    self.known[key_of(members)] = estimated(members, best.point, self.log_prior(members))
+
     def exchange(self, best: Hypothesis) -> None:
         """Sets with another effect in the place of one of the best set's: what else it could be."""
+        self.generalise(best)
         for rest in without_each(best.members):
             node = first_order(rest, best.point, self.log_prior(rest))
             self.known.setdefault(node.key, node)
@@ -240,10 +257,3 @@ def log_e_value(ranked: Sequence[Hypothesis]) -> float:
     none = next(h for h in ranked if not h.members)
     some = [h.log_posterior - none.log_posterior for h in ranked if h.members]
     return float(np.logaddexp.reduce(some)) if some else -np.inf
-
-
-def log_e_value_at_false_alarm_rate(poses: int) -> float:
-    """Log e-value above which there is an effect, in a recording of so many poses: noise alone exceeds it at a rate of less than 1 %, by
-    simulation.
-    """
-    return float(np.log(OPTIONS.least_e_value if poses >= OPTIONS.short_recording else OPTIONS.least_e_value_of_short))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch, log_e_value, log_e_value_at_false_alarm_rate
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
@@ -35,6 +35,11 @@ class EvidenceFit:
     @property
     def significant(self) -> bool:
         return self.log_e_value > self.least
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the evidence neither shows an effect nor is as weak as without one."""
+        return float(np.log(OPTIONS.noteworthy_e_value)) < self.log_e_value <= self.least
 
     @property
     def best(self) -> Hypothesis:
@@ -76,7 +81,7 @@ def compared(
     prior = SetPrior.of(problem.candidates, blocks.locations)
     search = EvidenceSearch(problem.candidates, blocks, prior, problem.context, alternatives, narrow, staged)
     ranked = search.run(NoisePoint(linear, problem.prior_noise, theta), begin)
-    return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), log_e_value_at_false_alarm_rate(linear.obs.n_poses))
+    return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), LEAST_LOG_E_VALUE)
 
 
 def readmitted(problem: DiagnosisProblem) -> np.ndarray:
@@ -88,7 +93,7 @@ def readmitted(problem: DiagnosisProblem) -> np.ndarray:
     if plain.all():
         return plain
     everything, prior = start.restricted(np.ones(len(plain), dtype=bool)), SetPrior.of(problem.candidates, 1)
-    scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several])
+    scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several or c.hyper is None])
     tried = [(plain, log_with_outliers((), start, 0.0))]
     for one in sorted(scored, key=lambda s: -s.log_evidence)[: OPTIONS.beam]:
         members, log_prior = (Member.of(one),), prior.log_probability(one.candidate, [])

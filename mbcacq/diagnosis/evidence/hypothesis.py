@@ -184,6 +184,9 @@ class SetPrior:
         """Of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm are of one
         make; of the first, given that there is one.
         """
+        return self._of_kind_and_location(candidate, present) + float(np.log(candidate.rarity))
+
+    def _of_kind_and_location(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         unmodelled = candidate.name == UNMODELLED
         locations = self.unmodelled_locations if unmodelled else max(self.locations[candidate.name], 1)
         kind = OPTIONS.unmodelled if unmodelled else 1.0 / max(len(self.locations), 1)

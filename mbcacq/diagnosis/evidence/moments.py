@@ -1,5 +1,5 @@
-"""Uncertainty of the moment of a sudden change, of the torque at which a gearbox becomes stiff, and of a time constant: what the likelihood
-of all other values says.
+"""Uncertainty of the moment of a sudden change, of the torque at which a gearbox becomes stiff, of a time constant and of a slow order:
+what the likelihood of all other values says.
 """
 
 from __future__ import annotations
@@ -12,8 +12,11 @@ from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, Candidate, ParameterEstimate, Parameters
+from mbcacq.diagnosis.search.effect_columns import covariates
+from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, ORDER, Candidate, ParameterEstimate, Parameters
 
+FAST = 3.0  # periods over the travel, from which an order is determined whatever the amplitude
+LOWEST_ORDER = 1.0  # an error of a joint repeats after a turn at the latest
 SLOWER = 5.0  # times the longest time constant that is sought: what fades more slowly is a straight line in any recording
 
 
@@ -30,6 +33,8 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
         std = spread(hypothesis, member, member.hyper * np.geomspace(1 / 3, 3, OPTIONS.fine))
     elif kind == FADING:
         return with_uncertain_fading(hypothesis, member)
+    elif kind == ORDER:
+        return with_uncertain_order(hypothesis, member)
     else:
         return candidate
 
@@ -59,6 +64,40 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
     def report(c: np.ndarray, v: np.ndarray, tau: float | None) -> Parameters:
         whole = candidate.report(c, v + along, tau)
         return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == name else p for k, p in whole.items()}
+
+    return replace(candidate, report=report)
+
+
+def with_uncertain_order(hypothesis: Hypothesis, member: Member) -> Candidate:
+    """The candidate of a periodic error with the order as uncertain as all orders that the travel cannot tell apart are probable, and each
+    reported size as uncertain as it differs between them: of less than two periods the amplitude goes with the order.
+    """
+    candidate, found = member.candidate, member.hyper
+    assert candidate.hyper is not None, "only asked of periodic effects"
+    assert found is not None, "only asked of periodic effects"
+    span = float(np.ptp(covariates(hypothesis.point.linear).value(candidate.depends_on)))
+    resolution = 2 * np.pi / max(span, 1e-9)
+    if found > FAST * resolution:  # the order is determined by itself, and what it reports says how well
+        return candidate
+    values = np.linspace(max(LOWEST_ORDER, found - resolution), found + resolution, OPTIONS.fine)
+    probability = likelihood(hypothesis, member, values)
+    nothing = np.zeros((candidate.k, candidate.k))
+    there = [candidate.report(size_with(hypothesis, member, float(v)), nothing, float(v)) for v in values]
+    name = candidate.hyper.name
+
+    def spread_of(key: str, value: float) -> float:
+        away = np.array([float(np.max(one[key].value)) for one in there]) - value
+        away = (away + 180.0) % 360.0 - 180.0 if key.endswith("phase_deg") else away
+        return float(np.sqrt(probability @ away**2))
+
+    def report(c: np.ndarray, v: np.ndarray, order: float | None) -> Parameters:
+        whole = candidate.report(c, v, order)
+        own = {key: (float(np.max(p.value)), float(np.max(p.std))) for key, p in whole.items()}
+        wide = {
+            key: max(spread_of(key, value), std) if key.rpartition(".")[2] == name else np.hypot(std, spread_of(key, value))
+            for key, (value, std) in own.items()
+        }
+        return {key: ParameterEstimate(value, float(wide[key])) for key, (value, _) in own.items()}
 
     return replace(candidate, report=report)
 

@@ -14,6 +14,8 @@ class FormulaOptions:
     fading: tuple[float, ...] = (0.08, 0.2, 0.5)  # time constants, in durations of the recording
     most_terms: int = 3  # of a formula
     proposed: int = 3  # formulas that are reported
+    scatters: float = 2.0  # standard deviations of the difference of squares, up to which a formula predicts as well as the smooth model
+    most_searches: float = 0.5  # share of the searches without a part of the data, more than which must find a formula again
 
 
 OPTIONS = FormulaOptions()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -65,59 +65,97 @@ class Setting:
         fold = split(self.linear, DIAGNOSIS.folds)[0]
         return [(keep & (fold != k)[pose], keep & (fold == k)[pose]) for k in range(int(fold.max()) + 1)]
 
-    def score(self, formula: Formula | None = None, random: Sequence[RandomEffect] = ()) -> PredictiveScore:
-        """The parametric effects with others, fitted without each part and evaluated on it."""
+    def scores(self, formula: Formula | None = None, random: Sequence[RandomEffect] = ()) -> list[PredictiveScore]:
+        """Of each part: the parametric effects with others, fitted without the part and evaluated on it."""
         effects = [(m.candidate, m.hyper) for m in self.others]
         if formula is not None:
             effects.append((candidate(self.context, formula.placed, formula.sigma / DIAGNOSIS.sizes[-1]), None))
         model, noise = EffectSet(tuple(effects)), self.point.noise
-        return summed(held_out_score(self.linear, train, test, model, random, noise) for train, test in self.parts)
+        return [held_out_score(self.linear, train, test, model, random, noise) for train, test in self.parts]
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """Formulas that are offered; tried: a sentence on those that were found and are not."""
+
+    proposals: tuple[Proposal, ...] = ()
+    tried: tuple[str, ...] = ()
+
+
+def holds_up(proposal: Proposal, formula: Sequence[PredictiveScore], smooth: Sequence[PredictiveScore]) -> bool:
+    """Whether a formula predicts data left out not worse than the smooth effect, within the scatter of their difference between the parts,
+    and comes again in most of the searches without a part. One that does not describes the data it was found in and nothing else.
+    """
+    worse = np.array([f.chi2 - s.chi2 for f, s in zip(formula, smooth, strict=True)])
+    scatter = OPTIONS.scatters * float(np.std(worse, ddof=1) * np.sqrt(len(worse))) if len(worse) > 1 else 0.0
+    again = proposal.found_in > OPTIONS.most_searches * proposal.parts
+    return again and float(worse.sum()) <= scatter and proposal.held_out_chi2_dof < proposal.held_out_before_chi2_dof
+
+
+def refused(proposal: Proposal) -> str:
+    """What was found and is not offered, and why."""
+    return (
+        f"a formula was sought and none is proposed: the most probable one ({proposal.formula}) predicts data left out with χ²/dof "
+        f"{proposal.held_out_chi2_dof:.2f}, the smooth model with {proposal.smooth_chi2_dof:.2f}, and came again in {proposal.found_in} of "
+        f"{proposal.parts} searches without a part of the data"
+    )
 
 
 def propose(
     problem: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound], progress: Callable[[str], None] = lambda text: None
-) -> tuple[Proposal, ...]:
-    """At most a few formulas for what the unmodelled effects do together, the most probable first; none where none predicts data left out.
+) -> Proposed:
+    """At most a few formulas for what the unmodelled effects do together, the most probable first; none where none holds up on data left
+    out.
 
     One effect that no smooth function describes often takes several smooth ones at several locations: a formula replaces all of them.
     """
     where = located(problem.context, [e for e in effects if e.name == UNMODELLED])
     if not where:
-        return ()
+        return Proposed()
     progress("searching for formulas of the unmodelled effects")
     here = Setting.of(problem, full)
     space = FormulaSpace.of(here.context, where)
     found = FormulaSearch(here.point, here.others, space).run()
     formulas = different(f for f in found if f.log_posterior > 0)[: OPTIONS.proposed]
     if not formulas:
-        return ()
+        return Proposed(tried=("a formula was sought: none of the dictionary is more probable than no formula",))
     progress("searching for formulas without each part of the data")
     again = [FormulaSearch(here.point.restricted(train), here.others, space).to_first_order() for train, _ in here.parts]
     best_again = [{f.shapes for f in different(each)[: OPTIONS.proposed]} for each in again]
-    before = here.score()
-    smooth = here.score(None, here.random) if here.random else before
-    out = []
+    before = here.scores()
+    smooth = here.scores(None, here.random) if here.random else before
+    judged = []
     for formula in formulas:
-        score, term = here.score(formula), term_of(here.context, formula)
-        if score.chi2 >= before.chi2:
-            continue
-        out.append(
-            Proposal(
-                where=term.where,
-                formula=text_of(formula.placed, term.coefficients),
-                terms=formula.shapes,
-                log_bayes_factor=formula.log_bayes_factor,
-                odds=float(np.exp(formula.log_posterior - formulas[0].log_posterior)),
-                held_out_before_chi2_dof=before.chi2_dof,
-                held_out_chi2_dof=score.chi2_dof,
-                held_out_rms_mm=score.rms,
-                smooth_chi2_dof=smooth.chi2_dof,
-                found_in=sum(formula.shapes in each for each in best_again),
-                parts=len(here.parts),
-                term=term,
-            )
-        )
-    return tuple(out)
+        scores = here.scores(formula)
+        found_in = sum(formula.shapes in each for each in best_again)
+        proposal = proposal_of(here, formula, [summed(before), summed(scores), summed(smooth)], found_in, formulas[0].log_posterior)
+        judged.append((proposal, holds_up(proposal, scores, smooth)))
+    offered = [p for p, good in judged if good]
+    if not offered:
+        return Proposed(tried=(refused(judged[0][0]),))
+    best = max(p.odds for p in offered)
+    return Proposed(tuple(replace(p, odds=float(p.odds / best)) for p in offered))
+
+
+def proposal_of(here: Setting, formula: Formula, scores: Sequence[PredictiveScore], found_in: int, most_probable: float) -> Proposal:
+    """scores: on data left out without the formula, with it, and with the smooth model in its place. most_probable: log posterior of the
+    formula that the odds are relative to.
+    """
+    (before, with_it, smooth), term = scores, term_of(here.context, formula)
+    return Proposal(
+        where=term.where,
+        formula=text_of(formula.placed, term.coefficients),
+        terms=formula.shapes,
+        log_bayes_factor=formula.log_bayes_factor,
+        odds=float(np.exp(formula.log_posterior - most_probable)),
+        held_out_before_chi2_dof=before.chi2_dof,
+        held_out_chi2_dof=with_it.chi2_dof,
+        held_out_rms_mm=with_it.rms,
+        smooth_chi2_dof=smooth.chi2_dof,
+        found_in=found_in,
+        parts=len(here.parts),
+        term=term,
+    )
 
 
 def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:

@@ -14,6 +14,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import TOGETHER, EffectFound, MismatchEntry, NotSeparable
+from mbcacq.diagnosis.search.effect_set import EffectSet, located_name
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
@@ -28,17 +29,26 @@ STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at 
 SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 
 
-def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
-    """The effects gathered by name (several joints of one effect make one entry), largest contribution first. An effect that
-    shows only through another one (a wrong payload through elastic joints) stands in front of all others.
+Ranked = tuple[bool, float, EffectFound]  # whether it stands in front, chi2 that it explains beyond all others, the effect
+
+
+def effects_by_contribution(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
+    """All effects, named and unmodelled, those first that explain most of what the others cannot. An effect that shows only through another
+    one (a wrong payload through elastic joints) stands in front of all others.
     """
+    ranked = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
+    return [effect for *_, effect in sorted(ranked, key=lambda item: (-item[0], -item[1]))]
+
+
+def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[Ranked]:
+    """The effects gathered by name (several joints of one effect make one entry)."""
     model = full.model
     grouped: dict[str, list[int]] = {}
     for j, (candidate, _) in enumerate(model.effects):
         name = candidate.name
         several = candidate.where[0].startswith(ONE_ENTRY) and not catalogue.declaration(name).between_locations
         grouped.setdefault(name if several else f"{name}:{'+'.join(candidate.where)}", []).append(j)
-    out = []
+    out = list[Ranked]()
     for members in grouped.values():
         first = model.effects[members[0]][0]
         gain = contributions.of(members)
@@ -47,11 +57,18 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
             where=tuple(dict.fromkeys(w for j in members for w in model.effects[j][0].where)),
             parameters=merged_parameters(full, members),
             p_value=likelihood_ratio_p(full, members, gain),
-            held_out_gain=proof.gain(first.name),
+            held_out_gain=gain_left_out(proof, model, members),
             depends_on=first.depends_on,
         )
         out.append((catalogue.declaration(first.name).coupling is not None, gain, effect))
-    return [effect for *_, effect in sorted(out, key=lambda item: (-item[0], -item[1]))]
+    return out
+
+
+def gain_left_out(proof: CrossValidation, model: EffectSet, members: list[int]) -> float:
+    """Share of the held-out excess that an entry removes: of an effect with entries at several locations, the entry at its own."""
+    first = model.effects[members[0]][0]
+    everywhere = sum(c.name == first.name for c, _ in model.effects) == len(members)
+    return proof.gain(first.name if everywhere else located_name(first))
 
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
@@ -113,9 +130,9 @@ def _joined(a: float | tuple[float, ...], b: float | tuple[float, ...]) -> tuple
     return (*(a if isinstance(a, tuple) else (a,)), *(b if isinstance(b, tuple) else (b,)))
 
 
-def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
-    """One entry for each location of the unmodelled effects, largest contribution first. In a long recording they act at all locations:
-    there is one entry then, at the location of the largest evidence.
+def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[Ranked]:
+    """One entry for each location of the unmodelled effects. In a long recording they act at all locations: there is one entry then, at the
+    location of the largest evidence.
     """
     if not full.random:
         return []
@@ -124,15 +141,16 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
     if full.everywhere:
         first = full.cells[0]
         parameters, p_value = _rms_parameters(size, ranked[:12]), _bayes_p(first.log_bayes_factor)
-        return [EffectFound(UNKNOWN, (first.location,), parameters, p_value, proof.unmodelled_gain, depends_on=first.depends_on)]
-    out = []
+        effect = EffectFound(UNKNOWN, (first.location,), parameters, p_value, proof.unmodelled_gain, depends_on=first.depends_on)
+        return [(False, contributions.of(contributions.unmodelled), effect)]
+    out = list[Ranked]()
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
         evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
         gain = proof.gain(f"{UNKNOWN}:{at}")
         effect = EffectFound(UNKNOWN, (at,), _rms_parameters(size, mine), _bayes_p(evidence), gain, depends_on=mine[0][1])
-        out.append((contributions.of(contributions.groups_at(full, at)), effect))
-    return [effect for _, effect in sorted(out, key=lambda item: -item[0])]
+        out.append((False, contributions.of(contributions.groups_at(full, at)), effect))
+    return out
 
 
 def _bayes_p(log_bayes_factor: float) -> float:

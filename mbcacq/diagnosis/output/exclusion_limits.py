@@ -1,166 +1,229 @@
 """Exclusion limits: the largest size of every effect at every location that a recording does not exclude, with 95 % confidence.
 
-A coefficient c is estimated as c^ with standard deviation s, the found effects and the geometry fitted with it. |c| is below |c^| + 1.645 s
-in 95 % of recordings, whatever it is. An effect of known sign is below c^ + 1.645 s, where an estimate below -s counts as -s, so that noise
-never excludes what the recording could not show (power-constrained limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166).
-Of several coefficients the largest limit, in typical sizes, is that of the effect. Of the values of a hyper-parameter it is the one where
-the effect is determined as at the median under the noise as stated: a change just where the station changes can always hide, and a choice
-by the recording would hide an effect at one value among all others.
+A coefficient c is estimated as c^ with standard deviation s, and |c| is below |c^| + 1.645 s in 95 % of recordings, whatever it is. An
+effect of known sign is below c^ + 1.645 s, where an estimate below -s counts as -s, so that noise never excludes what the recording could
+not show (power-constrained limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166). Of a parameter of several coefficients, an
+amplitude or a shift, it is the largest such limit over all directions.
 
-That nothing was found means something only where something could have been: the limits decide whether that is said.
+With the effect everything is free that it is confused with: geometry, what was found, the elasticity that every arm has, and the other
+effects at its location. A slow error of a gear and the elasticity of its joint may compensate each other, and a limit of one that takes
+the other for zero is false. The limit is the largest over the values of the hyper-parameter that it names (``limit_bands``).
+
+Sizes have a prior of what machines have. A limit beyond it says nothing: the effect was not tested by these poses.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere, harmless
+from mbcacq.diagnosis.output.limit_bands import LimitBand, alike, bands, kept
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
 from mbcacq.diagnosis.output.noise_floor import NOT_SIZES
-from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import ExclusionLimit
+from mbcacq.diagnosis.output.sufficient_poses import QUANTILE, of_fewest_coefficients
+from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.effects.effect import Candidate
-from mbcacq.estimation.variance_components import first_noise
+from mbcacq.effects import catalogue, steps
+from mbcacq.effects.context import Context
+from mbcacq.effects.effect import MOMENT, Candidate
 
-QUANTILE = 1.645  # of a standard normal variable: 95 % below
-MOST_VALUES = 12  # of a hyper-parameter that are tried
-ROUNDED = 1e-10  # share of an effect's information, or displacement, below which what is left of it is rounding
-ENOUGH = 0.5  # share of the effects that a verdict ``none`` excludes at their typical size
-
-
-def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -> list[SizedEffect]:
-    """Every candidate that was not found, at its limit, but for those that the geometry absorbs and that change no length."""
-    found = {(c.name, c.where) for c, _ in full.model.effects}
-    stated = CandidateScoring.of(full.geometry_only.linear, first_noise(setup.linear.obs.cell))
-    missed = [c for c in of_fewest_coefficients(setup.candidates) if (c.name, c.where) not in found]
-    limited = [coefficient_limit(full.conditioned, c, stated) for c in missed]
-    return [e for e in limited if np.isfinite(e.in_typical_sizes) or not harmless(there, e)]
+ABSORBED = 1e-6  # information on a typical size below which the geometry absorbs the effect
+ASCENTS = 12  # towards the direction of the largest limit; each is nearer by far more than half
 
 
-def exclusion_limits(limited: Sequence[SizedEffect], there: Elsewhere) -> tuple[ExclusionLimit, ...]:
-    """As they are reported, those with the largest error in the workspace first; what the geometry absorbs before all others."""
-    out = (ExclusionLimit(e.candidate.name, e.candidate.where, *parameter_of(e), *errors_elsewhere(there, e), usual(e)) for e in limited)
-    return tuple(sorted(out, key=lambda e: -np.inf if e.value is None else -(e.workspace_mm or 0.0)))
-
-
-def usual(effect: SizedEffect) -> float | None:
-    """The limit in typical sizes of the effect; None where the geometry absorbs it."""
-    return effect.in_typical_sizes if np.isfinite(effect.in_typical_sizes) else None
-
-
-def says_too_little(limited: Sequence[SizedEffect], poses: int) -> str | None:
-    """A sentence where a recording of so many poses excludes too little for a verdict ``none``."""
-    share = excluded_share(limited)
-    if share >= ENOUGH:
-        return None
-    said = f"of the effects of the catalogue {share:.0%} are excluded at their typical size, less than half"
-    enough = sufficient_poses(limited, poses)
-    if enough > OPTIONS.most_poses:
-        return f"{said}, and more poses like these would not exclude half of them: measure other postures"
-    return f"{said}: {enough:.0f} poses like these, instead of {poses}, would exclude half of them"
-
-
-def excluded_share(limited: Sequence[SizedEffect]) -> float:
-    """Share of the effects whose exclusion limit is below their typical size; 1 where there is none."""
-    return sum(w for w, e in zip(weights(limited), limited, strict=True) if e.in_typical_sizes <= 1.0) if limited else 1.0
-
-
-def sufficient_poses(limited: Sequence[SizedEffect], poses: int) -> float:
-    """Number of poses like the ``poses`` of the recording at which enough effects would be excluded; inf where no number is enough.
-
-    Limits fall with 1 / sqrt(number of poses) where each further pose repeats one of the recording, and faster where it does not.
+@dataclass(frozen=True)
+class BandLimit:
+    """The limit of one parameter over a band. coefficients (k,): as large as the limit, where it is largest; inf where the geometry absorbs
+    them.
     """
-    sizes = np.array([e.in_typical_sizes for e in limited])
-    ranked = np.argsort(sizes, kind="stable")
-    last = ranked[int(np.searchsorted(np.cumsum(weights(limited)[ranked]), ENOUGH - 1e-9))]
-    return float(np.ceil(poses * max(sizes[last], 1.0) ** 2))
+
+    candidate: Candidate
+    band: LimitBand
+    parameter: str
+    value: float
+    hyper: float | None
+    coefficients: np.ndarray
+    in_usual_sizes: float
+
+    @property
+    def sized(self) -> SizedEffect:
+        """The effect as large as the limit."""
+        return SizedEffect(self.candidate, self.hyper, self.coefficients)
 
 
-def weights(limited: Sequence[SizedEffect]) -> np.ndarray:
-    """(E,) of each effect, of sum one: every kind counts alike, every location of a kind too, as in their prior probability."""
-    locations = Counter(e.candidate.name for e in limited)
-    return np.array([1.0 / (len(locations) * locations[e.candidate.name]) for e in limited])
+def limits_of(
+    problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[tuple[Candidate, float | None]]
+) -> list[BandLimit]:
+    """Of every candidate that was not found, by band and parameter. problem: conditioned on what was found."""
+    few = of_fewest_coefficients(candidates)
+    there = {(c.name, c.where) for c, _ in found}
+    out = []
+    for candidate in few:
+        orders = [h for c, h in found if (c.name, c.where) == (candidate.name, candidate.where) and h is not None]
+        if (candidate.name, candidate.where) in there and not (candidate.periodic and candidate.several):
+            continue
+        beside = with_confounders(problem, candidate, [c for c in few if (c.name, c.where) not in there])
+        for band in bands(candidate, orders):
+            out += limits_of_band(beside, candidate, band)
+    return out
 
 
-def of_fewest_coefficients(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Of several variants of an effect at a location, those of fewest coefficients."""
-    fewest: dict[tuple[str, tuple[str, ...]], int] = {}
-    for c in candidates:
-        fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))
-    return [c for c in candidates if c.k == fewest[c.name, c.where]]
+def with_confounders(problem: CandidateScoring, candidate: Candidate, others: Sequence[Candidate]) -> CandidateScoring:
+    """The problem with everything free that an effect is confused with: other effects at its location, and what every arm has."""
+    blocks, sigma = [], []
+    for other in others:
+        here = set(other.where) & set(candidate.where) and other.name != candidate.name
+        if other.key == candidate.key or not (here or catalogue.declaration(other.name).every_arm):
+            continue
+        for value in values_beside(other):
+            blocks.append(problem.block(other, value))
+            sigma.append(OPTIONS.largest_usual * other.typical)
+    if not blocks:
+        return problem
+    return problem.conditioned_on([(np.concatenate(blocks, axis=1), np.concatenate(sigma) ** -2.0)])
 
 
-def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate, stated: CandidateScoring | None = None) -> SizedEffect:
-    """The largest coefficient that is not excluded, in typical sizes; all of them inf where the geometry absorbs one. stated: the problem
-    under the noise as stated, by which the value of the hyper-parameter is chosen.
+def values_beside(other: Candidate) -> tuple[float | None, ...]:
+    """Values of the hyper-parameter of an effect that is free beside another one: of a gear the slow orders, which are like much else."""
+    hyper = other.hyper
+    if hyper is None:
+        return (None,)
+    if hyper.kind == MOMENT:
+        return ()
+    return (1.0, 2.0) if other.periodic else (float(np.sort(hyper.values)[len(hyper.values) // 2]),)
+
+
+def limits_of_band(problem: CandidateScoring, candidate: Candidate, band: LimitBand) -> list[BandLimit]:
+    """One limit for each parameter that is a size."""
+    information, gradient = in_typical_sizes(problem, candidate, band)
+    value, vectors = np.linalg.eigh(information)
+    std = 1.0 / np.sqrt(np.maximum(value[:, 0], ABSORBED))
+    chosen = alike(candidate, band, std) & (value[:, 0] > ABSORBED)
+    parameters = parameters_of(candidate, band.values[0])
+    if not chosen.any():
+        return [absorbed(candidate, band, name) for name in parameters]
+    own = kept(band, chosen)
+    root = vectors[chosen] / np.sqrt(value[chosen])[:, None, :]
+    covariance = root @ np.swapaxes(root, 1, 2)
+    estimate = (covariance @ gradient[chosen][:, :, None])[:, :, 0]
+    out = []
+    for name, (which, unit) in parameters.items():
+        c, V = estimate[:, which] * unit, covariance[:, which][:, :, which] * np.outer(unit, unit)
+        sizes, direction = largest_size(c, V, candidate.positive and candidate.k == 1)
+        h = int(sizes.argmax())
+        coefficients = np.zeros(candidate.k)
+        coefficients[which] = sizes[h] * direction[h] / unit * candidate.typical[which]
+        usual = float(sizes[h] / np.max(unit))
+        out.append(BandLimit(candidate, own, name, float(sizes[h]), own.values[h], coefficients, usual))
+    return out
+
+
+def absorbed(candidate: Candidate, band: LimitBand, parameter: str) -> BandLimit:
+    """No limit: the geometry absorbs the effect at every value of the band."""
+    return BandLimit(candidate, band, parameter, np.inf, band.values[0], np.full(candidate.k, np.inf), np.inf)
+
+
+def in_typical_sizes(problem: CandidateScoring, candidate: Candidate, band: LimitBand) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices (H, k, k) and right-hand sides (H, k) of coefficients in typical sizes, beyond what the problem is conditioned on."""
+    t = candidate.typical
+    if candidate.components:
+        S, b = problem.normal_matrices(candidate, np.array(band.values, dtype=float))
+        return S * np.outer(t, t), b * t
+    S, b = [], []
+    for value in band.values:
+        X, own, along = problem.candidate_products(candidate, value)
+        absorbed_part = problem.conditioned.T @ X
+        S.append((own - absorbed_part.T @ absorbed_part) * np.outer(t, t))
+        b.append((along - absorbed_part.T @ problem.along) * t)
+    return np.array(S), np.array(b)
+
+
+def parameters_of(candidate: Candidate, hyper: float | None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Name of each parameter that is a size -> the coefficients (indices) of which it is the length, and by how much a typical size of each
+    changes it. A coefficient that shows in several parameters counts for the first.
     """
-    hyper = representative_value(stated or conditioned, candidate)
-    estimate, std = estimated(conditioned, candidate, hyper)
-    limits = (np.maximum(estimate, -std) if candidate.positive else np.abs(estimate)) + QUANTILE * std
-    worst = np.arange(candidate.k) == int(np.argmax(limits / candidate.typical))
-    return SizedEffect(candidate, hyper, np.where(worst | ~np.isfinite(std), limits, 0.0))
+    nothing = np.zeros((candidate.k, candidate.k))
+    own: dict[str, list[tuple[int, float]]] = {}
+    for j in range(candidate.k):
+        reported = candidate.report(candidate.typical * (np.arange(candidate.k) == j), nothing, hyper)
+        sizes = {n: float(np.linalg.norm(np.atleast_1d(p.value))) for n, p in reported.items() if n.rpartition(".")[2] not in NOT_SIZES}
+        name = next((n for n, size in sizes.items() if size > 0), None)
+        if name is not None:
+            own.setdefault(name, []).append((j, sizes[name]))
+    return {name: (np.array([j for j, _ in each]), np.array([size for _, size in each])) for name, each in own.items()}
 
 
-def representative_value(projected: CandidateScoring, candidate: Candidate) -> float | None:
-    """The value of the hyper-parameter at which the effect is determined as at the median of those that are tried."""
-    hyper = candidate.hyper
+def largest_size(c: np.ndarray, V: np.ndarray, positive: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(H,) the largest limit over all directions of vectors with estimates c (H, k) and covariances V (H, k, k), and that direction (H, k).
+
+    The limit is a convex function of the direction: following its gradient it only rises.
+    """
+    if c.shape[1] == 1:
+        std = np.sqrt(V[:, 0, 0])
+        return (np.maximum(c[:, 0], -std) if positive else np.abs(c[:, 0])) + QUANTILE * std, np.ones_like(c)
+    sizes, directions = np.full(len(c), -np.inf), np.zeros_like(c)
+    for start in (np.linalg.eigh(V)[1][:, :, -1], c / np.maximum(np.linalg.norm(c, axis=1, keepdims=True), 1e-300)):
+        v = start
+        for _ in range(ASCENTS):
+            sign = np.where(np.einsum("hk,hk->h", v, c) < 0, -1.0, 1.0)[:, None]
+            along = np.einsum("hkl,hl->hk", V, v)
+            slope = sign * c + QUANTILE * along / np.sqrt(np.maximum(np.einsum("hk,hk->h", v, along), 1e-300))[:, None]
+            v = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
+        reached = np.abs(np.einsum("hk,hk->h", v, c)) + QUANTILE * np.sqrt(np.einsum("hk,hkl,hl->h", v, V, v))
+        better = reached > sizes
+        sizes, directions = np.where(better, reached, sizes), np.where(better[:, None], v, directions)
+    return sizes, directions
+
+
+def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Elsewhere) -> tuple[ExclusionLimit, ...]:
+    """As they are reported: those that these poses test first, of these the ones with the largest error in the workspace, and each reading
+    but once.
+
+    What the geometry absorbs and no length shows is not listed, nor a change in time that the places of the stations absorb: it acts on
+    nothing that will be measured.
+    """
+    context = Context(full.geometry_only.linear.obs, there.context.state, full.geometry_only.linear.prediction)
+    out: dict[tuple, ExclusionLimit] = {}
+    for limit in limits_of(conditioned_on_everything(full), candidates, full.model.effects):
+        gone = not np.isfinite(limit.value)
+        if gone and (catalogue.declaration(limit.candidate.name).acts_in_time or harmless(there, limit.sized)):
+            continue
+        tested = limit.in_usual_sizes <= OPTIONS.largest_usual
+        one = ExclusionLimit(
+            limit.candidate.name,
+            limit.candidate.where,
+            limit.parameter,
+            None if gone else limit.value,
+            *(errors_elsewhere(there, limit.sized) if tested else (None, None)),
+            None if gone else limit.in_usual_sizes,
+            tested,
+            holds_for(context, limit),
+        )
+        out.setdefault((one.name, one.where, one.parameter, one.holds_for), one)
+    return tuple(sorted(out.values(), key=lambda e: (not e.tested, -(e.workspace_mm or 0.0), e.in_usual_sizes or np.inf)))
+
+
+def holds_for(context: Context, limit: BandLimit) -> ExclusionBand | None:
+    """The band of a limit as it is reported: moments by the numbers of their poses."""
+    hyper, band = limit.candidate.hyper, limit.band
     if hyper is None:
         return None
-    values = np.sort(hyper.values)
-    tried = [v for v in hyper.preferred if v in values] or values[:: int(np.ceil(len(values) / MOST_VALUES))].tolist()
-    tried.sort(key=lambda value: float((estimated(projected, candidate, value)[1] / candidate.typical).max()))
-    return float(tried[len(tried) // 2])
+    values = np.array(band.values, dtype=float)
+    ends = [float(values.min()), float(values.max())]
+    left_out = list(band.left_out)
+    if hyper.kind == MOMENT:
+        ends, left_out = ([float(steps.pose_at(context, v)) for v in some] for some in (ends, left_out))
+    return ExclusionBand(hyper.name, ends[0], ends[1], tuple(left_out))
 
 
-def estimated(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (k,) and their standard deviations, with everything else in place; inf where the geometry absorbs one of them."""
-    X, S, b = conditioned.candidate_products(candidate, hyper)
-    absorbed = conditioned.conditioned.T @ X
-    S, b = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along
-    size = np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
-    scaled = S / np.outer(size, size)
-    if np.linalg.eigvalsh(scaled)[0] < ROUNDED:
-        return np.zeros(candidate.k), np.full(candidate.k, np.inf)
-    covariance = np.linalg.inv(scaled) / np.outer(size, size)
-    return covariance @ b, np.sqrt(np.diag(covariance))
-
-
-def parameter_of(effect: SizedEffect) -> tuple[str, float | None]:
-    """Name, with its unit, and value of the parameter that is limited; None where the geometry absorbs it."""
-    candidate, nothing = effect.candidate, np.zeros((effect.candidate.k, effect.candidate.k))
-    if not np.isfinite(effect.in_typical_sizes):
-        return next(iter(candidate.report(candidate.typical, nothing, effect.hyper))), None
-    reported = candidate.report(effect.coefficients, nothing, effect.hyper)
-    sizes = {name: float(np.abs(p.value).max()) for name, p in reported.items() if name.rpartition(".")[2] not in NOT_SIZES}
-    return max(sizes.items(), key=lambda item: item[1] > 0)
-
-
-def harmless(there: Elsewhere, effect: SizedEffect) -> bool:
-    """Whether an effect displaces everything alike, as a constant sag does: no length shows it, nor suffers from it."""
-    workspace, length = errors_elsewhere(there, replace(effect, coefficients=effect.candidate.typical))
-    return workspace is not None and length is not None and length < ROUNDED * workspace
-
-
-def errors_elsewhere(there: Elsewhere, effect: SizedEffect) -> tuple[float | None, float | None]:
-    """Largest displacement (mm) over postures in the workspace, and the error of lengths between pairs of them that 95 % do not exceed.
-
-    None for what the geometry absorbs, for effects over time, which no posture has, and for single balls or stations.
-    """
-    moved = there.displacement(effect) if np.isfinite(effect.in_typical_sizes) else None
-    if moved is None or not np.any(moved):
-        return None, None
-    linear = there.linear
-    T = linear.prediction.T_base_scanner if there.context.scanner_on_flange else linear.prediction.T_base_station
-    in_base = np.einsum("pij,pj->pi", T[:, :3, :3], moved)
-    position = linear.prediction.T_base_scanner[:, :3, 3]
-    first, second = np.random.default_rng(0).integers(0, len(position), (2, len(position)))
-    apart = position[first] - position[second]
-    along = apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
-    length = np.abs(np.sum((in_base[first] - in_base[second]) * along, axis=1))
-    return float(np.linalg.norm(moved, axis=1).max()), float(np.quantile(length, 0.95))
+def conditioned_on_everything(full: ModelFit) -> CandidateScoring:
+    """The projected problem beside the effects that were found and, of a short recording, the unmodelled ones."""
+    if full.estimated is None:
+        return full.conditioned
+    linear = full.conditioned.linear
+    return full.conditioned.conditioned_on([(full.conditioned.whiten(linear.columns(g.parts)), g.sigma**-2.0) for g in full.random])

@@ -9,7 +9,6 @@ import numpy as np
 
 from mbcacq.quantities import K, fixed, micrometres
 
-ABSURD = 100.0  # times an effect's usual size: what is limited only there was not tested
 NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
 
 

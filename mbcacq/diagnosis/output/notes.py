@@ -13,19 +13,21 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import EffectFound, MismatchEntry
+from mbcacq.diagnosis.result import EffectFound, MismatchEntry, NoiseDependence
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import FADING
+from mbcacq.effects.effect import FADING, Candidate
 from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import micrometres, p_value, significant
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
+LEAST_APART = 0.25  # of two orders that are two causes
 PAUSE_S = 900.0  # from pose to pose, from which the recording is said to pause
 
 
@@ -60,6 +62,7 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
         *aliased(setup, reported),
         *unfinished_warm_ups(setup, effects),
         *confounded_pauses(setup.linear.obs, effects),
+        *bent_artefacts(setup.linear.obs, effects),
         *(c.advice.format(odds=odds_in_words(odds)) for c, odds in coupled_instead(full.evidence, reported)),
     ]
 
@@ -67,8 +70,8 @@ def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[Effect
 def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
     """One sentence where the estimated noise is not what is stated of the instrument; None where it is, or where nothing is stated."""
     linear = full.geometry_only.linear
-    if linear.obs.cell.noise_mm is None:
-        return None
+    if linear.obs.cell.noise_mm is None or linear.obs.noise_scale is not None:
+        return None  # one figure would be wrong wherever it is stated
     ratio = float(np.exp(np.mean(np.log(full.noise.point / stated.point))))
     sd = 1.0 / np.sqrt(2.0 * max(full.geometry_only.dof, 1.0))
     if abs(np.log(ratio)) < max(np.log(OPTIONS.noticeable), SIGNIFICANT * sd):
@@ -77,6 +80,20 @@ def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
     found = np.sqrt(np.mean(full.noise.point**2))
     factor = f"{ratio:.2g} times" if ratio > 1 else f"1/{1 / ratio:.2g} of"
     return f"the noise of the {instrument} is {factor} what is stated: {found:.2g} mm an axis; correct noise_mm in cell.yaml"
+
+
+def noise_in_words(found: Sequence[NoiseDependence]) -> list[str]:
+    """A sentence for each noise that depends on the place."""
+    out = []
+    for one in found:
+        what = "the noise of the instrument" if one.of == "instrument" else "the noise of whole poses, of joints and instrument,"
+        ratio = max(one.sigma_low_mm, one.sigma_high_mm) / min(one.sigma_low_mm, one.sigma_high_mm)
+        grows = "grows" if one.sigma_high_mm > one.sigma_low_mm else "falls"
+        ends = f"from {one.low:.0f} to {one.high:.0f} {one.unit} it is {significant(ratio, 2)} times as large ({p_value(one.p_value)})"
+        ends = ends if grows == "grows" else ends.replace("times as large", "times smaller")
+        sizes = f": {micrometres(one.sigma_low_mm)} and {micrometres(one.sigma_high_mm)} an axis" if one.of == "instrument" else ""
+        out.append(f"{what} {grows} with the {one.covariate}: {ends}{sizes}; each pose is weighted by its own")
+    return out
 
 
 def unproven_places(setup: DiagnosisProblem) -> list[str]:
@@ -148,7 +165,8 @@ def aliased(setup: DiagnosisProblem, reported: Hypothesis) -> list[str]:
 def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) -> list[tuple[float, float]]:
     """Orders in the place of a member's, and their odds against it, where these are above a twentieth; most probable first.
 
-    Orders closer than one period over the joint's travel are no others: they are its own uncertainty.
+    Orders closer than one period over the joint's travel are no others: they are its own uncertainty, but for those that a gear has by
+    its construction.
     """
     candidate, own = member.candidate, float(member.hyper or 0.0)
     assert candidate.hyper is not None, "a periodic effect has an order"
@@ -162,12 +180,22 @@ def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) 
     around = np.concatenate([[-np.inf], logs, [-np.inf]])
     resolution = 2 * np.pi / float(np.ptp(setup.context.value(candidate.depends_on)))
     peaks = np.flatnonzero((logs > around[:-2]) & (logs >= around[2:]) & (np.abs(grid - own) > resolution))
-    found = []
+    near = near_built_orders(candidate, own, resolution)
+    others = list(zip(near, log_factors(node, candidate, np.array(near)).tolist(), strict=True)) if near else []
     for j in peaks[np.argsort(-logs[peaks])][: OPTIONS.estimated]:
-        _, (order, log) = refined(node, candidate, float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)]))
-        log_odds = log + weight.get(order, between) - log_own - weight.get(own, between)
-        found.append((order, float(np.exp(min(log_odds, 0.0)))))
+        others.append(refined(node, candidate, float(grid[max(j - 1, 0)]), float(grid[min(j + 1, len(grid) - 1)]))[1])
+    log_odds = [(order, log + weight.get(order, between) - log_own - weight.get(own, between)) for order, log in others]
+    found = [(order, float(np.exp(min(log, 0.0)))) for order, log in log_odds]
     return sorted((one for one in found if one[1] > OPTIONS.undecided), key=lambda one: -one[1])
+
+
+def near_built_orders(candidate: Candidate, own: float, resolution: float) -> list[float]:
+    """Orders that a gear has by its construction, once and twice a turn above all, within the resolution of a reported one: those are no
+    uncertainty of the order but another cause.
+    """
+    assert candidate.hyper is not None, "a periodic effect has an order"
+    built = dict.fromkeys((1.0, 2.0, *candidate.hyper.preferred))
+    return [order for order in built if LEAST_APART < abs(order - own) <= resolution]
 
 
 def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
@@ -180,6 +208,21 @@ def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound])
             out.append(
                 f"{effect.name} at {effect.where[0]}: the recording is too short for its time constant, and determines its size only "
                 f"together with that; what was measured is the change within the recording"
+            )
+    return out
+
+
+def bent_artefacts(obs: Observations, effects: Sequence[EffectFound]) -> list[str]:
+    """A sentence for each artefact of which several balls were found elsewhere than certified: that has one cause."""
+    moved = [where for e in effects for where in e.where if where.startswith("ball")]
+    out = []
+    for number, artefact in enumerate(obs.cell.artefacts):
+        mine = [f"ball{b}" for b, owner in zip(obs.cell.ball_ids, obs.cell.ball_artefact, strict=True) if owner == number]
+        several = [where for where in moved if where in mine]
+        if len(several) > 1:
+            out.append(
+                f"{', '.join(several)} of {artefact.name}: where an artefact bends, sags or has another certificate several balls are off, "
+                "what is stated of each is not proven by itself; have it certified anew as it is mounted"
             )
     return out
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbcacq.diagnosis.output.noise_floor import ABSURD, NoiseFloor, is_trend
+import numpy as np
+
+from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
 from mbcacq.diagnosis.result import (
     Alternative,
     BetweenRecordings,
@@ -27,6 +30,7 @@ VERDICTS = {
     "cannot_tell": "Cannot tell: these poses do not let the candidates be told apart, or be seen.",
 }
 DIFFERENT = 0.01  # p-value below which recordings are said to differ
+MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
 NOT_DETERMINED = "is not determined"
 LARGEST_PHASE_STD_DEG = 90.0
@@ -39,8 +43,7 @@ def words(d: Diagnosis) -> str:
     """The whole diagnosis as text of several lines."""
     floor = noise_floor(d)
     lines = [verdict_in_words(d.verdict, floor)]
-    if d.verdict == "unexplained":
-        lines.append(STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED)
+    lines += summary_lines(d, floor)
     lines.append("")
     if d.mismatch:
         lines.append("Where model and data disagree:")
@@ -60,9 +63,51 @@ def words(d: Diagnosis) -> str:
     lines += limit_lines(d.exclusion_limits)
     lines += [difference(one) for one in d.between_recordings]
     lines += [f"Cannot be told apart: {' and '.join(map(effect_in_words, pair.effects))} ({odds_of(pair)})" for pair in d.not_separable]
-    lines += [f"Measure next: {a.reason}" for a in d.advice]
+    lines += [f"Measure next: {a.reason}" for a in d.advice[1:]]
     lines += [f"Note: {note}." for note in d.notes]
     return "\n".join(lines)
+
+
+def summary_lines(d: Diagnosis, floor: NoiseFloor) -> list[str]:
+    """What it is and where, how much of the misfit it explains, how sure that is, and what to do next."""
+    held = d.fit.held_out
+    said = [f"{effect_in_words(e.name)} at {', '.join(e.where)}" for e in d.effects]
+    more = f" and {len(said) - MOST_NAMED} more" if len(said) > MOST_NAMED else ""
+    what = f"{'; '.join(said[:MOST_NAMED])}{more}" if said else "no effect"
+    if d.verdict == "unexplained":
+        what += f". {STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED}"
+    excess = held.before_rms_mm**2 - floor.floor_mm**2
+    removed = min(max((held.before_rms_mm**2 - held.after_rms_mm**2) / excess, 0.0), 1.0) if excess > 0 else 0.0
+    before, after = micrometres(held.before_rms_mm), micrometres(held.after_rms_mm)
+    much = f"{before} before, {after} after, on held-out data; noise alone leaves {floor.noise} (k = 2)"
+    much = f"{removed:.0%} of the misfit beyond noise, {much}" if d.effects else much
+    return [f"What and where: {what}", f"How much: {much}", f"How sure: {how_sure(d)}", f"What next: {what_next(d)}"]
+
+
+def how_sure(d: Diagnosis) -> str:
+    """The strongest other explanation of what was found; of nothing found, how much of the catalogue would have shown."""
+    if not d.effects:
+        usual = [e for e in d.exclusion_limits if e.tested and (e.in_usual_sizes or np.inf) <= 1.0]
+        if not d.exclusion_limits:
+            return "no limits of what could hide are known"
+        return f"{len(usual)} of {len(d.exclusion_limits)} limits of what could hide are below the usual size of the effect (95 %)"
+    first = d.effects[0]
+    others = [a for a in first.alternatives if a.odds is not None]
+    strongest = max(others, key=lambda a: a.odds or 0.0, default=None)
+    if strongest is None:
+        return f"{p_value(first.p_value)} for {effect_in_words(first.name)}; nothing else comes near it"
+    other = f"{effect_in_words(strongest.name)} at {', '.join(strongest.where)}"
+    return f"the next explanation in place of {effect_in_words(first.name)} is {other} ({likelihood(strongest)})"
+
+
+def what_next(d: Diagnosis) -> str:
+    """One step: what tells the candidates apart, or that what was found be tried."""
+    if d.advice:
+        return d.advice[0].reason
+    if d.model:
+        return "calibrate with what was found (--calibrate), and try it on another recording (--check)"
+    tested = [e for e in d.exclusion_limits if e.tested]
+    return f"nothing; what could hide most is {limited(tested[0])}" if tested else "measure other postures"
 
 
 def noise_floor(d: Diagnosis) -> NoiseFloor:
@@ -122,28 +167,40 @@ def proposal_lines(proposals: Sequence[Proposal]) -> list[str]:
 
 def limit_lines(limits: Sequence[ExclusionLimit]) -> list[str]:
     """The largest effects that could still hide, a line each; those that these poses do not test at all together in one."""
-    untested = [limit for limit in limits if limit.in_usual_sizes is not None and limit.in_usual_sizes > ABSURD]
-    out = [hidden(limit) for limit in [one for one in limits if one not in untested][:MOST_LIMITS]]
+    untested = [limit for limit in limits if not limit.tested]
+    out = [hidden(limit) for limit in [limit for limit in limits if limit.tested][:MOST_LIMITS]]
     if untested:
-        names = ", ".join(f"{one.name} at {'+'.join(one.where)} ({split_unit(one.parameter)[0]})" for one in untested[:MOST_LIMITS])
-        more = f" and {len(untested) - MOST_LIMITS} more" if len(untested) > MOST_LIMITS else ""
-        out.append(f"Not tested by these poses (only what is over {ABSURD:.0f} times the usual size would show): {names}{more}")
+        listed_ones = list(dict.fromkeys(f"{limited(one)} ({split_unit(one.parameter.rpartition('.')[2])[0]})" for one in untested))
+        more = f" and {len(listed_ones) - MOST_LIMITS} more" if len(listed_ones) > MOST_LIMITS else ""
+        within = f"only what is over {DIAGNOSIS.largest_usual:.0f} times the usual size would show"
+        out.append(f"Not tested by these poses ({within}): {'; '.join(listed_ones[:MOST_LIMITS])}{more}")
     return out
 
 
 def hidden(limit: ExclusionLimit) -> str:
     """What could still hide, in one line."""
-    at = f"{limit.name} at {'+'.join(limit.where)}"
-    if limit.value is None:
-        return f"Not excluded at any size: {at}, which the free geometry absorbs"
     words, unit, factor = split_unit(limit.parameter.rpartition(".")[2])
-    size = f"{words} {with_unit(significant(factor * limit.value, 2), unit)}"
+    size = f"{words} {with_unit(significant(factor * (limit.value or 0.0), 2), unit)}"
     if limit.in_usual_sizes is not None:
         size += f" ({significant(limit.in_usual_sizes, 2)} times the usual size)"
+    said = f"Not excluded (95 %): {limited(limit)} up to {size}"
     if limit.workspace_mm is None or limit.length_mm is None:
-        return f"Not excluded (95 %): {at} up to {size}"
-    errors = f"{significant(limit.workspace_mm, 2)} mm in the workspace, {significant(limit.length_mm, 2)} mm in a length"
-    return f"Not excluded (95 %): {at} up to {size}, {errors}"
+        return said
+    return f"{said}, {significant(limit.workspace_mm, 2)} mm in the workspace, {significant(limit.length_mm, 2)} mm in a length"
+
+
+def limited(limit: ExclusionLimit) -> str:
+    """The effect, its location, and the values of its hyper-parameter for which the limit holds."""
+    at = f"{effect_in_words(limit.name)} at {'+'.join(limit.where)}"
+    band = limit.holds_for
+    if band is None:
+        return at
+    if band.parameter == "at_pose":
+        but = f", but at {len(band.left_out)} moments between" if band.left_out else ""
+        return f"{at} at any pose from {band.low:.0f} to {band.high:.0f}{but}"
+    words, unit, factor = split_unit(band.parameter)
+    ends = " to ".join(dict.fromkeys(significant(factor * end, 2) for end in (band.low, band.high)))
+    return f"{at} of {words} {with_unit(ends, unit)}"
 
 
 def describe(effect: EffectFound) -> list[str]:

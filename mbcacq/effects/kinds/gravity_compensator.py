@@ -36,7 +36,9 @@ TYPICAL = 1e-4  # rad: half a wind-up of 0.2 mrad, as of 1 kN m at 2e-7 rad/(N m
 UPRIGHT_SIGMA = np.radians(10.0)  # by how much q0 may differ from the upright angle
 STEP = 1e-3  # rad, of a numerical derivative; at 1e-4 both differ in the seventh digit
 LEAST_SPAN = np.radians(20.0)
-HEAVY_KG = 200.0  # mass of the links: a lighter arm whose A2 may turn all around has no rod that would be in its way
+HEAVY_KG = 200.0  # mass of the links, from which arms are built with a balancer
+RARE = 0.03  # of the lighter ones, and of those of unknown mass: a few have a spring
+WITHOUT_ROD = np.radians(300.0)  # travel of A2 that the rod of a balancer would be in the way of
 THIRD_HARMONIC = 0.1  # prior sigma, as a share of that of the first two: the series of a spring converges as fast
 
 
@@ -46,7 +48,10 @@ def candidates(context: Context) -> list[Candidate]:
     upright = None if context.n < 3 else upright_angle(robot.chain, robot.gravity)
     if upright is None:
         raise Missing("A2 does not lift the arm against gravity")
-    if robot.mass.sum() < HEAVY_KG and np.ptp(robot.limits[1]) >= 2 * np.pi:
+    if robot.balancer is False:
+        raise Missing("the arm has no balancer, as its description says")
+    heavy = robot.mass.sum() >= HEAVY_KG
+    if robot.balancer is None and not heavy and np.ptp(robot.limits[1]) >= WITHOUT_ROD:
         raise Missing("A2 of this light arm turns all around, past where the rod of a balancer would be")
     if np.ptp(context.obs.q[:, 1]) < LEAST_SPAN:
         raise Missing("A2 turns too little for the law of a balancer")
@@ -72,7 +77,7 @@ def candidates(context: Context) -> list[Candidate]:
 
     typical = np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA])
     hyper = Hyperparameter("lever_ratio", LEVER_RATIOS, 2.0, refine=False)
-    return [Candidate(NAME, ("A2",), "q2", described, report, typical, hyper)]
+    return [Candidate(NAME, ("A2",), "q2", described, report, typical, hyper, rarity=1.0 if robot.balancer or heavy else RARE)]
 
 
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:

@@ -80,6 +80,8 @@ def _robot(robot: RobotModel) -> dict[str, Any]:
     data: dict[str, Any] = {"name": robot.name}
     if robot.repeatability_mm is not None:
         data["repeatability_mm"] = float(robot.repeatability_mm)
+    if robot.balancer is not None:
+        data["balancer"] = robot.balancer
     data["links"] = [_Flow({key: values[i] for key, values in columns.items()}) for i in range(n)]
     data["payload"] = _Flow({"mass_kg": float(robot.payload_mass), "com_mm": _list(robot.payload_com)})
     data["base_to_gravity"] = _list(robot.gravity)

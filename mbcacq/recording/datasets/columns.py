@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +11,15 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table
+from mbcacq.files.units import unit_named
 from mbcacq.model.cell import Cell
 from mbcacq.recording.datasets.csv_columns import XYZ, numbered
 from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, pose_groups, role
 from mbcacq.recording.datasets.yaml_text import read_yaml_text
 
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
-_JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([1-9])(_act|_actual)?$")
+_JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
+_UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*|length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
 STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
 
 
@@ -89,12 +92,34 @@ def flange_columns(table: Table, cell: Cell, text: str) -> PoseHeadings | None:
 
 
 def joint_columns(table: Table) -> list[str]:
-    """The columns of joint angles in the order of the axes: q1_deg .., J1 .., A1 .., joint_1 .., axis 1 ..; [] where there are none."""
+    """The columns of joint angles in the order of the axes: q1_deg .., J1 .., A1 .., joint_1 .., axis 1 .., actual_q_0 ..; [] where there
+    are none."""
+    return joints_among(list(table.columns))
+
+
+def names_poses(headings: Sequence[str]) -> bool:
+    """Whether a line of a file is the headings of joint angles, or of poses or points."""
+    return bool(pose_groups(headings) or joints_among(headings))
+
+
+def unit_above(table: Table) -> str | None:
+    """The unit of length that lines above the headings state (``Units: mm``), None without any. Raises ConfigError for an unknown one."""
+    found = _UNITS.search(" ".join(table.preamble))
+    if found is None:
+        return None
+    unit = unit_named(found[1])
+    if unit not in LENGTHS:
+        raise ConfigError(f"{table.path}: the unit '{found[1]}' above the headings is no length that is known; give mm, cm, m, um or inch")
+    return unit
+
+
+def joints_among(headings: Sequence[str]) -> list[str]:
     found: dict[int, str] = {}
-    for name in table.columns:
+    for name in headings:
         part = heading(name)
         m = _JOINT.match("_".join(filter(None, (part.thing, part.component))))
         if m and int(m[2]) not in found:
             found[int(m[2])] = name
     n = len(found)
-    return [found[i + 1] for i in range(n)] if n >= LEAST_AXES and sorted(found) == list(range(1, n + 1)) else []
+    first = min(found, default=1)  # RTDE counts from 0
+    return [found[i + first] for i in range(n)] if n >= LEAST_AXES and sorted(found) == list(range(first, n + first)) else []

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.csv_text import csv_text
 from mbcacq.files.table import Column, Table, TableSchema, joint_columns
+from mbcacq.files.table_schema import JOINT_NAMES
 from mbcacq.recording.datasets import quaternions
 
 MAX_BYTES = 1 << 30
 XYZ = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qw", "qx", "qy", "qz")
+TIME = Column("time", "s", aliases=("t", "timestamp", "time_stamp", "clock", "date", "datetime", "zeit"), assumed="s")
 MEASURED = (*(Column(axis, "mm", required=False) for axis in "xyz"), *(Column(name, required=False) for name in QUATERNION))
+
+
+def angles_of_joints(n: int) -> tuple[Column, ...]:
+    """Columns q1 to qn in deg, or by the names that controllers give them, which are in deg where they say no unit."""
+    columns = joint_columns("q", n, unit="deg", aliases=JOINT_NAMES, required=False)
+    return tuple(replace(column, assumed_of_aliases="deg") for column in columns)
 
 
 def poses_schema(n: int, balls: Sequence[int] = ()) -> TableSchema:
@@ -24,9 +33,9 @@ def poses_schema(n: int, balls: Sequence[int] = ()) -> TableSchema:
         Column("station", kind="text", required=False),
         Column("phase", kind="text", required=False),
         Column("ball", kind="integer", required=False),
-        Column("time", "s", required=False),
+        replace(TIME, required=False),
         Column("payload", "kg", required=False),
-        *joint_columns("q", n, unit="deg", required=False),
+        *angles_of_joints(n),
         *joint_columns("dir", n, unit=None, written="", required=False),
         *joint_columns("qd", n, unit="deg/s", written="deg/s", required=False),
         *joint_columns("tau", n, unit="N*m", written="N*m", required=False),
@@ -56,8 +65,8 @@ def trajectory_schema(n: int) -> TableSchema:
     return TableSchema(
         "trajectory.csv",
         (
-            Column("time", "s"),
-            *joint_columns("q", n, unit="deg", required=False),
+            TIME,
+            *angles_of_joints(n),
             *joint_columns("q", n, unit="deg", form="{name}{i}_set", required=False),
             *joint_columns("q", n, unit="deg", form="{name}{i}_joint", required=False),
             *joint_columns("tau", n, unit="N*m", written="N*m", required=False),
@@ -66,6 +75,16 @@ def trajectory_schema(n: int) -> TableSchema:
         ),
         max_bytes=MAX_BYTES,
     )
+
+
+def refuse_radians(table: Table, q: np.ndarray) -> None:
+    """Raises ConfigError for joint angles q (rows, n) deg within 2 pi whose headings name no unit: radians, or an arm that hardly moves."""
+    uneven = np.abs(2 * q - np.round(2 * q)) > 1e-6
+    silent = not any(table.names_unit(f"q{i + 1}") for i in range(q.shape[1]))
+    if silent and np.abs(q).max(initial=0.0) <= 2 * np.pi and np.count_nonzero(uneven) >= 2:
+        raise ConfigError(
+            f"{table.path}: all joint angles are within 2 pi and {table.heading('q1')} says no unit; name the columns q1_rad.. or q1_deg.."
+        )
 
 
 def rotations(table: Table) -> np.ndarray:

@@ -21,7 +21,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, RobotModel, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
-from mbcacq.recording.datasets.columns import flange_group, groups, joint_columns
+from mbcacq.recording.datasets.columns import flange_group, groups, joint_columns, names_poses, unit_above
 from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, role
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 
@@ -91,7 +91,9 @@ class TableReading:
 def read_loose_table(path: Path, options: TableOptions | None = None) -> UnderstoodTable:
     """Read a table of at least ``LEAST_POSES`` rows. Raises ConfigError naming what is missing, or what the data cannot decide."""
     options = options or TableOptions()
-    table = read_table(path, names={file: ours for ours, file in options.columns.items()})
+    names = {file: ours for ours, file in options.columns.items()}
+    table = read_table(path, names=names, headings=lambda cells: names_poses([names.get(cell, cell) for cell in cells]))
+    options = replace(options, length=options.length or unit_above(table))
     if len(table) < LEAST_POSES:
         raise ConfigError(f"{path}: {len(table)} rows; a hand-eye calibration needs at least {LEAST_POSES} poses, better 15 and more")
     return understood(table, options)

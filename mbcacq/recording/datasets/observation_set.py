@@ -19,11 +19,11 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.bag import bag_of, observation_columns
 from mbcacq.recording.datasets.cell_yaml import read_cell
-from mbcacq.recording.datasets.columns import columns_of, flange_columns, target_columns
-from mbcacq.recording.datasets.csv_columns import CENTRES, QUATERNION, XYZ, numbered, poses_schema, rotations
+from mbcacq.recording.datasets.columns import columns_of, flange_columns, flange_group, target_columns
+from mbcacq.recording.datasets.csv_columns import CENTRES, QUATERNION, XYZ, numbered, poses_schema, refuse_radians, rotations
 from mbcacq.recording.datasets.observation_writer import write_observation_set
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
-from mbcacq.recording.datasets.wide_table import wide_centres
+from mbcacq.recording.datasets.wide_table import complete, wide_centres
 
 __all__ = ["read_observation_set", "write_observation_set"]
 
@@ -37,6 +37,8 @@ def read_observation_set(folder: Path | str) -> Observations:
         return Observations(cell=cell, **observation_columns(folder, bag, cell), cell_yaml=text)
     names = columns_of(folder)
     table = read_table(folder / "poses.csv", poses_schema(cell.robot.n, cell.ball_ids), names=names)
+    if table.has("q1_deg") or flange_group(table) is not None:  # else the columns that are missing are named first
+        complete(table, cell)
     separate = (folder / "centres.csv").exists()
     wide = None if separate else wide_centres(table, cell)
     cell, poses = _read_poses(table, cell, text)
@@ -67,6 +69,7 @@ def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, An
     if by_flange is None:
         table.require(["pose", "station", *joints])
         q = table.group(joints, angle=True)
+        refuse_radians(table, table.group(joints))
     else:
         table.require(["pose", "station"])
         q = by_flange.coordinates(table)
@@ -78,9 +81,10 @@ def _read_poses(table: Table, cell: Cell, text: str) -> tuple[Cell, dict[str, An
     out["station"] = _look_up(table, "station", stations, "station '{}' is not in cell.yaml (there: {})")
     if table.has(["phase"]):
         out["phase"] = np.array([cell.strip() for cell in table.text("phase")], dtype=np.str_)
-    for column in ("time_s", "payload_kg"):
-        if table.has([column]):
-            out[column] = table.number(column)
+    if table.has("time_s"):
+        out["time_s"] = table.time("time_s")
+    if table.has("payload_kg"):
+        out["payload_kg"] = table.number("payload_kg")
     if by_flange is None:
         out |= _of_joints(table, n, q, out.get("time_s"))
     out["temperatures"] = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}

@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 
 from mbcacq.errors import ConfigError
 from mbcacq.files import angles
-from mbcacq.files.atomic_write import write_files
+from mbcacq.files.atomic_write import finish_set, write_files
 from mbcacq.files.table import Table, read_table
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict, Vector
@@ -19,7 +19,7 @@ from mbcacq.model.shipped import robot_file
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.recording.datasets.bag import bag_of, trajectory_columns
 from mbcacq.recording.datasets.cell_yaml import robot_to_yaml
-from mbcacq.recording.datasets.csv_columns import numbered, numbers, table_text, trajectory_schema
+from mbcacq.recording.datasets.csv_columns import numbered, numbers, refuse_radians, table_text, trajectory_schema
 from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
 
 FORMAT = "mbcacq-trajectory-set/1"
@@ -56,6 +56,7 @@ def is_trajectory_set(folder: Path | str) -> bool:
 def read_trajectory_set(folder: Path | str) -> Trajectory:
     """Read a folder of ``cell.yaml`` and ``trajectory.csv``. Raises ConfigError naming file, line and column of the first fault."""
     folder = Path(folder)
+    finish_set(folder)
     path = folder / "cell.yaml"
     data, node = load_yaml(read_yaml_text(path), str(path))
     spec = validate(_TrajectorySpec, data, node, str(path))
@@ -66,11 +67,12 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
     table = read_table(folder / "trajectory.csv", trajectory_schema(robot.n))
     table.require(["time_s", *numbered("q{}_deg", robot.n)])
     unit = "percent" if table.has("i1_percent") and not table.has("i1_A") else "A"
-    time_s = table.number("time_s")
+    time_s = table.time("time_s")
     if len(time_s) > 1 and (np.diff(time_s) <= 0).any():
         row = int(np.argmax(np.diff(time_s) <= 0)) + 1
         raise ConfigError(f"{table.where(row, 'time_s')}: the time does not rise; sort the rows and remove doubles")
     q = table.group(numbered("q{}_deg", robot.n), angle=True)
+    refuse_radians(table, table.group(numbered("q{}_deg", robot.n)))
     signals = {
         "q_set": _signal(table, "q{}_set_deg", robot.n, angle=True),
         "q_joint": _signal(table, "q{}_joint_deg", robot.n, angle=True),

@@ -28,7 +28,6 @@ def wide_centres(table: Table, cell: Cell) -> dict[str, Any] | None:
         return _of_target(table, cell, target)
     if not several and (by_flange_poses(table, cell) or not table.has(XYZ)):
         return None
-    _complete(table, cell)
     if several:
         return _several(table, cell, several)
     rows = np.arange(len(table))
@@ -43,7 +42,6 @@ def wide_centres(table: Table, cell: Cell) -> dict[str, Any] | None:
 
 def _of_target(table: Table, cell: Cell, target: PoseHeadings) -> dict[str, Any]:
     """A target whose pose, or place, stands beside the pose of the flange; a row that does not show it leaves its cells empty."""
-    _complete(table, cell)
     seen = np.array([any(table.columns[name][row].strip() for name in target.names) for row in range(len(table))], dtype=bool)
     part = table.rows(seen)
     T = target.transforms(part)
@@ -61,7 +59,8 @@ def _names(ball: int) -> tuple[str, str, str]:
     return f"x{ball}_mm", f"y{ball}_mm", f"z{ball}_mm"
 
 
-def _complete(table: Table, cell: Cell) -> None:
+def complete(table: Table, cell: Cell) -> None:
+    """Number the rows of a table without poses, and take the only station for all of them. Raises ConfigError where there are several."""
     if not table.has("pose"):
         table.columns["pose"] = tuple(str(i + 1) for i in range(len(table)))
     if not table.has("station"):

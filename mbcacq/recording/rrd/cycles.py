@@ -12,15 +12,16 @@ from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 DRAW_PERIOD_S = 0.04  # of the drawn arm, on the controller's clock
 CURVE_EVERY = 5  # cycles to a point of a curve; the extremes of what is left out are kept where they matter
-SHOW_PERIOD_S = 0.5  # between two batches for display: each batch costs a chunk per entity
+LIVE_PERIOD_S, SHOW_PERIOD_S = 0.5, 4.0  # between two batches for display, watched or not: each costs a chunk of 2 kB per entity
 OTHER_CLOCK_S = 10.0
 
 
 class CycleWriter:
     """Writes batches of cycles to a stream. ``show`` sends what was kept back for display."""
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
+    def __init__(self, stream: rr.RecordingStream, *, live: bool = False) -> None:
         self._rec = stream
+        self._period_s = LIVE_PERIOD_S if live else SHOW_PERIOD_S
         self._drawn = self._shown = -np.inf
         self.urdf: UrdfArm | None = None  # draws the arm as well, where there is one
         self._start: float | None = None  # POSIX time of the start of this part, where it is known
@@ -40,7 +41,7 @@ class CycleWriter:
         host = host + offset
         self._rec.send_columns(layout.CYCLES, self._index(host, columns["time_s"]), rows.columns(layout.CYCLES_ARCHETYPE, columns))
         self._kept.append({"host": host, "robot": columns["time_s"], **_curves(columns), "q": columns["q"]})
-        if time_s - self._shown >= SHOW_PERIOD_S:
+        if time_s - self._shown >= self._period_s:
             self._shown = time_s
             self.show(cell)
 

@@ -21,13 +21,13 @@ SEGMENT_POINTS = 8  # of a segment straight in joint space
 
 
 class Drawing:
-    """Draws the events that matter for display; the owner of the stream sets the times on it."""
+    """Draws the events that matter for display; the owner of the stream sets the times on it. artefact: at the station, or None."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._rec = stream
         self._cell: Cell | None = None
         self._route: list[int] = []
-        self._artefact: Artefact | None = None
+        self.artefact: Artefact | None = None
         self._scan: Scan | None = None
         self._form: list[np.ndarray] = []
         self._drawn_temperatures: set[str] = set()
@@ -49,7 +49,7 @@ class Drawing:
         """The artefact's new place is the bright one, those before fade."""
         if self._cell is None:
             return
-        self._artefact = self._cell.artefact(event.artefact)
+        self.artefact = self._cell.artefact(event.artefact)
         for other in self._balls:
             scene.fade_balls(self._rec, other, bright=other == event.station)
 
@@ -58,7 +58,7 @@ class Drawing:
         self._rec.log(layout.JOINTS, rr.Scalars(np.degrees(event.q)))
         if self._cell is not None:
             station = next((s for s in self._cell.stations if s.id == event.station), None)
-            self._artefact = None if station is None else self._cell.artefact(station.artefact)
+            self.artefact = None if station is None else self._cell.artefact(station.artefact)
         if event.pose in self._route:
             at = self._route.index(event.pose)
             colours = [DONE] * at + [NOW] + [TO_COME] * (len(self._route) - at - 1)
@@ -69,9 +69,9 @@ class Drawing:
 
     def found(self, event: events.CentresFound) -> None:
         """The scan as soon as its balls are known."""
-        if self._cell is None or self._scan is None or self._artefact is None:
+        if self._cell is None or self._scan is None or self.artefact is None:
             return
-        coloured = scan_colouring.colour_scan(self._scan.points, self._artefact, event.ball, event.xyz)
+        coloured = scan_colouring.colour_scan(self._scan.points, self.artefact, event.ball, event.xyz)
         self._scan = None
         self._form.append(_by_ball(self._cell, event.ball, np.stack([coloured.form_um, coloured.radius_um], axis=1)))
         on_balls = rr.Points3D(coloured.on_balls.astype(np.float32), colors=coloured.colours, radii=rr.Radius.ui_points(1.6))

@@ -25,6 +25,9 @@ def quiet_environment() -> Iterator[dict[str, str]]:
         home = Path(made)
         config, data = home / "config", home / "data"
         changed = {"XDG_CONFIG_HOME": str(config), "XDG_DATA_HOME": str(data)}
+        scratch = home / "scratch"  # the viewer leaves a folder there when it is terminated
+        scratch.mkdir()
+        changed |= dict.fromkeys(("TMPDIR", "TMP", "TEMP"), str(scratch))
         folders = [(config / "rerun", data / "rerun" / "analytics")]
         if sys.platform == "darwin":
             changed["HOME"] = made

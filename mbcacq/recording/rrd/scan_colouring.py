@@ -10,7 +10,7 @@ from mbcacq.model.cell import Artefact
 
 RANGE_MM = 0.03  # distance to the sphere at which the colours end
 SHELL_MM = 0.5  # a point this near to the certified sphere belongs to the ball
-MOST_ON_BALL, MOST_BACKGROUND, MOST_EXAMINED = 700, 1500, 400_000
+MOST_ON_BALL, MOST_BACKGROUND, MOST_EXAMINED = 150, 300, 400_000
 INSIDE, ZERO, OUTSIDE = np.array([33.0, 102, 172]), np.array([240.0, 240, 235]), np.array([214.0, 96, 0])  # blue, white, vermilion
 GREY = (96, 102, 112)
 

@@ -6,6 +6,7 @@ import shutil
 import threading
 import time
 import uuid
+from dataclasses import replace
 from datetime import datetime
 from functools import singledispatchmethod
 from pathlib import Path
@@ -22,6 +23,7 @@ from mbcacq.recording.rrd.blueprint import blueprint, for_cell
 from mbcacq.recording.rrd.cycles import CycleWriter
 from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.drawing import Drawing
+from mbcacq.recording.rrd.kept_cloud import kept_cloud
 from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, text_row
 from mbcacq.recording.rrd.new_stream import send_default_blueprint
 from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
@@ -38,10 +40,11 @@ class Recorder:
 
     folder: the run folder, which exists. part: 0 for a new run, else how many recordings the folder holds already (a resumed
     run goes into a file of its own with the same recording id). live: serve a viewer on 127.0.0.1 as well, see ``live_url``.
+    all_points: keep whole clouds, not only the points of the balls with a thinned rest.
     Raises RecordingError if the file cannot be made or the disk fills; what was written until then stays readable.
     """
 
-    def __init__(self, folder: Path | str, *, live: bool = False, part: int = 0, port: int = 9876) -> None:
+    def __init__(self, folder: Path | str, *, live: bool = False, part: int = 0, port: int = 9876, all_points: bool = True) -> None:
         folder = Path(folder)
         self.path, self._part = folder / layout.part_name(part), part
         try:
@@ -61,7 +64,9 @@ class Recorder:
         self.recording_id = header.recording_id if header else str(uuid.uuid4())
         self._sink = Sink(self.path, self.recording_id, live=live, port=port, blueprint=blueprint(live=live))
         self._rec = self._sink.stream
-        self._cycles = CycleWriter(self._rec)
+        self._cycles = CycleWriter(self._rec, live=live)
+        self._all_points = all_points
+        self._held: events.ScanTaken | None = None  # a cloud whose balls are not known yet
         self._lock = threading.RLock()
         self._offset = 0.0  # of this part's clock to the run's
         self._clock = np.inf  # time.monotonic() at the start of this part
@@ -226,19 +231,37 @@ class Recorder:
     @_write.register
     def _(self, event: events.ScanTaken) -> None:
         self._sink.check_space(event.scan.points.nbytes + 9 * len(event.scan.points))
+        self._let_go()
+        self._drawing.taken(event)
+        if self._all_points or self._cell is None:
+            self._write_scan(event)
+        else:
+            self._held = event
+
+    def _let_go(self) -> None:
+        """Write a held cloud as it came: its balls were never looked for."""
+        if self._held is not None:
+            held, self._held = self._held, None
+            self._write_scan(held)
+
+    def _write_scan(self, event: events.ScanTaken) -> None:
         move = scene.transforms(self._T_base_scanner[None])
         self._rec.log(layout.SCAN, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
         points = rr.Points3D(event.scan.points)
         self._rec.log(layout.SCAN, points, scan_row(event))
-        self._drawing.taken(event)
 
     @_write.register
     def _(self, event: events.CentresFound) -> None:
+        if self._held is not None and (artefact := self._drawing.artefact) is not None:
+            kept = kept_cloud(self._held.scan, artefact, event.ball, event.xyz, event.exposure)
+            self._held = replace(self._held, scan=kept)
+        self._let_go()
         self._rec.log(layout.EXPOSURE, exposure_row(event))
         self._drawing.found(event)
 
     @_write.register
     def _(self, event: events.PoseDone) -> None:
+        self._let_go()
         self._rec.log(layout.OBSERVATION, *observation_rows(event, self._part, event.time_s + self._offset))
         self._drawing.done(event)
         self._rec.log(layout.BALLS_FOUND, rr.Scalars(len(event.ball)))
@@ -252,6 +275,7 @@ class Recorder:
 
     @_write.register
     def _(self, event: events.RunStopped) -> None:
+        self._let_go()
         self._cycles.show(self._cell)
         level = "INFO" if event.exit_status == "success" else "ERROR"
         self._rec.log(layout.RUN, rows.row(layout.RUN_ARCHETYPE, exit_status=event.exit_status, reason=event.reason))

@@ -24,21 +24,29 @@ SHOWN = 60  # characters of a value
 @dataclass(frozen=True)
 class KeptPlan:
     """plan: its YAML; files: name -> text of the files it names; cell: which cell was driven. None for what neither the folder nor its
-    recordings say. path: where the plan was read from, in runs of today. repairs: one sentence for each file that had to be restored or is
-    lost."""
+    recordings say. path: where the plan was read from, in runs of today. corrected: of a run that a calibrated arm steers, its targets.
+    grown_from: number of poses that the plan had before others were added.
+    repairs: one sentence for each file that had to be restored or is lost."""
 
     plan: str | None
     files: Mapping[str, str] | None
     cell: str | None
     repairs: tuple[str, ...] = field(default=())
     path: str | None = None
+    corrected: Mapping[str, Any] | None = None
+    grown_from: int | None = None
 
 
-def plan_files_text(files: Mapping[str, str], cell: str, path: Path | None = None) -> str:
+def plan_files_text(
+    files: Mapping[str, str], cell: str, path: Path | None = None, corrected: Mapping[str, Any] | None = None, grown_from: int | None = None
+) -> str:
     """plan.files.json: the texts of the files that the plan names, and which cell is driven ('real', or the fake one and its seed). path:
-    of the plan, with which a resumed run needs not be given it again."""
+    of the plan, with which a resumed run needs not be given it again. corrected: nominal and corrected joint angles, where a calibrated arm
+    steers the run. grown_from: see ``LoadedPlan``; the plan is then the one that the folder keeps."""
     where = {} if path is None else {"path": str(path.absolute())}
-    return json.dumps({"format": FORMAT, "cell": cell, **where, "files": dict(files)}, indent=1) + "\n"
+    steered = {} if corrected is None else {"corrected": corrected}
+    grown = {} if grown_from is None else {"grown_from": grown_from}
+    return json.dumps({"format": FORMAT, "cell": cell, **where, **steered, **grown, "files": dict(files)}, indent=1) + "\n"
 
 
 def plan_of_run(folder: Path) -> Path:
@@ -89,7 +97,8 @@ def read_kept_plan(folder: Path) -> KeptPlan:
         elif parts:
             repairs.append(f"{folder / name} {what}, and no recording holds a copy; it is taken to be as in this run")
     kept = json.loads(found[FILES]) if FILES in found else {}
-    return KeptPlan(found.get(PLAN), kept.get("files"), kept.get("cell"), tuple(repairs), kept.get("path"))
+    read = {key: kept.get(key) for key in ("path", "corrected", "grown_from")}
+    return KeptPlan(found.get(PLAN), kept.get("files"), kept.get("cell"), tuple(repairs), **read)
 
 
 def fault_of(folder: Path, name: str) -> str:
@@ -114,7 +123,8 @@ def fault_of(folder: Path, name: str) -> str:
 
 def _is_plan_files(content: dict[str, Any]) -> bool:
     files = content.get("files", {})
-    return isinstance(files, dict) and all(isinstance(text, str) for text in files.values()) and isinstance(content.get("cell", ""), str)
+    whole = isinstance(files, dict) and all(isinstance(text, str) for text in files.values())
+    return whole and isinstance(content.get("cell", ""), str) and isinstance(content.get("corrected", {}), dict)
 
 
 def _recorded(parts: list[Path], name: str) -> str | None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from mbcacq.report.charts.style import AFTER, AXES, ESCAPES, LIMIT, LINE, PHASES, SYMBOLS, styled, thinned
+from mbcacq.calibration.place_errors import ArmImprovement
+from mbcacq.report.charts.style import AFTER, AXES, BEFORE, ESCAPES, LIMIT, LINE, PHASES, SYMBOLS, styled, thinned
 from mbcacq.report.content import Residuals
 
 MOST_STATIONS = 60
@@ -46,6 +47,19 @@ def residual_per_pose(data: Residuals) -> go.Figure:
         )
     figure.update_xaxes(title="pose")
     figure.update_yaxes(title="3D residual rms / µm", rangemode="tozero")
+    return styled(figure, 290)
+
+
+def places_missed(data: ArmImprovement) -> go.Figure:
+    """By how much the arm misses each place, before and after its targets were corrected, and what noise alone leaves."""
+    figure = go.Figure()
+    keep = thinned(np.array(data.before_mm))
+    pose = np.array(data.pose)[keep]
+    for name, mm, colour in (("before", data.before_mm, BEFORE), ("after", data.after_mm, AFTER)):
+        figure.add_scatter(x=pose, y=np.array(mm)[keep], mode="markers", name=name, marker={"color": colour, "size": 6})
+    figure.add_hline(y=data.noise_mm, line={"color": LINE, "dash": "dot"})
+    figure.update_xaxes(title="pose")
+    figure.update_yaxes(title="place missed by / mm", type="log")
     return styled(figure, 290)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.caveats import caveats
+from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage
 from mbcacq.model.observations import Observations
@@ -17,7 +18,16 @@ from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, 
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
-from mbcacq.report.verdict import SUSPICIOUS, beyond_expected_sentence, headlines, next_action, one_sign, uncertainty_budget, verdict_of
+from mbcacq.report.verdict import (
+    SUSPICIOUS,
+    beyond_expected_sentence,
+    expected_accuracy,
+    headlines,
+    next_action,
+    one_sign,
+    uncertainty_budget,
+    verdict_of,
+)
 from mbcacq.version import __version__
 
 FORMAT = "mbcacq-result/1"
@@ -74,6 +84,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         devices=run_info.get("devices"),
         diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
         earlier=earlier,
+        arm_improved=ArmImprovement.from_dict(geometry["arm_improved"]) if geometry.get("arm_improved") else None,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         hand_eye_alone=bool(result.get("scope")),
         noise=_noise(result),
@@ -200,13 +211,16 @@ def _identity(result: Mapping[str, Any], observations: Observations | None, run_
 def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     fit = result["fit"]
     out = [("poses, centres used", f"{fit['poses']}, {fit['centres']}"), ("residual, 3D rms", micrometres(fit["rms_mm"]))]
-    if fit.get("chi2_dof") is not None:
-        out.append(("χ² over degrees of freedom", f"{fit['chi2_dof']:.3f} ({fit['dof']})"))
+    if result.get("stated_chi2_dof") is not None:
+        out.append(("χ² over degrees of freedom, stated noise", f"{result['stated_chi2_dof']:.3f} ({fit['dof']})"))
+    elif fit.get("chi2_dof") is not None:
+        out.append(("χ² over degrees of freedom, estimated noise", f"{fit['chi2_dof']:.3f} ({fit['dof']})"))
     held_out = result.get("held_out")
     if held_out:
         out.append(("poses held out, 3D rms", f"{micrometres(held_out['rms_mm'])} ({held_out['poses']} poses, by {held_out['split']})"))
-    if fit.get("expected_accuracy_mm") is not None:
-        out.append(("expected accuracy of a point, U (k = 2)", f"{uncertainty(1e3 * K * fit['expected_accuracy_mm'])} µm"))
+    if (expected := expected_accuracy(result)) is not None:
+        value, misfit = expected
+        out.append(("expected accuracy of a point, U (k = 2)", f"{value} {misfit}".rstrip()))
     return out
 
 

@@ -47,6 +47,7 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
     """``read_run_identity`` with devices, diagnosis and the result of the cell with its effects (where these were made) and hashes: all
     that a whole report needs besides the result.
     """
+    from mbcacq.diagnosis.output.pictures import FORMAT as PICTURES_FORMAT
     from mbcacq.report.sources.devices import devices_of
 
     folder = Path(folder)
@@ -56,7 +57,7 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
         info["devices"] = devices
     diagnosis = _kept(folder / "diagnosis.json", "mbcacq diagnose", DIAGNOSIS_FORMAT)
     if diagnosis is not None:
-        info |= {"diagnosis": diagnosis, "pictures": _pictures(folder / "diagnosis-pictures.json")}
+        info |= {"diagnosis": diagnosis, "pictures": _kept(folder / "diagnosis-pictures.json", "mbcacq diagnose", PICTURES_FORMAT)}
     better = folder / WITH_EFFECTS / "result.json"
     if (result := _kept(better, "mbcacq diagnose --calibrate", RESULT_FORMAT)) is not None:
         info["with_effects"] = unsealed(result, better)
@@ -103,12 +104,3 @@ def _kept(path: Path, program: str, known: str) -> dict[str, Any] | None:
     if name == known.partition("/")[0] and version.isdecimal() and int(version[:9]) > int(known.partition("/")[2]):
         raise ConfigError(f"{path} is of format '{name}/{version[:9]}', which a newer mbcacq wrote; update mbcacq, or write it anew")
     return content
-
-
-def _pictures(path: Path) -> dict[str, Any] | None:
-    """What pictures of a diagnosis need; None where it is absent or damaged, for the diagnosis says all without them."""
-    try:
-        content = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) else None

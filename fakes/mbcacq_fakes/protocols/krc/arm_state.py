@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from mbcacq.errors import ConnectError
+from mbcacq.errors import SystemRefused
 
 FAULTS = (
     "",
@@ -67,7 +67,7 @@ class ArmState:
 
     @classmethod
     def create(cls, q: tuple[float, ...] = (0.0,) * 6, name: str | None = None) -> ArmState:
-        """A new block holding an arm at rest at ``q`` (n,) rad, n up to MOST_AXES. Raises ConnectError where there is no memory for it."""
+        """A new block holding an arm at rest at ``q`` (n,) rad, n up to MOST_AXES. Raises SystemRefused where there is no memory for it."""
         state = cls(create_shared_memory(_SIZE, name), True, len(q))
         state.write(0.0, q, (0.0,) * len(q), (0.0,) * len(q), True, 0)
         return state
@@ -133,7 +133,7 @@ class _FakeBlock(shared_memory.SharedMemory):
 
 
 def create_shared_memory(size: int, name: str | None = None) -> shared_memory.SharedMemory:
-    """A new block whose memory is there. Raises ConnectError where it is not: a write into memory that was only promised ends the process.
+    """A new block whose memory is there. Raises SystemRefused where it is not: a write into memory that was only promised ends the process.
 
     Linux promises at creation and allocates at the first write; other systems allocate at creation.
     """
@@ -142,7 +142,7 @@ def create_shared_memory(size: int, name: str | None = None) -> shared_memory.Sh
     except FileExistsError:
         raise
     except OSError as error:
-        raise ConnectError(_NO_MEMORY.format(-(-size // 1024), error.strerror)) from error
+        raise SystemRefused(_NO_MEMORY.format(-(-size // 1024), error.strerror)) from error
     file = LINUX / memory.name.lstrip("/")
     try:
         if file.exists():
@@ -151,7 +151,7 @@ def create_shared_memory(size: int, name: str | None = None) -> shared_memory.Sh
     except OSError as error:
         memory.close()
         memory.unlink()
-        raise ConnectError(_NO_MEMORY.format(-(-size // 1024), error.strerror)) from error
+        raise SystemRefused(_NO_MEMORY.format(-(-size // 1024), error.strerror)) from error
     return memory
 
 

@@ -1,4 +1,4 @@
-"""Imports of libraries that are slow to load or need preparation, made where they are used."""
+"""Open3D, whose readers and writers of clouds are held against ours; the program itself does without it."""
 
 from __future__ import annotations
 

@@ -1,0 +1,215 @@
+"""Interim checks over simulated years: false alarms, and the power for each change that the fake cell can make.
+
+    python benchmarks/check.py nothing [--years 1000]     years in which nothing changes but what does from day to day
+    python benchmarks/check.py power [--years 20]         years with a change, for each change that the fakes can make
+    python benchmarks/check.py page                       the figures of both as benchmarks/check.md
+
+A cell is calibrated from a recording of plans/seeing.yaml by the array path (the fake cell's world without protocols), its twelve poses
+are chosen, and days of these are recorded by the same path: a pool of days as they are, and for each change and each of its sizes its
+trace, the difference of two days of one noise with and without it. Years are made of days of the pool, drawn anew, with what changes from
+day to day added to them; a change stands from day 30 on. Years without a change are looked at daily until day 60 and every tenth day from
+then on, years with one daily from the change. Of changes more than twenty checks back the simulation takes every fifth with the weight of
+five. Figures are kept in runs/check-benchmark, so that a call goes on where another ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mbcacq_fakes.effects import CATALOGUED, UNCATALOGUED
+from threadpoolctl import threadpool_limits
+
+import mbcacq
+from mbcacq.calibration import CalibratedCell
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.interim_check.e_process import EProcess
+from mbcacq.interim_check.measured_day import fit_stations, residuals_of
+from mbcacq.interim_check.options import OPTIONS, UsualChanges
+from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
+from mbcacq.interim_check.verdict import Evidence, verdict_by
+from mbcacq.plan import LoadedPlan, PlannedPose, expand
+
+ROOT = Path(__file__).parents[1]
+KEPT = Path("runs") / "check-benchmark"
+CLEAN = Scenario(0, "none", 5, (), 1, 1.0)
+POOL = 120  # days as they are
+ONSET, LAST = 30, 60  # a change stands from this day on, and is waited for until that one
+YEAR = 365
+LOOKS = (*range(2, 61), *range(70, YEAR + 1, 10))  # of a year in which nothing changes
+WITHIN_A_RUN = ("joint_step", "mount_shift", "ball_shift")  # begin in the middle of a run, and stand at its first pose here
+SIZES = (0.1, 0.3, 1.0)  # of what a plan that can see shows plainly
+
+
+@dataclass(frozen=True)
+class Change:
+    """What differs in the fake cell. hidden: its injected effects; fake: further options."""
+
+    name: str
+    hidden: tuple[Mapping[str, Any], ...] = ()
+    fake: Mapping[str, Any] | None = None
+
+
+def changes(size: float) -> list[Change]:
+    """Every injected effect, and of those within a run the lasting form."""
+    out = []
+    for number, name in enumerate((*CATALOGUED, *UNCATALOGUED)):
+        where = {"at_pose": 0} if name in WITHIN_A_RUN else {}
+        out.append(Change(name, ({"name": name, "strength": size, "seed": 11 + number, **where},)))
+    elastic = {"name": "payload", "mass_kg": 2.3, "com_mm": [-6, 4, 62], "seed": 1}
+    heavier = elastic | {"mass_kg": 2.3 + 2.0 * size}
+    return [*out, Change("tool (mass, on an elastic arm)", (heavier,), {"before": [elastic]})]
+
+
+class Bench:
+    """A calibrated cell with its check and the days of its pool."""
+
+    def __init__(self) -> None:
+        self.loaded: LoadedPlan = mbcacq.load_plan(ROOT / "plans" / "seeing.yaml")
+        poses = expand(self.loaded)
+        recorded, _ = observe(self.loaded, poses, CLEAN, [])
+        with threadpool_limits(1):
+            cell = CalibratedCell.from_dict(json.loads(json.dumps(mbcacq.calibrate(recorded).to_dict())))
+            everything = planned_check(self.loaded, [p for p in poses if len(p.balls) > 2], cell, True, UsualChanges())
+            numbers = choose_poses(everything)
+            self.poses: list[PlannedPose] = [p for p in poses if p.number in numbers]
+            self.check: PlannedCheck = planned_check(self.loaded, self.poses, cell, True, UsualChanges())
+        self.stations = fit_stations(self.check, self.recorded(10_000))
+        self.pool = np.array([self.rows(self.recorded(day)) for day in range(POOL)])
+        changes = self.check.changes
+        self.process = EProcess(self.check.rows, [r.columns for r in changes], np.array([r.weight for r in changes]))
+
+    def recorded(self, day: int, hidden=()):
+        return observe(self.loaded, self.poses, CLEAN, list(hidden), noise_seed=20_000 + day)[0]
+
+    def rows(self, obs) -> np.ndarray:
+        residual = residuals_of(self.check, obs, self.stations)
+        return np.concatenate([residual[key] for key in self.check.keys])
+
+    def trace(self, change: Change) -> np.ndarray:
+        """(R,) what a change does to the rows: without noise, for both recordings draw the same."""
+        before = (change.fake or {}).get("before", ())
+        day = 30_000 + len(change.name)
+        return self.rows(self.recorded(day, change.hidden)) - self.rows(self.recorded(day, before))
+
+    def year(self, days: int, rng: np.random.Generator, usual: float) -> np.ndarray:
+        """(days, R) of the pool, with ``usual`` times what changes from day to day."""
+        daily = self.check.rows.daily
+        return self.pool[rng.integers(0, len(self.pool), days)] + usual * rng.standard_normal((days, daily.shape[1])) @ daily.T
+
+    def log_e(self, days: np.ndarray, looks: Iterable[int]) -> np.ndarray:
+        """log E after each of these numbers of days."""
+        followed, out = self.process.follow(days - days.mean(axis=0)), []
+        for t in looks:
+            near = np.arange(max(1, t - 20), t)
+            far = np.arange(3, near[0], 5)
+            after = np.concatenate([far, near])
+            onsets = self.process.log_onsets(after.astype(float)) + np.where(after < near[0], np.log(5.0), 0.0)
+            out.append(followed.log_e(t, after, onsets))
+        return np.array(out)
+
+
+def kept(name: str) -> dict[str, Any]:
+    """Figures of earlier calls."""
+    path = KEPT / f"{name}.json"
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def keep(name: str, content: Mapping[str, Any]) -> None:
+    KEPT.mkdir(parents=True, exist_ok=True)
+    (KEPT / f"{name}.json").write_text(json.dumps(content))
+
+
+def nothing(bench: Bench, years: int, seconds: float) -> None:
+    """Years without a change, at three sizes of what changes from day to day."""
+    found, until = kept("nothing"), time.monotonic() + seconds
+    for year in range(years):
+        usual = (0.0, 1.0, 2.0)[year % 3]
+        if str(year) in found:
+            continue
+        if time.monotonic() > until:
+            break
+        log_e = bench.log_e(bench.year(YEAR, np.random.default_rng([1, year]), usual), LOOKS)
+        found[str(year)] = {"usual": usual, "largest": float(log_e.max()), "last": float(log_e[-1])}
+        keep("nothing", found)
+    print(len(found), "years, largest log E", max(v["largest"] for v in found.values()))
+
+
+def power(bench: Bench, years: int, seconds: float) -> None:
+    """For each change and size: the day of the alarm after the change, and whether the name is right."""
+    found, until = kept("power"), time.monotonic() + seconds
+    threshold = np.log(2 / OPTIONS.false_alarms)
+    for size in SIZES:
+        for change in changes(size):
+            key = f"{change.name} {size}"
+            if key in found:
+                continue
+            if time.monotonic() > until:
+                return
+            trace = bench.trace(change)
+            after, named = [], []
+            for year in range(years):
+                days = bench.year(LAST, np.random.default_rng([2, year]), 1.0)
+                days[ONSET:] += trace
+                log_e = bench.log_e(days, range(ONSET + 1, LAST + 1))
+                alarm = np.flatnonzero(log_e >= threshold)
+                after.append(int(alarm[0]) + 1 if len(alarm) else None)
+                if len(alarm) and not named:
+                    named.append(names(bench, days[: min(ONSET + alarm[0] + 7, LAST)]))
+            moved = np.sqrt(np.mean(np.sum(trace.reshape(-1, 3) ** 2, axis=1)))
+            found[key] = {"name": change.name, "size": size, "moved_mm": float(moved), "after": after, "named": named}
+            keep("power", found)
+            print(key, f"{1e3 * moved:.1f} um", after, named, flush=True)
+
+
+def names(bench: Bench, days: np.ndarray) -> list[str]:
+    """The suspects a week after the alarm."""
+    keep = np.ones(days.shape[1], bool)
+    verdict = verdict_by(Evidence(bench.process, bench.check.changes, days, keep), bench.check, OPTIONS)
+    return [f"{s.name} ({s.explains:.2f})" if s.explains < 0.995 else s.name for s in verdict.suspects[:3]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("what", choices=("nothing", "power", "page"))
+    parser.add_argument("--years", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=240.0, help="after which the call ends; the next goes on")
+    given = parser.parse_args()
+    if given.what == "page":
+        return page()
+    bench = Bench()
+    with threadpool_limits(1):
+        if given.what == "nothing":
+            nothing(bench, given.years or 1000, given.seconds)
+        else:
+            power(bench, given.years or 4, given.seconds)
+    return None
+
+
+def page() -> None:
+    """Tables on stdout, as they stand in benchmarks/check.md."""
+    years = list(kept("nothing").values())
+    threshold = np.log(2 / OPTIONS.false_alarms)
+    print("| changes from day to day | years | looks | alarms | largest E ever |\n|--:|--:|--:|--:|--:|")
+    for usual in sorted({y["usual"] for y in years}):
+        largest = np.array([y["largest"] for y in years if y["usual"] == usual])
+        alarms = int((largest >= threshold).sum())
+        print(f"| {usual:g} x usual | {len(largest)} | {len(largest) * len(LOOKS)} | {alarms} | {np.exp(largest.max()):.2g} |")
+    print("\n| change | size | moves the balls by / µm | alarms | after checks (median, 90 %) | named a week later |")
+    print("|---|--:|--:|--:|--:|---|")
+    for one in kept("power").values():
+        after = [a for a in one["after"] if a is not None]
+        when = f"{np.median(after):.0f}, {np.quantile(after, 0.9):.0f}" if after else "–"
+        said = "; ".join(dict.fromkeys(", ".join(n) for n in one["named"]))
+        print(f"| {one['name']} | {one['size']:g} | {1e3 * one['moved_mm']:.1f} | {len(after)} of {len(one['after'])} | {when} | {said} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,277 @@
+"""What is not known, held apart from noise: hand-eye alone, contradictions, arms that err beyond their geometry, recordings of real arms.
+
+    python benchmarks/error_model.py [--arms 200] [--strikes 20] [--cells 12] [--data FOLDER ..]
+
+Hand-eye: arms of three classes (KR 10 with 0.15 mm and 0.03 deg, iiwa 7 with the same, KR 10 with three times as much), one and four
+places. The normalised error squared (NEES) is d' inv(C) d / 6 of the hand-eye transform. Strikes: a place, a mount, a joint or one pose is
+off from a random pose on, sizes log-uniform from 0.1 to 5 mm. Arms: the errors are written here as plain formulas and applied to the
+joints; judged at new places, without noise of the judging, a rigid motion of everything aside. Data: observation sets, each in five blocks
+of the order of measuring.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
+from cells import iiwa, kr10, measure, random_errors, scanner_cell  # noqa: E402
+
+from mbcacq import load_observations
+from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration.cross_validation import prediction_error  # noqa: E402
+from mbcacq.errors import CalibrationError, MbcacqError  # noqa: E402
+from mbcacq.estimation import forward_model, parameters  # noqa: E402
+from mbcacq.estimation.linearization import Lineariser  # noqa: E402
+from mbcacq.estimation.options import Noise  # noqa: E402
+from mbcacq.estimation.parameters import Estimate  # noqa: E402
+from mbcacq.estimation.phases import select_phases  # noqa: E402
+from mbcacq.estimation.solver import Weights, solve  # noqa: E402
+from mbcacq.geometry import se3  # noqa: E402
+
+NOISE, JOINT = (0.005, 0.005, 0.009), 8e-6
+ALONE = CalibrationOptions(kinematics=False)
+TWIST = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def ordinary_errors(chain, rng, mm=0.15, deg=0.03):
+    errors = rng.normal(size=(chain.n, 5)) * np.array([np.radians(deg), mm, mm, np.radians(deg), np.radians(deg)])
+    parallel = chain.parallel_next()
+    errors[parallel, 1], errors[~parallel, 4], errors[-1] = 0, 0, 0
+    errors[0, :2] = 0
+    return errors
+
+
+def hand_eye(arms: int) -> None:
+    print("| arm | places, poses | NEES / 6 | beyond 3 sigma | rms x y z, um | poses rejected | warned of |\n|---|---|---|---|---|---|---|")
+    for name, make, scale in (("KR 10", kr10, 1.0), ("iiwa 7", iiwa, 1.0), ("KR 10, three times the errors", kr10, 3.0)):
+        for places, poses in ((1, 10), (1, 40), (4, 60)):
+            rows, rejected, warned, seen = [], 0, 0, 0
+            for seed in range(arms):
+                rng, chain = np.random.default_rng([seed, places, poses]), make()
+                errors = ordinary_errors(chain, rng, 0.15 * scale, 0.03 * scale)
+                try:
+                    cell = scanner_cell(rng, chain=chain, stations=places, per_station=poses // places, errors=errors)
+                except AssertionError:
+                    continue  # a place that this arm cannot look at from all sides
+                found = calibrate(cell.observations, ALONE)
+                off = se3.inverse(found.state.T_flange_scanner) @ cell.truth.T_flange_scanner
+                d = np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])
+                index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
+                C = found.covariance[np.ix_(index, index)]
+                rows.append(np.concatenate([d, d / np.sqrt(np.diag(C)), [d @ np.linalg.solve(C, d) / 6]]))
+                rejected, seen = rejected + len(found.rejected), seen + cell.observations.n_poses
+                warned += "warnings" in found.extra
+            table = np.array(rows)
+            size = ", ".join(f"{1e3 * s:.1f}" for s in np.sqrt(np.mean(table[:, :3] ** 2, axis=0)))
+            print(
+                f"| {name} | {places}, {poses} | {table[:, 12].mean():.2f} | {np.mean(np.abs(table[:, 6:12]) > 3):.1%} | {size} "
+                f"| {rejected / seen:.2%} | {warned / len(rows):.1%} |",
+                flush=True,
+            )
+
+
+def struck(kind: str, mm: float, seed: int):
+    """A recording of one place (hand-eye alone) or six (arm) in which something is off from a random pose on, and the true cell before."""
+    rng = np.random.default_rng(seed)
+    cell = scanner_cell(rng, stations=4, per_station=10, errors=ordinary_errors(kr10(), rng))
+    obs, truth = cell.observations, cell.truth
+    at = int(rng.integers(8, 33))
+    later = np.arange(obs.n_poses) >= at
+    direction = rng.normal(size=3)
+    shift = mm * direction / np.linalg.norm(direction)
+    if kind == "place":
+        places = truth.T_base_station.copy()
+        s = obs.station[at]
+        places[s] = places[s] @ se3.exp(np.concatenate([shift, np.zeros(3)]))
+        truth = replace(truth, T_base_station=places)
+    elif kind == "mount":
+        truth = replace(truth, T_flange_scanner=truth.T_flange_scanner @ se3.exp(np.concatenate([shift, rng.normal(size=3) * mm / 400])))
+    elif kind == "joint":
+        errors = truth.chain.rows - obs.cell.robot.chain.rows
+        errors[rng.integers(1, 5), 0] += mm / 700
+        truth = replace(truth, chain=obs.cell.robot.chain.with_errors(errors))
+    else:
+        later = np.arange(obs.n_poses) == at
+        truth = replace(truth, T_flange_scanner=truth.T_flange_scanner @ se3.exp(np.concatenate([shift, np.zeros(3)])))
+    other = measure(obs, truth, rng, NOISE, JOINT)
+    return replace(obs, xyz=np.where(later[obs.pose][:, None], other.xyz, obs.xyz)), cell.truth
+
+
+def strikes(count: int) -> None:
+    """silent: neither warned, refused nor rejected, where the hand-eye is off by more than three stated sigma."""
+    print("| strike | refused | named right | warned, not named | named wrong | rejected alone | nothing said | of these beyond 3 sigma |")
+    print("|---|---|---|---|---|---|---|---|")
+    words = {"place": "place of the artefact", "mount": "mount slipped", "joint": "zero of joint", "pose": "alone explains"}
+    for kind, word in words.items():
+        tally = dict.fromkeys(("refused", "right", "unnamed", "wrong", "rejected", "nothing", "silent"), 0)
+        for k in range(count):
+            obs, truth = struck(kind, float(np.exp(np.random.default_rng([7, k]).uniform(np.log(0.1), np.log(5.0)))), 1000 + k)
+            try:
+                found = calibrate(obs, ALONE)
+            except CalibrationError:
+                tally["refused"] += 1
+                continue
+            said = " ".join(found.extra.get("warnings", ()))
+            if said:
+                tally["right" if word in said else "wrong" if any(w in said for w in words.values()) else "unnamed"] += 1
+                continue
+            tally["rejected" if found.rejected else "nothing"] += 1
+            off = se3.inverse(found.state.T_flange_scanner) @ truth.T_flange_scanner
+            d = np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])
+            index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
+            tally["silent"] += bool(np.any(np.abs(d) > 3 * np.sqrt(np.diag(found.covariance)[index])))
+        shown = (tally[key] for key in ("refused", "right", "unnamed", "wrong", "rejected", "nothing", "silent"))
+        print(f"| {kind} | {' | '.join(f'{n} of {count}' for n in shown)} |", flush=True)
+
+
+MASS = np.array([50.0, 35, 30, 10, 6, 3])  # kg, point masses in the middle of the links; 8 kg 100 mm before the flange
+
+
+def torque(chain, q: np.ndarray) -> np.ndarray:
+    """(P, n) N m of gravity about the joints: the potential energy of point masses, differentiated by finite differences."""
+
+    def energy(q):
+        F = chain.frames(q)
+        middle = 0.5 * (F[:, :-1, :3, 3] + F[:, 1:, :3, 3])
+        return 9.80665e-3 * (middle[:, :, 2] @ MASS + 8 * (F[:, -1, 2, 3] + 100 * F[:, -1, 2, 2]))
+
+    h = 1e-6
+    return np.stack([(energy(q - e) - energy(q + e)) / (2 * h) for e in h * np.eye(q.shape[1])], axis=1)
+
+
+def at(n: int, **of: np.ndarray) -> np.ndarray:
+    """(P, n) rad: errors of the joints that are named, 'a2' for A2."""
+    out = np.zeros((len(next(iter(of.values()))), n))
+    for name, value in of.items():
+        out[:, int(name[1:]) - 1] = value
+    return out
+
+
+Law = Callable[[object, np.ndarray, np.ndarray], np.ndarray]
+LAWS: dict[str, Law] = {
+    "nothing further": lambda c, q, d: np.zeros_like(q),
+    "elastic A2, A4": lambda c, q, d: at(6, a2=1.2e-6 * torque(c, q)[:, 1], a4=6e-6 * torque(c, q)[:, 3]),
+    "backlash of A2, A3, directions recorded": lambda c, q, d: at(6, a2=1e-4 * d[:, 1], a3=7e-5 * d[:, 2]),
+    "gear errors of orders 2 to 4": lambda c, q, d: at(
+        6, a1=5e-5 * np.sin(4 * q[:, 0]), a2=6e-5 * np.sin(2 * q[:, 1] + 1), a3=7e-5 * np.sin(3 * q[:, 2] + 2)
+    ),
+    "motion that goes with another axis": lambda c, q, d: at(6, a5=2e-4 * q[:, 3], a6=3e-4 * q[:, 4]),
+    "a product of two angles": lambda c, q, d: at(6, a3=1.5e-4 * np.sin(q[:, 1]) * np.cos(q[:, 4])),
+    "gear errors of orders 57 and 101": lambda c, q, d: at(6, a2=1e-4 * np.sin(57 * q[:, 1]), a3=1e-4 * np.sin(101 * q[:, 2])),
+}
+
+
+def arm(law: Law, seed: int, places: int = 8, further: int = 6):
+    """A recording to learn from, exact poses at further places, and where their centres truly are in the base."""
+    rng = np.random.default_rng(seed)
+    cell = scanner_cell(rng, stations=places + further, per_station=12, errors=random_errors(kr10(), rng))
+    obs, direction = cell.observations, np.sign(rng.normal(size=cell.observations.q.shape))
+    middle = 0.5 * np.linalg.inv(obs.cell.robot.chain.link_transforms(np.zeros((1, 6)))[0])[:, :3, 3]
+    robot = replace(obs.cell.robot, mass=MASS, com=middle, payload_mass=8.0, payload_com=np.array([0, 0, 100.0]))
+    obs = replace(obs, cell=replace(obs.cell, robot=robot), direction=direction if "directions" in law_name(law) else None)
+    off = law(cell.truth.chain, obs.q, direction)
+    exact = forward_model.predict(obs, cell.truth, forward_model.Displacements(joint=off)).xyz
+    noisy = forward_model.Displacements(joint=off + rng.normal(size=off.shape) * JOINT)
+    xyz = forward_model.predict(obs, cell.truth, noisy).xyz + rng.normal(size=exact.shape) * NOISE
+    new = obs.station >= places
+    T = cell.truth.chain.frames(obs.q + off)[:, -1] @ cell.truth.T_flange_scanner
+    return replace(obs, xyz=xyz).select(~new), replace(obs, xyz=exact).select(new), se3.apply(T[obs.pose], exact)[new[obs.pose]]
+
+
+def law_name(law: Law) -> str:
+    return next(name for name, one in LAWS.items() if one is law)
+
+
+def placed_wrong(found, obs, truth: np.ndarray) -> float:
+    """3D rms (um) of centres at new places from where they are, after the best rigid motion."""
+    frames = found.effects.frames(found.state.chain, obs.q, obs) if found.effects else found.state.chain.frames(obs.q)
+    p = se3.apply((frames[:, -1] @ found.state.T_flange_scanner)[obs.pose], obs.xyz)
+    a, b = p - p.mean(axis=0), truth - truth.mean(axis=0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    R = (u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt).T
+    return 1e3 * float(np.sqrt(np.mean(np.sum((a @ R.T - b) ** 2, axis=1))))
+
+
+def arms(cells: int) -> None:
+    print("| arm | geometry alone, um | calibrate, um | residual, um | groups | time over geometry alone |\n|---|---|---|---|---|---|")
+    for name, law in LAWS.items():
+        rows = []
+        for seed in range(cells):
+            learn, new, truth = arm(law, seed)
+            begin = time.process_time()
+            alone = calibrate(learn, CalibrationOptions(discrepancy=False))
+            between = time.process_time()
+            found = calibrate(learn)
+            taken = (time.process_time() - between) / (between - begin)
+            groups = len(found.effects.terms) if found.effects else 0
+            rows.append((placed_wrong(alone, new, truth), placed_wrong(found, new, truth), 1e3 * found.rms_mm, groups, taken))
+        m = np.mean(rows, axis=0)
+        print(f"| {name} | {m[0]:.0f} | {m[1]:.0f} | {m[2]:.1f} | {m[3]:.1f} | {m[4]:.1f} |", flush=True)
+
+
+def least_squares(obs):
+    """The geometry by plain least squares of the centres, every one of the same weight."""
+    first = calibrate(obs, CalibrationOptions(discrepancy=False, refuse=False))
+    options = CalibrationOptions(discrepancy=False, refuse=False, balls=False)
+    layout = parameters.build(obs, options)
+    for name, why in first.layout.held.items():
+        layout = layout if name in layout.held else layout.hold(name, why)
+    noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-9), 1e-3)
+    ones = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    return solve(Lineariser(obs, layout, options), Estimate(first.state), noise, ones).estimate.state
+
+
+METHODS = {
+    "nominal": lambda o: calibrate(o, CalibrationOptions(kinematics=False, discrepancy=False, refuse=False)),
+    "least squares": least_squares,
+    "geometry alone": lambda o: calibrate(o, CalibrationOptions(discrepancy=False, refuse=False)),
+    "calibrate": lambda o: calibrate(o, CalibrationOptions(refuse=False)),
+}
+
+
+def recordings(folders: list[Path], most: int) -> None:
+    """Five blocks of the order of measuring, each predicted by the others; 3D rms mm over all, and of the worst block."""
+    print(f"| recording | poses | {' | '.join(METHODS)} |\n|---|---|{'---|' * len(METHODS)}")
+    for folder in folders:
+        obs = select_phases(load_observations(folder), CalibrationOptions())
+        keep = np.zeros(obs.n_poses, bool)
+        keep[np.unique(np.linspace(0, obs.n_poses - 1, most).astype(int))] = True
+        obs = obs.select(keep)
+        cells = []
+        for method in METHODS.values():
+            try:
+                squares = []
+                for part in np.array_split(np.arange(obs.n_poses), 5):
+                    test = np.isin(np.arange(obs.n_poses), part)
+                    squares.append(np.mean(prediction_error(obs.select(test), method(obs.select(~test))) ** 2))
+                cells.append(f"{np.sqrt(np.mean(squares)):.3f} ({np.sqrt(max(squares)):.3f})")
+            except MbcacqError as error:
+                cells.append(str(error)[:40])
+        print(f"| {folder.name} | {obs.n_poses} | {' | '.join(cells)} |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--arms", type=int, default=200)
+    parser.add_argument("--strikes", type=int, default=20)
+    parser.add_argument("--cells", type=int, default=12)
+    parser.add_argument("--data", type=Path, nargs="*", default=[])
+    parser.add_argument("--poses", type=int, default=300, help="of each recording, at most")
+    given = parser.parse_args()
+    if given.arms:
+        hand_eye(given.arms)
+    strikes(given.strikes)
+    if given.cells:
+        arms(given.cells)
+    recordings(given.data, given.poses)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""How far an arm misses the places that it is sent to, as its own scanner measures it: before and after its targets were corrected.
+
+Whoever sends an arm to a place believes in its nominal model. So the hand-eye transform and the stations are adjusted to a recording as if
+the arm stood exactly where it was sent, and nothing else: what remains at the balls is what the arm misses. Taken with the joint angles as
+driven, it is what the arm of the controller's model misses (before); with the joint angles that the places were planned by, it is what the
+arm with corrected targets misses (after). Both are of the same poses, of one recording, by one procedure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.verification import points_in_base
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.geometry import se3
+from mbcacq.model.observations import Observations
+from mbcacq.quantities import fixed
+
+FEWEST = 4  # poses of a station: with fewer, its adjusted place takes up most of what the arm misses there
+
+
+@dataclass(frozen=True)
+class MissedBy:
+    """mm, over poses: rms, median and largest of what an arm misses."""
+
+    rms_mm: float
+    median_mm: float
+    max_mm: float
+
+    @classmethod
+    def of(cls, mm: np.ndarray) -> MissedBy:
+        """Of the poses' (P,) mm."""
+        return cls(float(np.sqrt(np.mean(mm**2))), float(np.median(mm)), float(mm.max()))
+
+
+@dataclass(frozen=True)
+class ArmImprovement:
+    """What corrected targets changed, at poses of one recording. before, after: over the poses that count; noise_mm: rms that the scanner
+    and the joints' repeatability alone would leave; poses: how many count; new: whether none of these places took part in the
+    calibration (None: not known). pose, before_mm, after_mm: of each pose that counts."""
+
+    before: MissedBy
+    after: MissedBy
+    noise_mm: float
+    poses: int
+    new: bool | None
+    pose: tuple[int, ...]
+    before_mm: tuple[float, ...]
+    after_mm: tuple[float, ...]
+
+    @property
+    def where(self) -> str:
+        """Which places these are, in words."""
+        if self.new is None:
+            return "it is not known which of them took part in the calibration"
+        return "none of them took part in the calibration" if self.new else "all of them are places that took part in the calibration"
+
+    @property
+    def text(self) -> str:
+        """What came out, as a sentence."""
+        before, after, noise = (fixed(mm) for mm in (self.before.rms_mm, self.after.rms_mm, self.noise_mm))
+        return (
+            f"The arm misses its places by {before} mm rms with its controller's model, by {after} mm with corrected targets "
+            f"(noise alone: {noise} mm), at {self.poses} poses; {self.where}."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content."""
+        return asdict(self) | {key: list(getattr(self, key)) for key in ("pose", "before_mm", "after_mm")}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> ArmImprovement:
+        """What ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
+        several = {key: tuple(content[key]) for key in ("pose", "before_mm", "after_mm")}
+        before, after = (MissedBy(**content[key]) for key in ("before", "after"))
+        return cls(before, after, float(content["noise_mm"]), int(content["poses"]), content["new"], **several)
+
+
+def arm_improvement(
+    observations: Observations, nominal: np.ndarray, corrected: np.ndarray, noise_mm: np.ndarray, took_part: np.ndarray | None
+) -> ArmImprovement | None:
+    """What the targets of a recording with corrected targets changed.
+
+    nominal, corrected: (P, n) rad, the joint angles that each pose was planned by and those that the arm was sent to. noise_mm: (P,) 3D
+    standard deviation of one measured point. took_part: (P,) bool, whether the place took part in the calibration; None: not known. Places
+    that the calibration did not measure are judged where there are as many as a station needs, else all. None where no station has enough
+    poses. Raises CalibrationError where hand-eye and stations cannot be adjusted.
+    """
+    measured = np.bincount(observations.pose, minlength=observations.n_poses) > 0
+    counts = np.bincount(observations.station[measured], minlength=len(observations.cell.stations))
+    enough = measured & (counts[observations.station] >= FEWEST)
+    if not enough.any() or observations.cell.robot.of_flange_poses:
+        return None
+    obs = observations.select(enough)
+    planned = replace(obs, q=obs.q + (nominal - corrected)[enough])
+    before, after = missed_mm(obs), missed_mm(planned)
+    new, counted = None, np.ones(obs.n_poses, bool)
+    if took_part is not None:
+        elsewhere = ~took_part[enough]
+        new = bool(elsewhere.sum() >= FEWEST)
+        counted = elsewhere if new else counted
+    return ArmImprovement(
+        MissedBy.of(before[counted]),
+        MissedBy.of(after[counted]),
+        float(np.sqrt(np.mean(noise_mm[enough][counted] ** 2))),
+        int(counted.sum()),
+        new,
+        tuple(int(p) for p in obs.pose_id[counted]),
+        tuple(float(v) for v in before[counted]),
+        tuple(float(v) for v in after[counted]),
+    )
+
+
+def missed_mm(obs: Observations) -> np.ndarray:
+    """(P,) mm: how far the arm is from where its nominal model says it stands, rms over the balls of each pose."""
+    phases = None if obs.phase is None else tuple(np.unique(obs.phase).tolist())
+    fitted = calibrate(obs, CalibrationOptions(kinematics=False, refuse=False, robust=False, phases=phases))
+    balls = se3.apply_each(fitted.state.T_base_station[obs.station], obs.pose, fitted.state.balls[obs.ball])
+    away = points_in_base(obs, fitted.state) - balls
+    return np.sqrt(np.bincount(obs.pose, np.sum(away**2, axis=1), obs.n_poses) / np.bincount(obs.pose, minlength=obs.n_poses))

@@ -1,0 +1,117 @@
+"""``mbcacq check``: a few poses repeated, and whether anything changed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from mbcacq.cli.next_step import forget_failure, on_failure, say_next
+from mbcacq.cli.plan_path import PlanPath
+from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.terminal import echo
+
+if TYPE_CHECKING:
+    from mbcacq.interim_check.check import InterimCheck
+
+
+@click.command("check")
+@click.argument("result", type=RunPath())
+@click.argument("plan", type=PlanPath())
+@click.option("--dry-run", is_flag=True, help="Against the fake cell, which speaks the devices' protocols on this computer.")
+@click.option("--history", type=click.Path(path_type=Path, dir_okay=False), help="File of all checks [default: check.json beside RESULT].")
+@click.option("--from", "measured", type=RunPath(), metavar="RUN", help="Judge a check that was measured already; nothing moves.")
+@click.option("--poses", default=12, show_default=True, help="How many poses; counts at the first check.")
+@click.option("--placed-anew", is_flag=True, help="The artefact is placed anew for each check: its place is not judged.")
+@click.option("--fleet", type=click.Path(path_type=Path, exists=True), help="What arms change from day to day, as a fleet's table has it.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder of the recording [default: runs/TIME_check-NAME].")
+@click.option("--arm", is_flag=True, help="A real arm may move, once its speed, workspace and first target are confirmed by typing.")
+@click.option("--step", is_flag=True, help="Wait for a key before each pose.")
+@click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
+@click.option("--seed", default=0, show_default=True, help="Seed of the fake cell.")
+@click.option("--json", "as_json", is_flag=True, help="Print the verdict as one JSON object on stdout.")
+def command(
+    result: Path,
+    plan: Path,
+    dry_run: bool,
+    history: Path | None,
+    measured: Path | None,
+    poses: int,
+    placed_anew: bool,
+    fleet: Path | None,
+    out: Path | None,
+    arm: bool,
+    step: bool,
+    yes: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Repeat the few poses of PLAN that notice most of what may have changed since RESULT: mastering, tool, mount, links, gears.
+
+    At the first check the poses are chosen; each later one repeats them, and all are judged together: what changed, where, since when.
+    However often it is looked, false alarms stay below one in a hundred arms. It ends with code 0 where the cell is as before, with 11
+    where it changed.
+
+    \b
+    Examples:
+      mbcacq check runs/latest kuka --dry-run
+      mbcacq check calibrated/result.json my-cell.yaml --arm
+    """
+    import mbcacq
+    from mbcacq.cli.arming import ask_before_motion
+    from mbcacq.cli.progress import RunProgress
+    from mbcacq.cli.signals import end_in_order_on_signals
+    from mbcacq.cli.step_progress import StepProgress
+    from mbcacq.cli.stepping import KeyPause
+    from mbcacq.interim_check.check import CheckSettings
+    from mbcacq.interim_check.day_to_day import read_day_to_day
+    from mbcacq.interim_check.options import UsualChanges
+
+    end_in_order_on_signals()
+    steps = StepProgress()
+    operator = mbcacq.Operator(
+        allow_motion=lambda loaded, planned, sweep: ask_before_motion(loaded, planned, sweep, arm),
+        pause=KeyPause() if step else None,
+        message=lambda sentence: echo(sentence, err=True),
+        progress=steps.begin,
+        subscribers=(RunProgress(steps.begin),),
+        assume_yes=yes,
+        began=lambda folder: on_failure("where all poses were measured, judge them", f"mbcacq check {result} {plan} --from {folder}"),
+    )
+    loaded = mbcacq.load_plan(plan)
+    days = UsualChanges() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)
+    settings = CheckSettings(poses, not placed_anew, days, out)
+    with steps:
+        done = mbcacq.check(
+            result, loaded, history=history, measured=measured, dry_run=dry_run, seed=seed, operator=operator, settings=settings
+        )
+    forget_failure()
+    if as_json:
+        echo(json.dumps(done.to_dict()))
+    else:
+        for line in lines_of(done):
+            echo(line)
+        if not done.changed:
+            say_next("check again tomorrow, or after any work on the cell")
+    done.refuse_changed()
+
+
+def lines_of(done: InterimCheck) -> list[str]:
+    """What a person reads: the verdict, the evidence, the suspects, and what would have been noticed."""
+    from mbcacq.interim_check.words import in_degrees, odds, size_of
+
+    v, days = done.verdict, len(done.history.days)
+    sentence = done.sentence
+    out = [f"{sentence[0].upper()}{sentence[1:]}."]
+    since, before, alarm = (odds(value) for value in (v.log_e, v.log_e_calibration, v.log_threshold))
+    out.append(f"evidence for a change since the first check {since}, since the calibration {before}; alarm at {alarm}")
+    levels = f"noise {v.noise:g} times the calibration's, changes from day to day {v.day:g} times the usual"
+    out.append(f"checks: {days}, of {len(done.history.poses)} poses; {levels}")
+    for s in v.suspects:
+        out.append(f"  {s.label}: probability {s.probability:.2f}" + (f"; {size}" if (size := size_of(s)) else ""))
+    if not done.changed and days > 1:
+        out.append("noticed within a week, nine times of ten:")
+        out += [f"  {name} ({where}): {in_degrees(size, 0.0, unit)}" for name, where, size, unit in v.noticed]
+    return [*out, f"recording: {done.run}", f"history: {done.file}"]

@@ -1,0 +1,93 @@
+"""``mbcacq investigate``: the cell measures until it knows what it is, or says what is left open."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from mbcacq.cli.next_step import forget_failure, on_failure, say_next
+from mbcacq.cli.plan_path import PlanPath
+from mbcacq.cli.terminal import echo
+
+
+@click.command("investigate")
+@click.argument("plan", required=False, type=PlanPath())
+@click.option("--dry-run", is_flag=True, help="Against the fake cell, which speaks the devices' protocols on this computer.")
+@click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
+@click.option("--resume", type=click.Path(path_type=Path), metavar="FOLDER", help="Go on with this investigation; its decisions stand.")
+@click.option("--from", "recording", type=click.Path(path_type=Path), metavar="RUN", help="Begin with this finished run, and extend it.")
+@click.option("--poses", type=click.IntRange(24, 400), default=96, show_default=True, help="Most poses, those measured already included.")
+@click.option("--moves", type=click.IntRange(1), help="Most moves of artefacts to a station.")
+@click.option("--minutes", type=click.FloatRange(1), help="Longest duration, by the times that a plan takes for its poses and moves.")
+@click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
+@click.option("--arm", is_flag=True, help="A real arm may move, once speed, workspace and first target of every visit are typed.")
+@click.option("--step", is_flag=True, help="Wait for a key before each pose.")
+@click.option("--yes", is_flag=True, help="Answer the positioner's prompts with yes (a dry run does).")
+@click.option("--seed", default=0, show_default=True, help="Seed of the fake cell, and of the views to choose from.")
+@click.option("--json", "as_json", is_flag=True, help="Print the decisions and the result as one JSON object on stdout.")
+def command(
+    plan: Path | None,
+    dry_run: bool,
+    out: Path | None,
+    resume: Path | None,
+    recording: Path | None,
+    poses: int,
+    moves: int | None,
+    minutes: float | None,
+    live: bool,
+    arm: bool,
+    step: bool,
+    yes: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Measure with PLAN's cell, weigh all explanations, choose the next visit of a station, and stop when the cell is known.
+
+    It begins with the 24 poses of PLAN that show most. It ends when nothing is concealed or every effect is known beyond doubt, when
+    the budget is spent, or when nothing that can be reached decides more; then it says what is left open.
+
+    \b
+    Examples:
+      mbcacq investigate plans/concealed.yaml --dry-run
+      mbcacq investigate my-cell.yaml --arm --poses 64 --moves 12
+      mbcacq investigate --from runs/2026-11-21T10-00-00_my-cell --arm
+    """
+    import mbcacq
+    from mbcacq.cli.arming import ask_before_motion
+    from mbcacq.cli.progress import RunProgress
+    from mbcacq.cli.signals import end_in_order_on_signals
+    from mbcacq.cli.step_progress import StepProgress
+    from mbcacq.cli.stepping import KeyPause
+
+    end_in_order_on_signals()
+    steps = StepProgress()
+    same = "".join([" --dry-run" * dry_run, f" --seed {seed}" * bool(seed), " --arm" * arm, " --step" * step, " --yes" * yes])
+    operator = mbcacq.Operator(
+        allow_motion=lambda loaded, some, sweep: ask_before_motion(loaded, some, sweep, arm),
+        pause=KeyPause() if step else None,
+        message=lambda sentence: echo(sentence, err=True),
+        progress=steps.begin,
+        subscribers=(RunProgress(steps.begin),),
+        assume_yes=yes,
+        began=lambda folder: on_failure("go on where it ended", f"mbcacq investigate{same} --resume {folder}"),
+    )
+    budget = mbcacq.Budget(poses=poses, moves=moves, minutes=minutes)
+    with steps:
+        going = mbcacq.investigate(
+            plan, budget, out=out, resume=resume, recording=recording, dry_run=dry_run, seed=seed, live=live, operator=operator
+        )
+        for decision in going:
+            steps.begin("")
+            echo(decision.sentence, err=as_json)
+        done = going.finish()
+    forget_failure()
+    if as_json:
+        echo(json.dumps({"decisions": [d.to_dict() for d in going.decisions], "result": done.to_dict()}))
+        return
+    from mbcacq.cli.calibrate import print_result
+
+    print_result(done.to_dict())
+    echo(f"how it was found: {going.page}")
+    say_next("calibrate with what was found", f"mbcacq diagnose {going.folder} --calibrate")

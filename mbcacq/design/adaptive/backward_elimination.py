@@ -1,0 +1,96 @@
+"""Backward elimination of poses: from all of them the one is left out that is missed least, again and again.
+
+Growing one by one would never open a station: the first pose there is spent on finding the artefact. What is left at any moment is nested
+in what was left before, so one pass gives the best few of every number.
+
+With all of a set measured, effects have beyond the geometry the normal matrix E'E - E'Z N^-1 Z'E, N = I + Z'Z. Without pose i it is smaller
+by e_i' (I - H_i)^-1 e_i, where e_i = E_i - Z_i N^-1 Z'E and H_i = Z_i N^-1 Z_i'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mbcacq.design.adaptive.information_blocks import InformationBlocks
+
+LEAST_LEFT = 1e-9  # of the information of a pose that the others have as well: rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What is known already. N (G, G) information of the geometry with its prior, B (G, K) = Z'E and products (K, K) = E'E."""
+
+    N: np.ndarray
+    B: np.ndarray
+    products: np.ndarray
+
+    @classmethod
+    def nothing(cls, G: int, K: int) -> Measured:
+        return cls(np.eye(G), np.zeros((G, K)), np.zeros((K, K)))
+
+    def with_poses(self, blocks: InformationBlocks) -> Measured:
+        """The same with the poses of the blocks measured as well."""
+        Z, E = blocks.Z.reshape(-1, blocks.Z.shape[2]), blocks.E.reshape(-1, blocks.E.shape[2])
+        return Measured(self.N + Z.T @ Z, self.B + Z.T @ E, self.products + E.T @ E)
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """(K, K) of the effects beyond the geometry."""
+        return self.products - self.B.T @ np.linalg.solve(self.N, self.B)
+
+    @property
+    def squares(self) -> np.ndarray:
+        """(K,) information of each effect by itself."""
+        return np.diag(self.gram)
+
+
+class BackwardElimination:
+    """Poses that are left, and what each of them is missed by. pairs: of the first so many effects whole products are kept, of the others
+    their squares.
+    """
+
+    def __init__(self, before: Measured, blocks: InformationBlocks, pairs: int):
+        self.blocks, self.pairs = blocks, pairs
+        self.left = np.ones(len(blocks.Z), dtype=bool)
+        whole = before.with_poses(blocks)
+        self._C = np.linalg.inv(whole.N)
+        self._e = blocks.E - blocks.Z @ (self._C @ whole.B)
+        self._H = blocks.Z @ self._C @ np.swapaxes(blocks.Z, 1, 2)
+        gram = whole.gram
+        self.products, self.squares = gram[:pairs, :pairs].copy(), np.diag(gram).copy()
+
+    def missed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Indices (n,) of the poses that are left, and by how much products (n, pairs, pairs) and squares (n, K) are smaller without
+        each.
+        """
+        index = np.flatnonzero(self.left)
+        t = self._whitening(self._H[index]) @ self._e[index]
+        some = t[:, :, : self.pairs]
+        return index, np.swapaxes(some, 1, 2) @ some, np.sum(t * t, axis=1)
+
+    def remove(self, pose: int) -> None:
+        """Leave a pose out."""
+        Z, e = self.blocks.Z[pose], self._e[pose]
+        whitening = self._whitening(self._H[pose])
+        t = whitening @ e
+        self.products -= t[:, : self.pairs].T @ t[:, : self.pairs]
+        self.squares -= np.sum(t * t, axis=0)
+        toward = whitening @ (Z @ self._C)  # (r, G)
+        self.left[pose] = False
+        shared = self.blocks.Z @ toward.T  # (P, r, r)
+        self._e += shared @ t
+        self._H += shared @ np.swapaxes(shared, 1, 2)
+        self._C += toward.T @ toward
+
+    @staticmethod
+    def _whitening(H: np.ndarray) -> np.ndarray:
+        """W (..., r, r) with W'W = (I - H)^-1; what a pose alone determines has H of one, and is kept finite."""
+        value, vectors = np.linalg.eigh(np.eye(H.shape[-1]) - H)
+        return np.swapaxes(vectors, -1, -2) / np.sqrt(np.maximum(value, LEAST_LEFT))[..., None]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(np.flatnonzero(self.left).tolist())

@@ -1,0 +1,203 @@
+"""The cell investigates itself: measure, weigh all explanations, choose the next visit of a station, until it knows.
+
+What measures is handed in: a runner, a fake cell without protocols, somebody's own program. Decisions that were made before are replayed
+and not made anew, so an interrupted investigation goes on as it would have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.design.adaptive.first_block import first_block
+from mbcacq.design.adaptive.next_plan import NextPoses, choose_next, pair_in_words, set_in_words, steps_of
+from mbcacq.design.adaptive.options import OPTIONS
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.interim import InterimEvidence, weigh
+from mbcacq.errors import ConfigError
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan, load
+from mbcacq.plan.growth import with_steps
+from mbcacq.plan.schema import Taught
+
+Steps = list[dict[str, Any]]
+Measure = Callable[[LoadedPlan], Observations]  # a plan, of which the first poses may be measured already -> all that is measured
+
+
+@dataclass(frozen=True)
+class Budget:
+    """At most so many poses, moves of artefacts and minutes; None for any number."""
+
+    poses: int = 96
+    moves: int | None = None
+    minutes: float | None = None
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One look and what follows from it.
+
+    number: 0, 1 ..; poses, moves, seconds: measured and needed until then. verdict, log_e_value: of the evidence; sets: those that are not
+    excluded, in words, with their odds against the first. excluded: share of the effects of the catalogue that are excluded at usual size.
+    reasons: what is asked of the next visit. steps: that visit as steps of a plan; none at the end. end: why the investigation ended, ''
+    while it goes on.
+    """
+
+    number: int
+    poses: int
+    moves: int
+    seconds: float
+    verdict: str
+    log_e_value: float
+    sets: tuple[tuple[str, float], ...]
+    excluded: float
+    reasons: tuple[str, ...]
+    steps: Steps = field(default_factory=list)
+    end: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content."""
+        return {**vars(self), "sets": [list(one) for one in self.sets], "reasons": list(self.reasons)}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Decision:
+        """Of such content. Raises KeyError or TypeError where it is damaged."""
+        sets = tuple((str(name), float(odds)) for name, odds in content["sets"])
+        return cls(**{**content, "sets": sets, "reasons": tuple(content["reasons"])})
+
+    @property
+    def sentence(self) -> str:
+        """What came out and what is next, in one line."""
+        named = "; ".join(f"{name} ({odds:.2g})" if k else name for k, (name, odds) in enumerate(self.sets[:4]))
+        going_on = ", ".join(f"{len(s['poses_deg'])} poses at station {s['station']}" for s in self.steps)
+        then = f"next: {going_on}" if self.steps else self.end
+        return f"{self.poses} poses, {self.moves} moves: {self.verdict} [{named}]; {then}"
+
+
+def decisions(
+    loaded: LoadedPlan,
+    measure: Measure,
+    budget: Budget | None = None,
+    before: Sequence[Decision] = (),
+    measured: Observations | None = None,
+    seed: int = 0,
+) -> Iterator[Decision]:
+    """Decisions one after the other; after each of them its visit is measured, and the last one says why there is none.
+
+    loaded: the plan of the cell. measure: called with the plan that has grown so far; returns everything that is measured. before:
+    decisions that were made already, which are replayed. measured: a recording with which to begin, instead of a first block. seed: of
+    random views.
+
+    Raises what ``measure`` raises, and CalibrationError where the data do not determine the geometry.
+    """
+    budget = budget or Budget()
+    grown = loaded if measured is not None else first_block(loaded)
+    for decision in before:
+        yield decision
+        if decision.end:
+            return
+        grown = _with_visit(grown, decision)
+    obs = measured if measured is not None and not before else measure(grown)
+    number = len(before)
+    while True:
+        decision = _decided(number, grown, weigh(_used(obs)), budget, seed)
+        yield decision
+        if decision.end:
+            return
+        grown = _with_visit(grown, decision)
+        obs, number = measure(grown), number + 1
+
+
+def _with_visit(grown: LoadedPlan, decision: Decision) -> LoadedPlan:
+    """The plan with the visit of a decision after all others."""
+    return replace(load(grown.path, with_steps(grown, decision.steps)), grown_from=grown.grown_from)
+
+
+def _used(obs: Observations) -> Observations:
+    """Without the poses that judge the calibration."""
+    return obs if obs.phase is None else obs.select(obs.phase != "verification")
+
+
+def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budget, seed: int) -> Decision:
+    obs = look.problem.linear.obs
+    moves, seconds = effort(grown, obs)
+    made = Decision(number, obs.n_poses, moves, seconds, look.verdict, look.full.evidence.log_e_value, _sets(look), look.excluded, ())
+    if sure(look):
+        return replace(made, end=_known(look))
+    left, moves_left = budget.poses - obs.n_poses, None if budget.moves is None else budget.moves - moves
+    if left < OPTIONS.fewest or (budget.minutes is not None and seconds > 60 * budget.minutes):
+        return replace(made, end=f"the budget is spent; {_open(look)}")
+    chosen = choose_next(look, grown, visits=1, poses=left, moves=moves_left, seed=seed + number)
+    if not chosen.visits:
+        return replace(made, reasons=tuple(chosen.reasons), end=_futile(chosen, look))
+    return replace(made, reasons=tuple(chosen.reasons), steps=steps_of(grown, chosen.visits, _visits(grown) + 1))
+
+
+def sure(look: InterimEvidence) -> bool:
+    """Whether what a diagnosis would say can be stood for: nothing, or effects of which each shows by enough information."""
+    if look.verdict == "cannot_tell":
+        return False
+    fit = look.full.evidence
+    if look.verdict == "none" or not fit.significant:
+        return look.verdict == "none" and look.problem.linear.obs.n_poses >= OPTIONS.first_block
+    return all(lost >= OPTIONS.sure for lost in _lost_without(look.reported, fit.hypotheses))
+
+
+def _lost_without(reported: Hypothesis, compared: Sequence[Hypothesis]) -> list[float]:
+    """Log evidence that a set loses without each of its effects, as far as that was compared; of a single effect against none."""
+    out = []
+    for label in reported.labels:
+        rest = [h for h in compared if h.labels == reported.labels - {label}]
+        if rest:
+            out.append(reported.log_evidence - max(h.log_evidence for h in rest))
+    return out
+
+
+def _sets(look: InterimEvidence) -> tuple[tuple[str, float], ...]:
+    fit = look.full.evidence
+    found = [look.reported, *look.alternatives] if fit.significant else [fit.none, *(h for h in fit.hypotheses if h.members)][:4]
+    first = found[0].log_posterior
+    words = [(set_in_words(sorted(h.labels)), float(np.exp(min(h.log_posterior - first, 50.0)))) for h in found]
+    return tuple(dict(reversed(words)).items())[::-1] if len(dict(words)) < len(words) else tuple(words)
+
+
+def _known(look: InterimEvidence) -> str:
+    if look.verdict == "none":
+        return f"nothing is concealed; {look.excluded:.0%} of the effects of the catalogue are excluded at usual size"
+    return f"known: {set_in_words(sorted(look.reported.labels))}"
+
+
+def _open(look: InterimEvidence) -> str:
+    others = [set_in_words(sorted(h.labels)) for h in look.alternatives]
+    if not look.full.evidence.significant:
+        return f"no effect is shown, {look.excluded:.0%} of the effects of the catalogue are excluded at usual size"
+    return f"left open: {' or '.join(dict.fromkeys([set_in_words(sorted(look.reported.labels)), *others]))}"
+
+
+def _futile(chosen: NextPoses, look: InterimEvidence) -> str:
+    if chosen.futile and chosen.open_pairs:
+        return "; ".join(pair_in_words(pair) for pair in chosen.open_pairs)
+    return f"nothing that can be reached would decide more; {_open(look)}"
+
+
+def _visits(grown: LoadedPlan) -> int:
+    return sum(isinstance(step, Taught) for step in grown.plan.steps)
+
+
+def effort(loaded: LoadedPlan, obs: Observations) -> tuple[int, float]:
+    """Moves of artefacts, and seconds that a recording took or was planned to take."""
+    from mbcacq.design.adaptive.next_plan import costs_of
+
+    costs = costs_of(loaded, None)
+    order = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(obs.time_s, kind="stable")
+    moves = int(np.sum(np.diff(obs.station[order]) != 0)) + int(obs.n_poses > 0)
+    return moves, moves * costs.move_s + obs.n_poses * costs.pose_s
+
+
+def refuse_empty(budget: Budget) -> None:
+    """Raises ConfigError where a budget allows nothing."""
+    if budget.poses < OPTIONS.first_block:
+        raise ConfigError(f"{budget.poses} poses are fewer than the first block of {OPTIONS.first_block}; allow more")

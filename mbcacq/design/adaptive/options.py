@@ -1,0 +1,41 @@
+"""The numbers that tune the adaptive choice of poses, each with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class AdaptiveOptions:
+    """Times in s. ``benchmarks/investigate.md`` measures all of it together."""
+
+    # What a measurement takes, where a plan does not say it
+    pose_s: float = 6.0  # a motion within a station, settling and a scan
+    move_by_hand_s: float = 120.0  # a person carries an artefact to another station, the arm goes home and back
+    move_by_positioner_s: float = 20.0
+
+    # Candidate views
+    views_per_station: int = 24  # random views drawn at each: more of them improve the choice by less than a pose
+    steepest_deg: float = 40.0
+
+    # Choice of a visit
+    fewest: int = 3  # poses of a visit: with fewer the place of the artefact takes most of them
+    most: int = 10  # poses of a visit: what is learnt from them decides about the next one
+    rivals: int = 5  # sets of effects beside the most probable one that are to be told from it
+    enough: float = 3.0  # natural log of 20: odds of a decision
+    spare: float = 2.0  # log odds beyond that are aimed at, since what is expected is a mean
+    least_gain: float = 0.3  # of a further visit of a sequence, less than which is not planned ahead
+    sure: float = 7.0  # log evidence that each effect of a verdict must have: information of 20, less what its coefficients cost
+    repeats: float = 3.0  # times that all reachable views may be measured before separating two sets is given up as futile
+    hidden: float = 0.1  # weight of one log(1 + information) of an effect that is not excluded, against one of log odds
+
+    # Order of a plan
+    first_block: int = 24  # poses after which ``none`` is possible
+    second_block: int = 64  # poses that carry what the whole plan does
+    views_of_order: int = 16  # random views drawn at each station, beside the plan's own
+    values: int = 3  # of a hyper-parameter, of each effect
+
+    rows: int = 12  # combinations of a pose's coordinates that are kept, largest first: six of a rigid view, and distortion
+
+
+OPTIONS = AdaptiveOptions()

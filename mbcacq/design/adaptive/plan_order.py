@@ -1,0 +1,169 @@
+"""A better order for a plan: nested, so that its first poses are the best few of all sizes, in blocks that keep moves of artefacts few."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.design.adaptive.backward_elimination import BackwardElimination, Measured
+from mbcacq.design.adaptive.information_blocks import InformationBlocks
+from mbcacq.design.adaptive.next_plan import costs_of
+from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
+from mbcacq.design.adaptive.pool import routed
+from mbcacq.design.adaptive.questions import Questions, questions
+from mbcacq.design.candidate_views import CandidateView, candidates
+from mbcacq.design.options import DesignOptions
+from mbcacq.design.plan_rewriter import position_step, with_position_steps
+from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
+from mbcacq.errors import ConfigError
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.plan.expansion import aim_points, expand_reachable
+from mbcacq.plan.schema import Look, View
+
+AT_ONCE = 8  # poses that are left out together while there are twice as many as are wanted
+
+
+@dataclass(frozen=True)
+class PlanOrder:
+    """text: YAML of the ordered plan. poses: chosen ones; blocks: how many in each block. shares: of the information (mean over all effects
+    of log(1 + information)) of the whole given plan, that the poses up to the end of each block have. tried: poses to choose from.
+    """
+
+    text: str
+    poses: int
+    blocks: tuple[int, ...]
+    shares: tuple[float, ...]
+    tried: int
+
+
+@dataclass(frozen=True)
+class _Item:
+    """A pose that may be chosen, with the view of the plan that leads to it."""
+
+    station: str
+    aim: int | None
+    view: View
+    pose: PlannedPose
+    given: bool
+
+
+def ordered(
+    loaded: LoadedPlan, count: int | None = None, steepest_deg: float = 40.0, seed: int = 0, options: AdaptiveOptions = OPTIONS
+) -> PlanOrder:
+    """The plan with its 'position' poses, or ``count`` better ones, in blocks of which each is the best continuation of those before it.
+
+    From the plan's poses and random views, the one is left out again and again that is missed least, by the information on all effects of
+    the catalogue per second of motion, scan and artefact move. The poses of the other phases stay.
+    Raises ConfigError where the plan has no 'position' step that looks at stations.
+    """
+    kept, items = _items(loaded, steepest_deg, seed, options)
+    own = sum(item.given for item in items)
+    count = min(count or own, len(items))
+    blocks, asked, before = _information(loaded, kept, [item.pose for item in items])
+    given = np.array([item.given for item in items])
+    whole = _value(asked, before.with_poses(blocks.select(np.flatnonzero(given))).squares)
+    rank = _elimination_order(loaded, items, blocks, asked, before, count, options)
+    sizes = [n for n in (options.first_block, options.second_block) if n < count] + [count]
+    shares = [_value(asked, before.with_poses(blocks.select(rank[:n])).squares) / max(whole, 1e-12) for n in sizes]
+    steps = []
+    for number, (a, b) in enumerate(zip([0, *sizes[:-1]], sizes, strict=True), 1):
+        steps += _steps_of_block(number, [items[k] for k in rank[a:b]], [s.id for s in loaded.cell.stations])
+    lengths = tuple(b - a for a, b in zip([0, *sizes[:-1]], sizes, strict=True))
+    return PlanOrder(with_position_steps(loaded, steps), count, lengths, tuple(float(s) for s in shares), len(items))
+
+
+def best_of_plan(loaded: LoadedPlan, count: int, options: AdaptiveOptions = OPTIONS) -> list[PlannedPose]:
+    """The ``count`` poses of a plan, those that judge it left out, that show most of all effects per second."""
+    reachable, _ = expand_reachable(loaded)
+    poses = [p for p in reachable if p.phase != "verification"]
+    items = [_Item(p.station, None, View(), p, True) for p in poses]
+    blocks, asked, before = _information(loaded, [], poses)
+    rank = _elimination_order(loaded, items, blocks, asked, before, count, options)
+    return [poses[k] for k in sorted(rank[:count].tolist())]
+
+
+def _items(loaded: LoadedPlan, steepest_deg: float, seed: int, options: AdaptiveOptions) -> tuple[list[PlannedPose], list[_Item]]:
+    """Poses that stay, and those among which is chosen: of the plan's 'position' steps and random views at their stations."""
+    reachable, unreachable = expand_reachable(loaded)
+    if unreachable:
+        raise ConfigError(f"{loaded.path}: {len(unreachable)} poses cannot be reached; mbcacq plan check {loaded.path} names them")
+    kept = [p for p in reachable if p.phase in ("translation", "orientation")]
+    items = [item for index, step in enumerate(loaded.plan.steps) for item in _of_step(loaded, index, step, reachable)]
+    if not items:
+        raise ConfigError(f"{loaded.path}: there is no step 'do: look' of phase 'position' whose poses could be ordered; add one")
+    stations = list(dict.fromkeys(item.station for item in items))
+    aims = {item.station: item.aim is None for item in items}
+    found: list[CandidateView] = candidates(loaded, stations, steepest_deg, seed, DesignOptions(views_per_station=options.views_of_order))
+    drawn = [_Item(c.station, c.aim, c.view, replace(c.pose, phase="position"), False) for c in found if aims[c.station] == (c.aim is None)]
+    return kept, [*items, *(item for item in drawn if routed(loaded, item.pose))]
+
+
+def _of_step(loaded: LoadedPlan, index: int, step: Any, reachable: Sequence[PlannedPose]) -> list[_Item]:
+    """The poses of a step that looks at stations, each with its view, in the order in which they are expanded."""
+    if not isinstance(step, Look) or step.phase != "position":
+        return []
+    views = []
+    for station in map(str, step.stations):
+        artefact = loaded.cell.artefact(loaded.cell.station(station).artefact)
+        aims = [None] if step.balls == "all" else artefact.ball_ids if step.balls == "each" else step.balls
+        assert len(aims) == len(aim_points(artefact, step.balls)), "one aim for each point that is looked at"
+        views += [(station, aim, view) for aim in aims for view in step.views]
+    poses = [p for p in reachable if p.step == index]
+    return [_Item(station, aim, view, pose, True) for (station, aim, view), pose in zip(views, poses, strict=True)]
+
+
+def _information(
+    loaded: LoadedPlan, kept: Sequence[PlannedPose], poses: Sequence[PlannedPose]
+) -> tuple[InformationBlocks, Questions, Measured]:
+    """Of the poses to choose from, and what the kept ones tell already, in the nominal cell."""
+    every = [*kept, *poses]
+    obs = planned_observations(loaded, [replace(p, number=k) for k, p in enumerate(every)])
+    home = np.radians(loaded.plan.robot.home_deg)
+    obs = replace(obs, direction=np.sign(obs.q - home).astype(int))  # as if each were the first after home
+    linear = LinearProblem.of(obs, planned_state(loaded))
+    asked = questions(None, linear, timeless=True)
+    blocks = InformationBlocks.of(linear, asked.columns, planned_noise(loaded, every), linear.keep)
+    first = blocks.select(np.arange(len(kept)))
+    before = Measured.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(first)
+    return blocks.select(np.arange(len(kept), len(every))), asked, before
+
+
+def _elimination_order(
+    loaded: LoadedPlan,
+    items: Sequence[_Item],
+    blocks: InformationBlocks,
+    asked: Questions,
+    before: Measured,
+    count: int,
+    options: AdaptiveOptions,
+) -> np.ndarray:
+    """Indices of all items, the one that was left out last first: what is missed least per second that is saved goes first."""
+    elimination, costs = BackwardElimination(before, blocks, 0), costs_of(loaded, None, options)
+    station = np.unique([item.station for item in items], return_inverse=True)[1]
+    gone = list[int]()
+    while elimination.left.any():
+        index, _, missed = elimination.missed()
+        loss = asked.hidden(elimination.squares) - asked.hidden(elimination.squares - missed)
+        here = np.bincount(station[index])[station[index]]
+        rate = loss / (costs.pose_s + costs.move_s / here)
+        some = AT_ONCE if len(index) > 2 * count else 1
+        for k in np.argsort(rate, kind="stable")[:some]:
+            elimination.remove(int(index[k]))
+            gone.append(int(index[k]))
+    return np.array(gone[::-1])
+
+
+def _value(asked: Questions, squares: np.ndarray) -> float:
+    return float(asked.hidden(squares))
+
+
+def _steps_of_block(number: int, items: Sequence[_Item], stations: Sequence[str]) -> list[dict[str, Any]]:
+    """One step for each station and ball, station by station."""
+    views: dict[tuple[str, int | None], list[View]] = {}
+    for item in sorted(items, key=lambda i: (stations.index(i.station), i.aim or 0, i.view.wrist, i.view.azimuth_deg)):
+        views.setdefault((item.station, item.aim), []).append(item.view)
+    return [position_step(f"block {number}, {station}", station, aim, some) for (station, aim), some in views.items()]

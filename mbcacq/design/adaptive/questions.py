@@ -1,0 +1,231 @@
+"""What is open after a look at the evidence: sets of effects that are not told apart, effects that could still hide, accuracy asked for.
+
+If one set of effects is true, the log odds of it against another are expected to grow by half of D, the squared length of what the first
+one displaces beyond the geometry and beyond everything that the other one can do. An effect of usual size shows by the information I, the
+squared length of its displacement beyond the geometry: a decision takes 20 to 30 of either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.design.adaptive.options import OPTIONS
+from mbcacq.diagnosis.evidence.coefficients import coefficients, displacements
+from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
+from mbcacq.diagnosis.evidence.posterior import nested
+from mbcacq.diagnosis.interim import InterimEvidence
+from mbcacq.diagnosis.search.effect_columns import candidate_columns
+from mbcacq.effects import catalogue, unmodelled
+from mbcacq.effects.context import Context
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect import Candidate
+from mbcacq.effects.functions import DescribedPart
+from mbcacq.estimation.linear_problem import LinearProblem
+
+
+@dataclass(frozen=True)
+class SetToTell:
+    """A set of effects among those that are not excluded. labels: ``name:where`` of its effects; probability: among these sets; log_odds:
+    against the first of them.
+    """
+
+    labels: tuple[str, ...]
+    probability: float
+    log_odds: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two sets, one of which is true. truth: column of its displacement; model: columns of the other set, in prior sigmas; weight: how
+    probable it is to be true; known: log odds in its favour as they stand.
+    """
+
+    truth: int
+    model: tuple[int, ...]
+    weight: float
+    known: float
+    a: int
+    b: int
+
+    def information(self, products: np.ndarray) -> np.ndarray:
+        """D (...,) of products (..., K, K) of all columns beyond the geometry."""
+        own, across = products[..., self.truth, self.truth], products[..., self.truth, list(self.model)]
+        if not self.model:
+            return own
+        inner = products[..., list(self.model), :][..., list(self.model)] + np.eye(len(self.model))
+        taken = np.linalg.solve(inner, across[..., None])[..., 0]
+        return own - np.sum(across * taken, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Questions:
+    """columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects that could hide, by weights and names
+    (K - pairs,).
+    """
+
+    sets: tuple[SetToTell, ...]
+    comparisons: tuple[Comparison, ...]
+    columns: np.ndarray
+    pairs: int
+    weights: np.ndarray
+    names: tuple[str, ...]
+
+    def value(self, products: np.ndarray, squares: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """(...,): expected log odds gained over what is known ``before`` (one D for each comparison), as far as they are needed, and what
+        else shows. products (..., pairs, pairs), squares (..., K).
+        """
+        return self.told(products, before) + OPTIONS.hidden * self.hidden(squares)
+
+    def hidden(self, squares: np.ndarray) -> np.ndarray:
+        """(...,) sum over the effects that could hide, at their usual size, of log(1 + information), each kind alike."""
+        return np.log1p(np.maximum(squares[..., self.pairs :], 0.0)) @ self.weights
+
+    def told(self, products: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """(...,) expected log odds gained between the sets."""
+        total = np.zeros(products.shape[:-2])
+        for comparison, known in zip(self.comparisons, before, strict=True):
+            gained = 0.5 * np.maximum(comparison.information(products) - known, 0.0)
+            total = total + comparison.weight * np.minimum(gained, needed(comparison))
+        return total
+
+    def information(self, products: np.ndarray) -> np.ndarray:
+        """(comparisons,) D of each."""
+        return np.array([c.information(products) for c in self.comparisons])
+
+
+def needed(comparison: Comparison) -> float:
+    """Log odds that a comparison still lacks."""
+    return max(OPTIONS.enough + OPTIONS.spare - comparison.known, 0.0)
+
+
+def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: bool = False) -> Questions:
+    """What is open after a look, or before the first one, as columns of a problem that is linearised at measured and planned poses.
+
+    timeless: leave out what acts in time, where nobody knows yet when a pose will be measured.
+    """
+    sets, comparisons, columns = ((), (), []) if look is None else _sets(look, linear)
+    pairs = sum(c.shape[2] for c in columns)
+    names, weights, hidden = _hidden(look, linear, timeless)
+    shape = (*linear.residual.shape, 0)
+    return Questions(
+        tuple(sets),
+        tuple(comparisons),
+        np.concatenate([np.zeros(shape), *columns, *hidden], axis=2),
+        pairs,
+        np.array(weights),
+        tuple(names),
+    )
+
+
+def surviving(look: InterimEvidence) -> list[Hypothesis]:
+    """The sets that the evidence leaves, the reported one first; without any other the most probable that are neither part nor extension of
+    it. Where it is open whether there is an effect, the empty set and the most probable ones.
+    """
+    fit = look.full.evidence
+    if fit.significant:
+        others = look.alternatives or [h for h in fit.hypotheses if h.members and not nested(h, look.reported)]
+        return [look.reported, *others[: OPTIONS.rivals]]
+    if not fit.undecided:
+        return []
+    return [fit.none, *[h for h in fit.hypotheses if h.members][: OPTIONS.rivals]]
+
+
+def differ_in_time(look: InterimEvidence) -> bool:
+    """Whether something that acts in time is among what is to be told apart: then postures that were measured are measured again."""
+    return any(catalogue.declaration(m.candidate.name).acts_in_time for h in surviving(look) for m in h.members)
+
+
+def differ_by_direction(look: InterimEvidence) -> bool:
+    """Whether something that depends on the direction of approach is among what is to be told apart: then poses are approached from both
+    sides.
+    """
+    return any("direction" in catalogue.declaration(m.candidate.name).needs for h in surviving(look) for m in h.members)
+
+
+def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell], list[Comparison], list[np.ndarray]]:
+    found = surviving(look)
+    if len(found) < 2:
+        return [], [], []
+    logs = np.array([h.log_posterior for h in found])
+    probability = np.exp(logs - np.logaddexp.reduce(logs))
+    sets, columns, truth, model, start = [], [], [], [], 0
+    for h, p in zip(found, probability, strict=True):
+        moved, own = _of_set(h, linear)
+        sets.append(SetToTell(tuple(dict.fromkeys(m.label for m in h.members)), float(p), float(h.log_posterior - logs[0])))
+        columns += [moved[:, :, None], own]
+        truth.append(start)
+        model.append(tuple(range(start + 1, start + 1 + own.shape[2])))
+        start += 1 + own.shape[2]
+    comparisons = []
+    for a in range(len(found)):
+        for b in range(len(found)):
+            if a != b and 0 in (a, b):  # each against the most probable one
+                known = float(logs[a] - logs[b])
+                comparisons.append(Comparison(truth[a], model[b], float(probability[a]), known, a, b))
+    return sets, comparisons, columns
+
+
+def _of_set(h: Hypothesis, linear: LinearProblem) -> tuple[np.ndarray, np.ndarray]:
+    """(M, R) displaced by a set with its coefficients, and (M, R, k) its columns in prior sigmas."""
+    found, moved, own = coefficients(h), np.zeros(linear.residual.shape), [np.zeros((*linear.residual.shape, 0))]
+    measured = displacements(h)
+    for member, at, before in zip(h.members, found.slices, measured, strict=True):
+        candidate = member.candidate
+        if all(isinstance(p, DescribedPart) for p in candidate.parts(member.hyper)):
+            columns, values = candidate_columns(linear, candidate, member.hyper), found.mean[at]
+        else:
+            candidate, columns, values = _smooth(member, linear, before)
+        moved = moved + columns @ values
+        own.append(columns * (member.size * candidate.typical if candidate is member.candidate else candidate.typical))
+    return moved, np.concatenate(own, axis=2)
+
+
+def _smooth(member: Member, linear: LinearProblem, displaced: np.ndarray) -> tuple[Candidate, np.ndarray, np.ndarray]:
+    """An unmodelled effect by functions that are known at planned poses too, with the coefficients that follow what it displaced
+    (M', R) at those that were measured.
+    """
+    at, covariate = member.candidate.where[0], member.candidate.depends_on
+    term = unmodelled.group(Covariates(linear.obs), at, covariate)
+    nothing = Candidate(UNMODELLED, member.candidate.where, covariate, [], lambda c, v, h: {}, np.zeros(0))
+    if term is None:
+        return nothing, np.zeros((*linear.residual.shape, 0)), np.zeros(0)
+    parts = [p for p in term.parts if isinstance(p, DescribedPart)]
+    shape = replace(nothing, described=parts, typical=np.ones(len(parts[0].columns) if parts else 0))
+    columns = candidate_columns(linear, shape)
+    rows = columns[: len(displaced)].reshape(-1, columns.shape[2])
+    size = np.sqrt(np.maximum(np.sum(rows * rows, axis=0), 1e-300))
+    normal = (rows / size).T @ (rows / size) + 1e-6 * np.eye(len(size))
+    values = np.linalg.solve(normal, (rows / size).T @ displaced.reshape(-1)) / size
+    return replace(shape, typical=np.maximum(np.abs(values), np.sqrt(np.mean(values**2)))), columns, values
+
+
+def _hidden(look: InterimEvidence | None, linear: LinearProblem, timeless: bool) -> tuple[list[str], list[float], list[np.ndarray]]:
+    """Name, weight and columns of every effect that is not excluded at its usual size."""
+    open_ones = None if look is None else {(e.candidate.name, e.candidate.where) for e in look.limited if e.in_typical_sizes > 1.0}
+    found, _ = catalogue.candidates(Context(linear.obs, linear.state, linear.prediction))
+    chosen = [c for c in found if open_ones is None or (c.name, c.where) in open_ones]
+    chosen = [c for c in chosen if not (timeless and catalogue.declaration(c.name).acts_in_time)]
+    kinds: dict[str, set[tuple[str, ...]]] = {}
+    for c in chosen:
+        kinds.setdefault(c.name, set()).add(c.where)
+    names, weights, columns = [], list[float](), []
+    for c in chosen:
+        variants = sum(o.name == c.name and o.where == c.where for o in chosen)
+        values = _values(c)
+        for hyper in values:
+            X = candidate_columns(linear, c, hyper) * c.typical
+            columns.append(X)
+            names += [f"{c.name}:{'+'.join(c.where)}"] * X.shape[2]
+            weights += [1.0 / (len(kinds) * len(kinds[c.name]) * variants * len(values) * X.shape[2])] * X.shape[2]
+    return names, [w * len(kinds) for w in weights], columns
+
+
+def _values(candidate: Candidate) -> Sequence[float | None]:
+    """A few values of the hyper-parameter: those that are most probable, or evenly over its range."""
+    if candidate.hyper is None:
+        return [None]
+    values = np.array(candidate.hyper.preferred) if len(candidate.hyper.preferred) else np.sort(candidate.hyper.values)
+    return [float(v) for v in values[np.unique(np.linspace(0, len(values) - 1, OPTIONS.values).astype(int))]]

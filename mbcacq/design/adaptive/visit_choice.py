@@ -1,0 +1,203 @@
+"""The next visit of a station: which of the views that can be taken decide most of what is open, per second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.design.adaptive.backward_elimination import BackwardElimination, Measured
+from mbcacq.design.adaptive.information_blocks import InformationBlocks
+from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
+from mbcacq.design.adaptive.planned_observations import continued
+from mbcacq.design.adaptive.questions import Questions, needed, questions
+from mbcacq.diagnosis.interim import InterimEvidence
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.model.cell import Station
+from mbcacq.plan import PlannedPose
+
+
+@dataclass(frozen=True)
+class VisitCosts:
+    """Seconds: of a pose, of moving an artefact; at: the station at which each artefact stands now, by artefact."""
+
+    pose_s: float
+    move_s: float
+    at: Mapping[str, str]
+
+    def moves(self, station: Station) -> int:
+        """1 where the artefact of a station stands elsewhere."""
+        return int(self.at.get(station.artefact) != station.id)
+
+
+@dataclass(frozen=True)
+class Visit:
+    """poses: to be measured at the station, in this order. gain: log odds between sets that are expected to be gained, as far as they are
+    needed; value: with all else that it shows; seconds: it takes; moves: of the artefact, 0 or 1.
+    """
+
+    station: str
+    poses: tuple[PlannedPose, ...]
+    gain: float
+    value: float
+    seconds: float
+    moves: int
+
+
+@dataclass(frozen=True)
+class OpenPair:
+    """Two sets of effects that are not told apart. odds: of the second against the first; reachable: log odds that all views that can be
+    taken are expected to decide by; held: the same, were the places of the stations known.
+    """
+
+    a: tuple[str, ...]
+    b: tuple[str, ...]
+    odds: float
+    reachable: float
+    held: float
+
+    @property
+    def futile(self) -> bool:
+        """Whether no view that can be taken tells them apart."""
+        return self.reachable < OPTIONS.enough
+
+
+class VisitChoice:
+    """The choice among the poses of a pool, which can be taken, after a look. stations: of the cell, with planned places."""
+
+    def __init__(
+        self,
+        look: InterimEvidence,
+        pool: Sequence[PlannedPose],
+        stations: Sequence[Station],
+        costs: VisitCosts,
+        options: AdaptiveOptions = OPTIONS,
+    ):
+        linear = _linearised(look, pool, stations)
+        self.asked = questions(look, linear)
+        count, kept = look.problem.linear.obs.n_poses, look.full.evidence.linear.keep
+        keep = np.r_[kept, np.ones(linear.obs.n_centres - len(kept), dtype=bool)]
+        blocks = InformationBlocks.of(linear, self.asked.columns, look.full.noise, keep)
+        every = np.arange(len(blocks.Z))
+        self._before = Measured.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(blocks.select(every[:count]))
+        self._ahead, self._pool, self._costs, self._options = blocks.select(every[count:]), list(pool), costs, options
+        self._at, self._names = {s.id: s for s in stations}, np.array([p.station for p in pool])
+        pairs = slice(0, self.asked.pairs)
+        self._known = self.asked.information(self._before.gram[pairs, pairs])
+        self.open_pairs = tuple(_open_pairs(self._before, self._ahead, self.asked, linear.geometry.shape[2], options))
+
+    @property
+    def futile(self) -> bool:
+        """Whether there is something to tell apart, and nothing reachable does."""
+        return bool(self.open_pairs) and all(pair.futile for pair in self.open_pairs)
+
+    def ranked(self, most: int | None = None) -> list[Visit]:
+        """The best visit of each station, with at most so many poses, most value per second first."""
+        return self._ranked(self._before, self._costs, np.ones(len(self._pool), dtype=bool), most or self._options.most)[0]
+
+    def sequence(self, visits: int, poses: int, refused: Callable[[PlannedPose], bool] = lambda pose: False) -> list[Visit]:
+        """Visits one after the other, each chosen as if those before had been made: until what is open is expected to be decided, or so
+        many visits or poses are reached. refused: of a pose that was chosen, whether it cannot be measured after all.
+        """
+        before, costs, free, out = self._before, self._costs, np.ones(len(self._pool), dtype=bool), list[Visit]()
+        while len(out) < visits and (left := poses - sum(len(v.poses) for v in out)) >= self._options.fewest:
+            ranked, chosen = self._ranked(before, costs, free, min(self._options.most, left))
+            if not ranked:
+                break
+            best, index = ranked[0], chosen[ranked[0].station]
+            bad = [k for k in index if refused(self._pool[k])]
+            free[bad or index] = False
+            if bad:
+                continue
+            if out and (best.gain < self._options.least_gain if self.open_pairs else best.value < self._options.least_gain):
+                break
+            out.append(best)
+            before = before.with_poses(self._ahead.select(np.array(index)))
+            costs = replace(costs, at={**costs.at, self._at[best.station].artefact: best.station})
+        return out
+
+    def hidden(self, visits: Sequence[Visit]) -> list[str]:
+        """Effects, as ``name:where``, that could still hide, those that the visits show best first."""
+        index = np.array([k for k, p in enumerate(self._pool) if any(p.number == q.number for v in visits for q in v.poses)], dtype=int)
+        after = self._before.with_poses(self._ahead.select(index)).squares if len(index) else self._before.squares
+        own = slice(self.asked.pairs, None)
+        gained = self.asked.weights * np.log((1 + np.maximum(after[own], 0.0)) / (1 + np.maximum(self._before.squares[own], 0.0)))
+        best: dict[str, float] = {}
+        for name, gain in zip(self.asked.names, gained, strict=True):
+            best[name] = best.get(name, 0.0) + float(gain)
+        return [name for name, gain in sorted(best.items(), key=lambda one: -one[1]) if gain > 0]
+
+    def _ranked(self, before: Measured, costs: VisitCosts, free: np.ndarray, most: int) -> tuple[list[Visit], dict[str, list[int]]]:
+        visits, indices = [], {}
+        for name in dict.fromkeys(self._names[free].tolist()):
+            here = np.flatnonzero((self._names == name) & free)
+            if len(here) < self._options.fewest:
+                continue
+            chosen, gain, value = self._of_station(before, here, costs, self._at[name], most)
+            moves, index = costs.moves(self._at[name]), [int(here[k]) for k in chosen]
+            seconds = moves * costs.move_s + len(chosen) * costs.pose_s
+            visits.append(Visit(name, tuple(self._pool[k] for k in index), gain, value, seconds, moves))
+            indices[name] = index
+        return sorted(visits, key=lambda v: -v.value / v.seconds), indices
+
+    def _of_station(
+        self, before: Measured, here: np.ndarray, costs: VisitCosts, station: Station, most: int
+    ) -> tuple[list[int], float, float]:
+        """Poses of one station, by elimination of all others: of the numbers of poses that may be, the one with most value per second; with
+        the log odds that they are expected to gain between sets, and their value.
+        """
+        asked, pairs = self.asked, slice(0, self.asked.pairs)
+        elimination = BackwardElimination(before, self._ahead.select(here), asked.pairs)
+        products, squares = before.gram[pairs, pairs], before.squares
+        base, told = float(asked.value(products, squares, self._known)), float(asked.told(products, self._known))
+        best, rate = ([], 0.0, 0.0), -np.inf
+        while True:
+            count = int(elimination.left.sum())
+            value = float(asked.value(elimination.products, elimination.squares, self._known)) - base
+            seconds = costs.moves(station) * costs.move_s + count * costs.pose_s
+            if count <= most and value / seconds > rate:
+                rate = value / seconds
+                best = list(elimination), float(asked.told(elimination.products, self._known)) - told, value
+            if count <= self._options.fewest:
+                return best
+            index, products, missed = elimination.missed()
+            left = asked.value(elimination.products - products, elimination.squares - missed, self._known)
+            for k in np.argsort(-left, kind="stable")[: 1 + int(count > 2 * most)]:
+                elimination.remove(int(index[k]))
+
+
+def _linearised(look: InterimEvidence, pool: Sequence[PlannedPose], stations: Sequence[Station]) -> LinearProblem:
+    """The cell as it is known after a look, at measured poses and at those of the pool."""
+    obs, state = look.problem.linear.obs, look.full.evidence.linear.state
+    old = {s.id: i for i, s in enumerate(obs.cell.stations)}
+    new = tuple(replace(s, T_base_station=None, sigma_mm=None) for s in stations if s.id not in old)
+    obs = replace(obs, cell=replace(obs.cell, stations=(*obs.cell.stations, *new)))
+    planned = {s.id: s.planned_pose for s in stations}
+    standing = {obs.cell.stations[i].id for i in np.unique(obs.station)}
+    places = [state.T_base_station[old[s.id]] if s.id in standing else planned.get(s.id, np.eye(4)) for s in obs.cell.stations]
+    state = replace(state, T_base_station=np.stack(places))
+    return LinearProblem.of(continued(obs, state, pool), state)
+
+
+def _open_pairs(before: Measured, ahead: InformationBlocks, asked: Questions, g: int, options: AdaptiveOptions) -> list[OpenPair]:
+    """What is to be told apart, with the log odds that are within reach. g: free parameters of the geometry, without the stations."""
+    if not asked.comparisons:
+        return []
+    pairs = slice(0, asked.pairs)
+    much = InformationBlocks(np.sqrt(options.repeats) * ahead.Z, np.sqrt(options.repeats) * ahead.E)
+    after = before.with_poses(much)
+    fixed = Measured(after.N[:g, :g], after.B[:g], after.products)
+    now, then, held = (asked.information(m.gram[pairs, pairs]) for m in (before, after, fixed))
+    out: dict[tuple[int, int], OpenPair] = {}
+    for j, comparison in enumerate(asked.comparisons):
+        if needed(comparison) <= options.spare:
+            continue  # decided as it stands
+        first, second = sorted((comparison.a, comparison.b))
+        a, b = asked.sets[first], asked.sets[second]
+        reachable, would = (comparison.known + 0.5 * float(d[j] - now[j]) for d in (then, held))
+        old = out.get((first, second))
+        if old is not None:
+            reachable, would = min(old.reachable, reachable), min(old.held, would)
+        out[first, second] = OpenPair(a.labels, b.labels, float(np.exp(min(b.log_odds - a.log_odds, 50.0))), reachable, would)
+    return list(out.values())

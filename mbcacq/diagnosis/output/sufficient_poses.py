@@ -1,0 +1,113 @@
+"""Whether a recording could have shown the effects of the catalogue at their typical sizes, and how many poses like its own could.
+
+That nothing was found means something only where something could have been. Each effect is taken by itself here, with what was found and
+the geometry free, at the value of its hyper-parameter where it is determined as at the median: it would have been seen, though perhaps not
+told from others. What is reported as limits is ``exclusion_limits``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.output.errors_elsewhere import harmless
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
+from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.effects.effect import Candidate
+from mbcacq.estimation.variance_components import first_noise
+
+QUANTILE = 1.645  # of a standard normal variable: 95 % below
+MOST_VALUES = 12  # of a hyper-parameter that are tried
+ROUNDED = 1e-10  # share of an effect's information, or displacement, below which what is left of it is rounding
+ENOUGH = 0.5  # share of the effects that a verdict ``none`` excludes at their typical size
+
+
+def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -> list[SizedEffect]:
+    """Every candidate that was not found, at its limit, but for those that the geometry absorbs and that change no length."""
+    found = {(c.name, c.where) for c, _ in full.model.effects}
+    stated = CandidateScoring.of(full.geometry_only.linear, first_noise(setup.linear.obs.cell))
+    missed = [c for c in of_fewest_coefficients(setup.candidates) if (c.name, c.where) not in found]
+    limited = [coefficient_limit(full.conditioned, c, stated) for c in missed]
+    return [e for e in limited if np.isfinite(e.in_typical_sizes) or not harmless(there, e)]
+
+
+def says_too_little(limited: Sequence[SizedEffect], poses: int) -> str | None:
+    """A sentence where a recording of so many poses excludes too little for a verdict ``none``."""
+    share = excluded_share(limited)
+    if share >= ENOUGH:
+        return None
+    said = f"of the effects of the catalogue {share:.0%} are excluded at their typical size, less than half"
+    enough = sufficient_poses(limited, poses)
+    if enough > OPTIONS.most_poses:
+        return f"{said}, and more poses like these would not exclude half of them: measure other postures"
+    return f"{said}: {enough:.0f} poses like these, instead of {poses}, would exclude half of them"
+
+
+def excluded_share(limited: Sequence[SizedEffect]) -> float:
+    """Share of the effects whose exclusion limit is below their typical size; 1 where there is none."""
+    return sum(w for w, e in zip(weights(limited), limited, strict=True) if e.in_typical_sizes <= 1.0) if limited else 1.0
+
+
+def sufficient_poses(limited: Sequence[SizedEffect], poses: int) -> float:
+    """Number of poses like the ``poses`` of the recording at which enough effects would be excluded; inf where no number is enough.
+
+    Limits fall with 1 / sqrt(number of poses) where each further pose repeats one of the recording, and faster where it does not.
+    """
+    sizes = np.array([e.in_typical_sizes for e in limited])
+    ranked = np.argsort(sizes, kind="stable")
+    last = ranked[int(np.searchsorted(np.cumsum(weights(limited)[ranked]), ENOUGH - 1e-9))]
+    return float(np.ceil(poses * max(sizes[last], 1.0) ** 2))
+
+
+def weights(limited: Sequence[SizedEffect]) -> np.ndarray:
+    """(E,) of each effect, of sum one: every kind counts alike, every location of a kind too, as in their prior probability."""
+    locations = Counter(e.candidate.name for e in limited)
+    return np.array([1.0 / (len(locations) * locations[e.candidate.name]) for e in limited])
+
+
+def of_fewest_coefficients(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Of several variants of an effect at a location, those of fewest coefficients."""
+    fewest: dict[tuple[str, tuple[str, ...]], int] = {}
+    for c in candidates:
+        fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))
+    return [c for c in candidates if c.k == fewest[c.name, c.where]]
+
+
+def coefficient_limit(conditioned: CandidateScoring, candidate: Candidate, stated: CandidateScoring | None = None) -> SizedEffect:
+    """The largest coefficient that is not excluded, in typical sizes; all of them inf where the geometry absorbs one. stated: the problem
+    under the noise as stated, by which the value of the hyper-parameter is chosen.
+    """
+    hyper = representative_value(stated or conditioned, candidate)
+    estimate, std = estimated(conditioned, candidate, hyper)
+    limits = (np.maximum(estimate, -std) if candidate.positive else np.abs(estimate)) + QUANTILE * std
+    worst = np.arange(candidate.k) == int(np.argmax(limits / candidate.typical))
+    return SizedEffect(candidate, hyper, np.where(worst | ~np.isfinite(std), limits, 0.0))
+
+
+def representative_value(projected: CandidateScoring, candidate: Candidate) -> float | None:
+    """The value of the hyper-parameter at which the effect is determined as at the median of those that are tried."""
+    hyper = candidate.hyper
+    if hyper is None:
+        return None
+    values = np.sort(hyper.values)
+    tried = [v for v in hyper.preferred if v in values] or values[:: int(np.ceil(len(values) / MOST_VALUES))].tolist()
+    tried.sort(key=lambda value: float((estimated(projected, candidate, value)[1] / candidate.typical).max()))
+    return float(tried[len(tried) // 2])
+
+
+def estimated(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (k,) and their standard deviations, with everything else in place; inf where the geometry absorbs one of them."""
+    X, S, b = conditioned.candidate_products(candidate, hyper)
+    absorbed = conditioned.conditioned.T @ X
+    S, b = S - absorbed.T @ absorbed, b - absorbed.T @ conditioned.along
+    size = np.sqrt(np.maximum(np.sum(X * X, axis=0), 1e-300))
+    scaled = S / np.outer(size, size)
+    if np.linalg.eigvalsh(scaled)[0] < ROUNDED:
+        return np.zeros(candidate.k), np.full(candidate.k, np.inf)
+    covariance = np.linalg.inv(scaled) / np.outer(size, size)
+    return covariance @ b, np.sqrt(np.diag(covariance))

@@ -1,0 +1,219 @@
+"""A check of a calibrated cell: a few poses measured again, by the same runner and gates as a run, and judged with all checks before."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.acquisition.device_check import refuse_impossible_devices
+from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration.sealed_json import digest
+from mbcacq.devices.addresses import on_loopback_only
+from mbcacq.errors import CellChanged, ConfigError
+from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
+from mbcacq.interim_check.measured_day import fit_stations, refuse_incomplete, residuals_of
+from mbcacq.interim_check.options import OPTIONS, UsualChanges
+from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
+from mbcacq.interim_check.verdict import CheckVerdict, to_dict, verdict_of
+from mbcacq.interim_check.words import sentence_of
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
+from mbcacq.recording.run_folder.lock import write_lock
+from mbcacq.report import read_run_identity
+from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
+from mbcacq.workflow.correct import refuse_uncalibrated
+from mbcacq.workflow.dry_run import device_overrides, name_of
+from mbcacq.workflow.load import as_plan, as_result, load_observations
+from mbcacq.workflow.run import Operator
+
+HISTORY = "check.json"
+SAME_ANGLE = 1e-9  # rad: the plan still means the same joint angles
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """poses: of a check; standing: the artefacts stay where they stand from check to check, so that their places are judged too; days: what
+    changes from day to day without a cause; folder: of this check's recording (default runs/TIME_check-NAME)."""
+
+    poses: int = OPTIONS.poses
+    standing: bool = True
+    days: UsualChanges = OPTIONS.usual_days
+    folder: Path | None = None
+
+
+@dataclass(frozen=True)
+class InterimCheck:
+    """What a check gave. history: all checks so far; file: where they are kept; run: folder of this check's recording."""
+
+    verdict: CheckVerdict
+    history: CheckHistory
+    file: Path
+    run: Path
+
+    @property
+    def changed(self) -> bool:
+        return self.verdict.changed
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return sentence_of(self.verdict, self.history)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content, format 'mbcacq-check-result/1'."""
+        return to_dict(self.verdict, self.history) | {"files": {"history": str(self.file), "recording": str(self.run)}}
+
+    def refuse_changed(self) -> None:
+        """Raises CellChanged where the cell is not as it was."""
+        if self.changed:
+            raise CellChanged(f"{self.sentence}; put right what changed, or calibrate anew")
+
+
+def check(
+    result: Calibration | CalibratedCell | dict[str, Any] | Path | str,
+    plan: LoadedPlan | Path | str,
+    *,
+    history: Path | str | None = None,
+    measured: Path | str | None = None,
+    dry_run: bool = False,
+    seed: int = 0,
+    operator: Operator | None = None,
+    settings: CheckSettings | None = None,
+) -> InterimCheck:
+    """Measure the few poses of a plan that notice most of what may have changed, and say whether anything did since the calibration, or
+    since the first check.
+
+    Parameters
+    ----------
+    result
+        The calibrated cell that is checked; a result.json, or the folder that holds one.
+    plan
+        From which the poses are chosen at the first check; later checks repeat these.
+    history
+        File of all checks of this cell; default 'check.json' beside the result. It is written whole after each check.
+    measured
+        Folder of a check that was measured already, and only is to be judged; nothing moves then.
+    dry_run, seed
+        Against the fake cell, as in ``mbcacq.run``.
+    operator
+        Who allows a real arm to move, and is asked and informed.
+    settings
+        How many poses, whether artefacts stand, what usually changes from day to day; it counts at the first check.
+
+    Returns
+    -------
+    The verdict with the history.
+
+    Raises
+    ------
+    ConfigError
+        The plan or the result cannot be used, or the history is of another result or of other poses.
+    DeviceFault
+        A pose of the check could not be measured: the day does not count.
+    SafetyStop, RecordingError
+        As ``mbcacq.run``.
+    """
+    operator, settings, loaded, content = operator or Operator(), settings or CheckSettings(), as_plan(plan), as_result(result)
+    cell = CalibratedCell.from_dict(content)
+    refuse_uncalibrated(cell, dry_run or measured is not None or on_loopback_only(loaded.plan.robot.options))
+    file = _history_file(result, history)
+    if not dry_run and measured is None:
+        refuse_impossible_devices(loaded)
+    with ExitStack() as held:
+        file.absolute().parent.mkdir(parents=True, exist_ok=True)
+        held.enter_context(write_lock(file.absolute().parent, "check"))
+        past = read_history(file)
+        operator.progress("checking that every pose can be reached and seen")
+        poses = expand(loaded)
+        if past is None:
+            operator.progress("choosing the poses that notice most")
+            past = _new_history(loaded, poses, cell, content, settings)
+        elif past.result != digest(content):
+            raise ConfigError(f"{file} is the history of another result; give another --history, one for each calibration")
+        chosen = _chosen(loaded, poses, past, file)
+        planned = planned_check(loaded, chosen, cell, past.standing, past.usual_days)
+        if measured is None:
+            run = _measure(loaded, chosen, operator, settings.folder, (seed, len(past.days)) if dry_run else None)
+        else:
+            run = Path(measured)
+        operator.progress("judging")
+        past = with_observations(planned, past, load_observations(run), run)
+        verdict = verdict_of(planned, past)
+        past = past.judged(verdict.log_e, verdict.log_e_calibration)
+        past.write(file)
+        operator.progress("")
+        return InterimCheck(verdict, past, file, run)
+
+
+def with_observations(planned: PlannedCheck, history: CheckHistory, obs: Observations, run: Path) -> CheckHistory:
+    """The history with one more day, recorded in a folder. Raises DeviceFault where a pose of the check is missing in it, ConfigError where
+    the day is in the history already."""
+    name = str(run.absolute())
+    if any(day.run == name for day in history.days):
+        raise ConfigError(f"{run} is in the history of these checks already; measure anew")
+    fitted = history.standing and bool(history.stations)
+    stations = history.stations if fitted else fit_stations(planned, obs)
+    residual = residuals_of(planned, obs, stations)
+    refuse_incomplete(planned, residual)
+    started = str(read_run_identity(run).get("started") or datetime.now(UTC).isoformat(timespec="seconds"))
+    return replace(history, stations=history.stations or stations).with_day(CheckedDay(started, name, residual))
+
+
+def _history_file(result: Calibration | CalibratedCell | dict[str, Any] | Path | str, history: Path | str | None) -> Path:
+    if history is not None:
+        return Path(history)
+    if not isinstance(result, Path | str):
+        raise ConfigError("a result that was not read from a file has no folder for its checks; say where their history is to be kept")
+    place = Path(result)
+    return (place if place.is_dir() else place.parent) / HISTORY
+
+
+def _new_history(
+    loaded: LoadedPlan, poses: list[PlannedPose], cell: CalibratedCell, content: dict[str, Any], settings: CheckSettings
+) -> CheckHistory:
+    """A history without days, of the poses that notice most. Raises ConfigError where the plan has too few."""
+    options = replace(OPTIONS, poses=settings.poses)
+    if settings.poses < options.fewest:
+        raise ConfigError(f"a check of {settings.poses} poses tells hardly any change from another; give {options.fewest} or more")
+    everything = planned_check(loaded, [p for p in poses if p.balls], cell, settings.standing, settings.days)
+    numbers = choose_poses(everything, options)
+    q = np.array([p.q for p in poses if p.number in numbers])
+    return CheckHistory(digest(content), loaded.path.name, tuple(sorted(numbers)), q, settings.standing, settings.days)
+
+
+def _chosen(loaded: LoadedPlan, poses: list[PlannedPose], history: CheckHistory, file: Path) -> list[PlannedPose]:
+    """The poses of a history as the plan has them now, in its order. Raises ConfigError where they are others, or cannot be taken."""
+    chosen = [p for p in poses if p.number in history.poses]
+    q = np.array([p.q for p in chosen])
+    if q.shape != history.q.shape or not np.allclose(q, history.q, rtol=0, atol=SAME_ANGLE):
+        raise ConfigError(
+            f"{loaded.path} no longer has the poses that {file} repeats; take the change of the plan back, or give another --history"
+        )
+    refuse_errors(loaded, chosen)
+    return chosen
+
+
+def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, out: Path | None, fake: tuple[int, int] | None) -> Path:
+    """Measure the poses as a run does; its folder. fake: seed of the fake cell, and how many checks it had; None: the plan's devices."""
+    dry_run, seed = fake is not None, 0 if fake is None else fake[0]
+    if fake is not None:  # the same cell on another day: what differs from run to run is drawn anew
+        options = {"noise_seed": 1_000_003 * (fake[1] + 1) + seed, **loaded.plan.fake}
+        loaded = replace(loaded, plan=loaded.plan.model_copy(update={"fake": options}))
+    operator.progress("checking every motion between the poses")
+    acquisition = plan_acquisition(loaded, poses, frozenset(), 0, name_of(dry_run, seed))
+    acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
+    operator.progress("")
+    if not dry_run:
+        operator.allow_motion(loaded, poses, acquisition.sweep())
+    folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")
+    with write_lock(folder, "check"):
+        operator.began(folder)
+        operator.progress("starting the fake cell" if dry_run else "")
+        with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
+            acquisition.execute(overrides, operator.subscribers, message=operator.message, pause=operator.pause)
+    return folder

@@ -1,0 +1,181 @@
+"""What may have changed in a cell, as columns of the rows of a check: mastering, mount, links, artefact, every effect of the catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.effects.catalogue import candidates
+from mbcacq.effects.context import Context
+from mbcacq.effects.described import parts_of
+from mbcacq.effects.effect import FADING, MOMENT, Candidate
+from mbcacq.estimation import forward_model, terms
+from mbcacq.estimation.forward_model import CellState, Prediction
+from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.interim_check.options import OPTIONS, CheckOptions
+from mbcacq.model.observations import Observations
+
+UNNAMED = "unnamed"
+TWIST = ("x", "y", "z", "rx", "ry", "rz")
+LEAST = 1e-9  # of a column against the noise: below, the rows do not show it at all
+
+
+@dataclass(frozen=True)
+class PossibleChange:
+    """Something that may have changed. name: 'mastering', 'mount', 'artefact', 'link', 'tool', 'unnamed', or that of an effect; where: its
+    location; parameters, units: of its k coefficients; usual: (k,) their usual change; columns: (R, k) what that does to the rows.
+    weight: prior probability beside the others."""
+
+    name: str
+    where: str
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    usual: np.ndarray
+    columns: np.ndarray
+    weight: float = 1.0
+
+    def select(self, keep: np.ndarray) -> PossibleChange:
+        """At the rows where ``keep`` (R,) bool holds."""
+        return replace(self, columns=self.columns[keep])
+
+
+def possible_changes(
+    obs: Observations, state: CellState, prediction: Prediction, standing: bool, options: CheckOptions = OPTIONS
+) -> list[PossibleChange]:
+    """All that may change, at the poses and centres of a planned check. standing: artefacts stay where they stand between checks.
+
+    Prior probabilities are equal between names, and among the locations and variants of each.
+    """
+    found = [*_masterings(obs, state, prediction, options), _mount(obs, prediction, options), *_links(obs, state, prediction, options)]
+    if standing:
+        found += _artefacts(obs, prediction, options)
+    found += _catalogued(obs, state, prediction, options)
+    found.append(_unnamed(obs, state, prediction, options))
+    visible = [r for r in found if np.abs(r.columns).max(initial=0.0) > LEAST]
+    count: dict[str, int] = {}
+    for change in visible:
+        count[change.name] = count.get(change.name, 0) + 1
+    return [replace(r, weight=1 / len(count) / count[r.name]) for r in visible]
+
+
+def rows_of(each: np.ndarray) -> np.ndarray:
+    """Columns (M, R, k) of centres as columns of rows (M R, k)."""
+    return each.reshape(-1, each.shape[-1])
+
+
+def _masterings(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames))
+    usual = np.array([options.mastering])
+    return [
+        PossibleChange("mastering", f"A{j + 1}", (f"A{j + 1} zero",), ("rad",), usual, rows_of(J[:, :, j : j + 1] * options.mastering))
+        for j in range(state.chain.n)
+    ]
+
+
+def twist_columns(obs: Observations, prediction: Prediction, place: str, index: int) -> np.ndarray:
+    """(M, R, 6): by the local twist of a frame of the arm, or of an artefact's placement."""
+    return np.stack([terms.unit(obs, prediction, place, index, c) for c in range(6)], axis=2)
+
+
+def _mount(obs: Observations, prediction: Prediction, options: CheckOptions) -> PossibleChange:
+    usual = np.repeat([options.mount_mm, options.mount_rad], 3)
+    columns = twist_columns(obs, prediction, "frame", obs.cell.robot.n) * usual
+    return PossibleChange("mount", "scanner on the flange", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns))
+
+
+def _artefacts(obs: Observations, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+    usual = np.repeat([options.station_mm, options.station_rad], 3)
+    out = []
+    for s in np.unique(obs.station):
+        here = (obs.station[obs.pose] == s)[:, None, None]
+        columns = twist_columns(obs, prediction, "station", 0) * usual * here
+        out.append(
+            PossibleChange("artefact", f"station {obs.cell.stations[s].id}", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns))
+        )
+    return out
+
+
+def _links(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+    """Each link by itself: its length, offset and twist."""
+    twists = state.chain.parameter_twists(prediction.frames, obs.q)
+    out = []
+    chosen = [PARAMETERS.index(p) for p in ("d", "a", "alpha")]
+    usual = np.array([options.link_mm, options.link_mm, options.link_rad])
+    for i in range(state.chain.n):
+        columns = forward_model.arm_jacobian(obs, prediction, twists[:, i, chosen]) * usual
+        out.append(PossibleChange("link", f"link {i + 1}", ("d", "a", "alpha"), ("mm", "mm", "rad"), usual, rows_of(columns)))
+    return out
+
+
+def _catalogued(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+    """Every effect of the catalogue at its usual size, by itself and, where it acts at one place of several, at all of them at once."""
+    context = Context(obs, state, prediction)
+    found, _ = candidates(context)
+    out: list[PossibleChange] = []
+    together: dict[tuple[str, str, int], list[PossibleChange]] = {}
+    for candidate in found:
+        if candidate.hyper is not None and candidate.hyper.kind in (MOMENT, FADING):
+            continue  # what happens within one check says nothing about days
+        for number, hyper in enumerate(hypers(candidate, options.hypers)):
+            one = terms.term(candidate.name, parts_of(candidate, context, hyper))
+            columns = rows_of(terms.columns(obs, prediction, one)) * candidate.typical
+            what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
+            names = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k))
+            change = PossibleChange(
+                candidate.name, "+".join(candidate.where) + what, names, ("",) * candidate.k, candidate.typical, columns
+            )
+            out.append(change)
+            if len(candidate.where) == 1:
+                together.setdefault((candidate.name, candidate.variant, number), []).append(change)
+    return [*out, *(_together(several) for several in together.values() if len(several) > 1), *_tool(context, prediction, options)]
+
+
+def _together(several: list[PossibleChange]) -> PossibleChange:
+    """One effect at all of its places, each with coefficients of its own: gears wear together."""
+    columns, usual = np.concatenate([r.columns for r in several], axis=1), np.concatenate([r.usual for r in several])
+    parameters = tuple(f"{name} at {r.where}" for r in several for name in r.parameters)
+    what = several[0].where.partition(",")
+    return PossibleChange(several[0].name, f"several places{what[1]}{what[2]}", parameters, ("",) * len(usual), usual, columns)
+
+
+def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+    """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
+    if not context.masses_known:
+        return []
+    J = forward_model.arm_jacobian(context.obs, prediction, context.state.chain.joint_twists(prediction.frames))
+    bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
+    usual = options.tool_kg * options.elastic
+    columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
+    shown = np.abs(columns).max(axis=0) > LEAST
+    parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
+    return [PossibleChange("tool", "its weight", parameters, ("",) * len(parameters), np.full(len(parameters), usual), columns[:, shown])]
+
+
+def hypers(candidate: Candidate, count: int) -> Sequence[float | None]:
+    """``count`` values of an effect's hyper-parameter over its range; None where it has none."""
+    if candidate.hyper is None:
+        return [None]
+    values = candidate.hyper.values
+    return [float(v) for v in values[np.unique(np.linspace(0, len(values) - 1, count).astype(int))]]
+
+
+def _unnamed(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> PossibleChange:
+    """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
+    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * options.unnamed
+    n = J.shape[2]
+    k = obs.n_poses * n
+    columns = np.zeros((J.shape[0], J.shape[1], k))
+    for p in range(obs.n_poses):
+        here = obs.pose == p
+        columns[here, :, p * n : (p + 1) * n] = J[here]
+    return PossibleChange(UNNAMED, "the arm", ("",) * k, ("rad",) * k, np.full(k, options.unnamed), rows_of(columns))
+
+
+def jitter(obs: Observations, state: CellState, prediction: Prediction, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
+    """(R, R) covariance of the rows by the noise of a centre (3,) mm and of the joints (n,) rad, which moves all of a pose together."""
+    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * joint
+    flat = J.reshape(-1, J.shape[2])
+    pose = np.repeat(obs.pose, J.shape[1])
+    return (flat @ flat.T) * (pose[:, None] == pose) + np.diag(np.tile(np.asarray(point, dtype=float) ** 2, len(obs.pose)))

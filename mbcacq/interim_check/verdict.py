@@ -1,0 +1,260 @@
+"""What a history of checks says: as before or not, and what changed, where, since when, by how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
+
+from mbcacq.errors import DeviceFault
+from mbcacq.interim_check.e_process import EProcess, Level, weight_of
+from mbcacq.interim_check.history import CheckHistory
+from mbcacq.interim_check.options import OPTIONS, CheckOptions
+from mbcacq.interim_check.planned_check import PlannedCheck
+from mbcacq.interim_check.possible_changes import UNNAMED, PossibleChange
+
+AS_BEFORE, CHANGED = "as_before", "changed"
+LEAST_COMMON = 0.5  # of the centres of a check: with fewer it is another check
+POWER = 1.2816  # quantile of the normal distribution: a change is noticed with a probability of 90 %
+SHOWN = 6  # suspects in a sentence
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One thing that may have changed. probability: among all changes, given a change; size, std: of its coefficients, in ``units``.
+    explains: share of what is seen of the change, in that of the best description."""
+
+    name: str
+    where: str
+    probability: float
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    size: tuple[float, ...]
+    std: tuple[float, ...]
+    explains: float = 1.0
+
+    @property
+    def label(self) -> str:
+        return f"{self.name.replace('_', ' ')} ({self.where})"
+
+
+@dataclass(frozen=True)
+class CheckVerdict:
+    """verdict: 'as_before' or 'changed'. log_e: of the e-process since the first check; log_e_calibration: of that since the
+    calibration; log_threshold: of either. suspects: the most probable one first, and all that are not told from it. since: index of the
+    first check after the change, most probably; between: the same, from and to with 90 %; None while nothing changed. noticed: what change
+    of each is noticed within a week with 90 %: (name, where, size, unit). noise: level of the noise that fits best, in that of the
+    calibration; day: of the changes from day to day, in the usual ones."""
+
+    verdict: str
+    log_e: float
+    log_e_calibration: float
+    log_threshold: float
+    suspects: tuple[Suspect, ...]
+    since: int | None
+    between: tuple[int, int] | None
+    noticed: tuple[tuple[str, str, float, str], ...]
+    noise: float
+    day: float
+
+    @property
+    def changed(self) -> bool:
+        return self.verdict == CHANGED
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The measured days of a history as rows, with the e-process of the rows that all days have. keep: (R,) bool of the planned rows."""
+
+    process: EProcess
+    changes: tuple[PossibleChange, ...]
+    days: np.ndarray
+    keep: np.ndarray
+
+
+def evidence_of(check: PlannedCheck, history: CheckHistory, options: CheckOptions = OPTIONS) -> Evidence:
+    """The e-process of a history, by the centres that every day has."""
+    common = set(check.keys).intersection(*(day.residual.keys() for day in history.days))
+    kept = [key in common for key in check.keys]
+    keep = np.repeat(kept, 3)
+    if sum(kept) < LEAST_COMMON * len(kept):
+        raise DeviceFault(
+            f"only {sum(kept)} of {len(kept)} balls of the check were found on all of its days; clear the views and begin a new --history"
+        )
+    days = np.array([np.concatenate([day.residual[key] for key, k in zip(check.keys, kept, strict=True) if k]) for day in history.days])
+    changes = tuple(r.select(keep) for r in check.changes)
+    process = EProcess(check.rows.select(keep), [r.columns for r in changes], np.array([r.weight for r in changes]), options)
+    return Evidence(process, changes, days, keep)
+
+
+def verdict_of(check: PlannedCheck, history: CheckHistory, options: CheckOptions = OPTIONS) -> CheckVerdict:
+    """What all checks so far say together."""
+    with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
+        return verdict_by(evidence_of(check, history, options), check, options)
+
+
+def verdict_by(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -> CheckVerdict:
+    """What the rows of all days say together."""
+    process, T = evidence.process, len(evidence.days)
+    if T > 1:
+        followed = process.follow(evidence.days)
+        log_e, level, null = followed.log_e(T), followed.level(T), int(np.argmax(followed.null[:, -1]))
+    else:
+        log_e, level, null = 0.0, process.usual, process.usual
+    factors, estimates = _since_calibration(check, evidence, process.levels[null], options)
+    log_first = float(logsumexp(factors))
+    threshold = float(np.log(2 / options.false_alarms))
+    changed = max(log_e, log_first) >= threshold
+    suspects: tuple[Suspect, ...] = ()
+    since = between = None
+    if changed and log_e >= log_first:
+        suspects, since, between = _suspects_since(evidence, level, T, options)
+    elif changed:
+        suspects, since, between = _ranked(evidence.changes, factors, estimates, options), 0, (0, 0)
+    shown = process.levels[level if changed else null]
+    noise = (shown.noise, shown.day)
+    verdict = CHANGED if changed else AS_BEFORE
+    return CheckVerdict(verdict, log_e, log_first, threshold, suspects, since, between, noticed(evidence, null, T, options), *noise)
+
+
+Estimates = list[tuple[np.ndarray, np.ndarray, float]]
+
+
+def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level, options: CheckOptions) -> tuple[np.ndarray, Estimates]:
+    """(A,) log of weight times Bayes factor that each change changed between the calibration and the first check, and its estimate.
+
+    The mean of all days against the prediction, whose uncertainty is the calibration's covariance, what a good arm is off beyond its model,
+    and where the artefacts stand, which nobody knew. That the calibration's statement is true is assumed, not bounded.
+    """
+    from mbcacq.calibration.uncertainty import point_columns
+    from mbcacq.estimation import forward_model
+
+    obs, prediction, cell = check.obs, check.prediction, check.cell
+    T = prediction.T_base_scanner[obs.pose][:, :3, :3]
+    A = np.swapaxes(T, 1, 2) @ point_columns(cell, obs.q[obs.pose], prediction.xyz)
+    A = A.reshape(-1, A.shape[2])[evidence.keep]
+    J = forward_model.arm_jacobian(obs, prediction, check.state.chain.joint_twists(prediction.frames)) * options.discrepancy
+    J = J.reshape(-1, J.shape[2])[evidence.keep]
+    pose = np.repeat(obs.pose, 3)[evidence.keep]
+    rows = evidence.process.rows
+    covariance = (level.noise**2 * rows.noise + level.day**2 * rows.daily @ rows.daily.T) / len(evidence.days)
+    covariance = covariance + A @ cell.covariance @ A.T + (J @ J.T) * (pose[:, None] == pose)
+    weight, _ = weight_of(covariance, _station_columns(check)[evidence.keep])
+    mean = evidence.days.mean(axis=0)
+    log, estimates = [], []
+    for change in evidence.changes:
+        b, S = change.columns.T @ weight @ mean, change.columns.T @ weight @ change.columns
+        each = [_log_factor(S, b, size) for size in options.sizes]
+        log.append(logsumexp(each) - np.log(len(each)) + np.log(change.weight))
+        estimates.append(_estimate(change, S, b, options.sizes[int(np.argmax(each))]))
+    return np.array(log), estimates
+
+
+def _station_columns(check: PlannedCheck) -> np.ndarray:
+    from mbcacq.interim_check.possible_changes import rows_of, twist_columns
+
+    columns = twist_columns(check.obs, check.prediction, "station", 0)
+    stations = [columns * (check.obs.station[check.obs.pose] == s)[:, None, None] for s in np.unique(check.obs.station)]
+    return np.concatenate([rows_of(part) for part in stations], axis=1)
+
+
+def _log_factor(S: np.ndarray, b: np.ndarray, size: float) -> float:
+    """log Bayes factor of coefficients a ~ N(0, size^2) with information S (k, k) and score b (k,)."""
+    M = np.eye(len(b)) + size**2 * S
+    return float(0.5 * size**2 * b @ np.linalg.solve(M, b) - 0.5 * np.linalg.slogdet(M)[1])
+
+
+def _estimate(change: PossibleChange, S: np.ndarray, b: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Coefficients (k,) of a change and their standard deviations, in its units, and the chi square that they explain."""
+    covariance = np.linalg.inv(np.eye(len(b)) / size**2 + S)
+    a = covariance @ b
+    return change.usual * a, change.usual * np.sqrt(np.diag(covariance)), float(2 * a @ b - a @ S @ a)
+
+
+def _suspects_since(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tuple[tuple[Suspect, ...], int, tuple[int, int]]:
+    """Suspects, the first check after the change, and from and to with 90 %."""
+    process, lv = evidence.process, evidence.process.levels[level]
+    sums = np.cumsum(evidence.days @ lv.scores, axis=0)
+    prior = process.log_onsets(np.arange(1, T))[:, None, None] + process.log_weight
+    joint = process.log_factors(level, sums, T) + prior
+    by_onset = logsumexp(joint, axis=(1, 2))
+    share = np.cumsum(np.exp(by_onset - logsumexp(by_onset)))
+    onset = int(np.argmax(by_onset))
+    low, high = int(np.searchsorted(share, 0.05)), int(np.searchsorted(share, 0.95 - 1e-12))
+    by_change = logsumexp(joint, axis=(0, 1))
+    estimates = []
+    for k, change in enumerate(evidence.changes):
+        n, size = np.unravel_index(int(np.argmax(joint[:, :, k])), joint.shape[:2])
+        days_before = int(n) + 1
+        moved = evidence.days[days_before:].mean(axis=0) - evidence.days[:days_before].mean(axis=0)
+        W = lv.weight * (days_before * (T - days_before) / T)
+        S, b = change.columns.T @ W @ change.columns, change.columns.T @ W @ moved
+        estimates.append(_estimate(change, S, b, options.sizes[int(size)]))
+    return _ranked(evidence.changes, by_change, estimates, options), onset + 1, (low + 1, min(high, T - 2) + 1)
+
+
+def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Estimates, options: CheckOptions) -> tuple[Suspect, ...]:
+    """The most probable change, and those that are not told from it; where that is unnamed, the most probable name too."""
+    probability = np.exp(log - logsumexp(log))
+    order = [int(k) for k in np.argsort(-log)]
+    chosen = [k for k in order if probability[k] * options.class_odds >= probability[order[0]]]
+    if all(changes[k].name == UNNAMED for k in chosen):
+        chosen.append(next(k for k in order if changes[k].name != UNNAMED))
+    most = max(chi2 for *_, chi2 in estimates)
+    out = []
+    for k in chosen:
+        r, (size, std, chi2) = changes[k], estimates[k]
+        named = r.name != UNNAMED
+        sizes, stds = (tuple(float(v) for v in x) if named else () for x in (size, std))
+        names, units = (r.parameters, r.units) if named else ((), ())
+        out.append(Suspect(r.name, r.where, float(probability[k]), names, units, sizes, stds, chi2 / max(most, 1e-300)))
+    return tuple(out)
+
+
+def noticed(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tuple[tuple[str, str, float, str], ...]:
+    """What change of a joint's zero, of the mount or an artefact, one coefficient at a time, is noticed within a week with 90 %."""
+    process, lv = evidence.process, evidence.process.levels[level]
+    days, week = max(T, 7), 7
+    n = days * week / (days + week)
+    onset = float(process.log_onsets(np.array([days]))[0])
+    out = []
+    for change, weight in zip(evidence.changes, process.log_weight, strict=True):
+        if change.name not in ("mastering", "mount", "artefact"):
+            continue
+        information = n * np.einsum("rk,rs,sk->k", change.columns, lv.weight, change.columns, optimize=True)
+        cost = np.log(2 / options.false_alarms) - onset - weight + np.log(len(options.sizes) * len(process.levels))
+        cost = cost + 0.5 * len(change.usual) * np.log1p(information)
+        size = change.usual * (np.sqrt(2 * cost) + POWER) / np.sqrt(np.maximum(information, 1e-300))
+        out += [
+            (change.name, f"{change.where} {p}" if len(size) > 1 else change.where, float(v), u)
+            for p, v, u in zip(change.parameters, size, change.units, strict=True)
+        ]
+    return tuple(out)
+
+
+def to_dict(verdict: CheckVerdict, history: CheckHistory) -> dict[str, Any]:
+    """JSON content of a verdict, format 'mbcacq-check-result/1'; angles in rad."""
+    days = [day.time for day in history.days]
+    return {
+        "format": "mbcacq-check-result/1",
+        "verdict": verdict.verdict,
+        "checks": len(days),
+        "log_e": verdict.log_e,
+        "log_e_since_calibration": verdict.log_e_calibration,
+        "log_threshold": verdict.log_threshold,
+        "log_e_by_check": [day.log_e for day in history.days],
+        "suspects": [
+            {"name": s.name, "where": s.where, "probability": s.probability, "parameters": list(s.parameters), "units": list(s.units)}
+            | {"size": list(s.size), "std": list(s.std), "explains": s.explains}
+            for s in verdict.suspects
+        ],
+        "since": None if verdict.since is None else days[verdict.since],
+        "since_between": None if verdict.between is None else [days[k] for k in verdict.between],
+        "before_first_check": verdict.since == 0,
+        "noticed_within_a_week": [{"name": n, "where": w, "size": v, "unit": u} for n, w, v, u in verdict.noticed],
+        "noise_level": verdict.noise,
+        "day_level": verdict.day,
+    }

@@ -1,0 +1,57 @@
+"""The verdict of a check in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.interim_check.history import CheckHistory
+from mbcacq.interim_check.possible_changes import UNNAMED
+from mbcacq.interim_check.verdict import CheckVerdict, Suspect
+from mbcacq.quantities import K, measured
+
+MOST = 4  # suspects in a sentence
+LARGEST = 1e6  # an e-value beyond it is "more than a million"
+
+
+def odds(log_e: float) -> str:
+    """An e-value as a number that people read."""
+    return "more than a million" if log_e > np.log(LARGEST) else f"{np.exp(log_e):.3g}"
+
+
+def in_degrees(value: float, std: float, unit: str) -> str:
+    """A size with its expanded uncertainty (k = 2): angles in degrees."""
+    factor, shown = (180 / np.pi, "°") if unit == "rad" else (1.0, f" {unit}" if unit else "")
+    return measured(factor * value, factor * K * std, shown.strip())
+
+
+def size_of(suspect: Suspect) -> str:
+    """The coefficients of a suspect beyond their uncertainty, or '' where no unit is known."""
+    known = [
+        f"{name} {in_degrees(value, std, unit)}"
+        for name, value, std, unit in zip(suspect.parameters, suspect.size, suspect.std, suspect.units, strict=True)
+        if unit and abs(value) > K * std
+    ]
+    return ", ".join(known)
+
+
+def sentence_of(verdict: CheckVerdict, history: CheckHistory) -> str:
+    """One sentence: as before, or what changed, where, since when, by how much."""
+    n = len(history.days)
+    if not verdict.changed:
+        return f"as before: nothing changed in {n} check{'s' if n > 1 else ''} that {len(history.poses)} poses would have noticed"
+    first, names = verdict.suspects[0], [s.label for s in verdict.suspects if s.name != UNNAMED]
+    shown = " or ".join(names[:MOST]) + (f" or {len(names) - MOST} others like them" if len(names) > MOST else "")
+    if first.name == UNNAMED:
+        near = next(s for s in verdict.suspects if s.name != UNNAMED)
+        what = f"the cell changed in a way that no name on the list describes (nearest: {near.label}, which explains {near.explains:.0%})"
+    else:
+        what = f"the cell changed: {shown}"
+    if verdict.since == 0:
+        when = "between its calibration and the first check"
+    else:
+        low, high = verdict.between or (0, 0)
+        when = f"before the check of {history.days[verdict.since or 0].time}"
+        if low != high:
+            when += f" (with 90 % before one of those from {history.days[low].time} to {history.days[high].time})"
+    size = size_of(first)
+    return f"{what}, {when}" + (f"; if it is the first: {size}" if size and len(names) > 1 else f"; {size}" if size else "")

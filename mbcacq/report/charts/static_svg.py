@@ -1,0 +1,238 @@
+"""A figure of the page as SVG, for paper: drawn by Matplotlib from the same traces, without a browser."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+PX_PER_INCH = 96.0  # of CSS
+LEGEND_PX = 105.0  # of a name in the legend
+MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "triangle-up": "^", "x": "X", "circle-x-open": "o"}
+DASHES = {"dash": "--", "dot": ":", "dashdot": "-."}
+
+
+def static_svg(figure: Any, width_px: float, scale: float = 1.0) -> str:
+    """An SVG drawing of a Plotly figure.
+
+    Parameters
+    ----------
+    figure
+        With traces of the kinds scatter, bar, heatmap, histogram and box on one pair of axes.
+    width_px
+        Of the drawing.
+    scale
+        Its height over that of the figure's layout.
+
+    Returns
+    -------
+    Text of an SVG document; its characters are outlines, so it needs no font.
+    """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    height = scale * float(figure.layout.height or 300)
+    drawing = Figure(figsize=(width_px / PX_PER_INCH, height / PX_PER_INCH), layout="constrained")
+    axes = drawing.add_subplot()
+    categories = _Categories()
+    bars = [trace for trace in figure.data if trace.type == "bar"]
+    for number, trace in enumerate(figure.data):
+        DRAW[trace.type](axes, trace, _Place(categories, bars, figure.layout.barmode or "group", number))
+    _finish(axes, figure.layout, categories, max(int(width_px / LEGEND_PX), 1))
+    out = io.StringIO()
+    FigureCanvasSVG(drawing).print_svg(out, metadata={"Date": None})
+    return out.getvalue()
+
+
+class _Categories:
+    """Names on the horizontal axis, numbered in the order of their first use; numbers stay numbers."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def numbers(self, values: Any, category: bool = False) -> np.ndarray:
+        values = np.atleast_1d(np.asarray(values))
+        if values.dtype.kind in "biuf" and not category:
+            return values.astype(float)
+        if values.dtype.kind == "O" and not category and all(isinstance(v, int | float | None) for v in values):
+            return values.astype(float)
+        for name in map(str, values):
+            if name not in self.names:
+                self.names.append(name)
+        return np.array([self.names.index(str(v)) for v in values], dtype=float)
+
+
+class _Place:
+    """What a trace needs to know of the others. number: its own, among all."""
+
+    def __init__(self, categories: _Categories, bars: list[Any], barmode: str, number: int) -> None:
+        self.categories, self.bars, self.barmode, self.number = categories, bars, barmode, number
+
+
+def _scatter(axes: Any, trace: Any, place: _Place) -> None:
+    if trace.x is None or trace.y is None:
+        return
+    x, y = place.categories.numbers(trace.x), place.categories.numbers(trace.y)
+    mode = trace.mode or "lines"
+    colour = (trace.line.color if "lines" in mode else None) or _one(trace.marker.color) or trace.line.color or "#0072B2"
+    style: dict[str, Any] = {"color": colour, "linestyle": "none", "alpha": trace.marker.opacity or trace.opacity or 1.0}
+    if "lines" in mode:
+        style |= {"linestyle": DASHES.get(trace.line.dash, "-"), "linewidth": 0.75 * (trace.line.width or 2), "solid_capstyle": "butt"}
+    if "markers" in mode:
+        symbol = _one(trace.marker.symbol) or "circle"
+        style |= {"marker": MARKERS.get(symbol, "o"), "markersize": 0.75 * float(_one(trace.marker.size) or 6), "markeredgewidth": 0}
+        if symbol.endswith("-open"):
+            style |= {"markerfacecolor": "none", "markeredgewidth": 1.2}
+    axes.plot(x, y, label=_label(trace), **style)
+    if trace.error_y.array is not None:
+        axes.errorbar(x, y, yerr=np.asarray(trace.error_y.array, dtype=float), fmt="none", ecolor=colour, elinewidth=0.8, capsize=2)
+    if "text" in mode and trace.text is not None:
+        for px, py, text in zip(x, y, np.atleast_1d(trace.text), strict=False):
+            axes.annotate(str(text), (px, py), fontsize=7, ha="center", va="bottom")
+
+
+def _bar(axes: Any, trace: Any, place: _Place) -> None:
+    flat = trace.orientation == "h"
+    at, size = (trace.y, trace.x) if flat else (trace.x, trace.y)
+    at, size = place.categories.numbers(at, category=not flat and not _numeric(at)), np.asarray(size, dtype=float)
+    width = np.asarray(trace.width if trace.width is not None else 0.72, dtype=float)
+    base = np.zeros(len(size)) if trace.base is None else np.broadcast_to(np.asarray(trace.base, dtype=float), size.shape)
+    own = [one is trace for one in place.bars].index(True)
+    if place.barmode == "stack":
+        base = base + sum(np.asarray(one.x if flat else one.y, dtype=float) for one in place.bars[:own])
+    elif len(place.bars) > 1 and trace.width is None:
+        width = width / len(place.bars)
+        at = at + (own - (len(place.bars) - 1) / 2) * width
+    draw: Callable = axes.barh if flat else axes.bar
+    draw(at, size, width, base, color=_one(trace.marker.color) or "#0072B2", label=_label(trace))
+
+
+def _heatmap(axes: Any, trace: Any, place: _Place) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    z = np.asarray(trace.z, dtype=float)
+    scale = [(float(share), colour) for share, colour in trace.colorscale]
+    colours = LinearSegmentedColormap.from_list("page", [(share, _rgb(colour)) for share, colour in scale])
+    colours = colours.reversed() if trace.reversescale else colours
+    x, y = (
+        np.arange(n, dtype=float) if values is None or not _numeric(values) else np.asarray(values, dtype=float)
+        for values, n in ((trace.x, z.shape[1]), (trace.y, z.shape[0]))
+    )
+    shown = axes.pcolormesh(x, y, np.ma.masked_invalid(z), cmap=colours, vmin=trace.zmin, vmax=trace.zmax, shading="nearest")
+    for axis, values in ((axes.xaxis, trace.x), (axes.yaxis, trace.y)):
+        if values is not None and not _numeric(values):
+            axis.set_ticks(range(len(values)), [str(v) for v in values], fontsize=6, rotation=90 if axis is axes.xaxis else 0)
+    bar = axes.figure.colorbar(shown, ax=axes, aspect=30)
+    bar.outline.set_visible(False)
+    bar.ax.set_title(trace.colorbar.title.text or "", fontsize=7)
+    bar.ax.tick_params(labelsize=7)
+
+
+def _histogram(axes: Any, trace: Any, place: _Place) -> None:
+    axes.hist(np.asarray(trace.x, dtype=float), bins=trace.nbinsx or 30, color=_one(trace.marker.color) or "#0072B2", label=_label(trace))
+
+
+def _box(axes: Any, trace: Any, place: _Place) -> None:
+    colour = _one(trace.marker.color) or "#0072B2"
+    at = place.categories.numbers([trace.name or place.number], category=True)
+    thin = {"color": colour, "linewidth": 0.9}
+    axes.boxplot(
+        [np.asarray(trace.y, dtype=float)],
+        positions=at,
+        widths=0.6,
+        manage_ticks=False,
+        boxprops=thin,
+        whiskerprops=thin,
+        capprops=thin,
+        medianprops=thin,
+        flierprops={"marker": "o", "markersize": 2, "markerfacecolor": colour, "markeredgewidth": 0},
+    )
+
+
+DRAW: dict[str, Callable[[Any, Any, _Place], None]] = {
+    "scatter": _scatter,
+    "bar": _bar,
+    "heatmap": _heatmap,
+    "histogram": _histogram,
+    "box": _box,
+}
+
+
+def _finish(axes: Any, layout: Any, categories: _Categories, most: int) -> None:
+    """most: names in a row of the legend."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)
+    axes.set_axisbelow(True)
+    if layout.yaxis.showgrid is not False:
+        axes.grid(axis="y", color="#e6e6e6", linewidth=0.6)
+    for name, axis in (("x", layout.xaxis), ("y", layout.yaxis)):
+        _axis(axes, name, axis)
+    if categories.names and layout.xaxis.type != "linear":
+        axes.set_xticks(range(len(categories.names)), categories.names)
+    if layout.yaxis.scaleanchor:
+        axes.set_aspect("equal", adjustable="datalim")
+    for shape in layout.shapes:
+        if shape.type == "line":
+            _line(axes, shape)
+    handles, labels = axes.get_legend_handles_labels()
+    if labels and layout.showlegend is not False:
+        above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": min(len(labels), most)}
+        axes.legend(handles, labels, fontsize=7, frameon=False, borderaxespad=0.2, handletextpad=0.4, columnspacing=1.0, **above)
+
+
+def _axis(axes: Any, name: str, axis: Any) -> None:
+    if axis.visible is False:
+        (axes.xaxis if name == "x" else axes.yaxis).set_visible(False)
+        return
+    getattr(axes, f"set_{name}label")(_plain(axis.title.text), fontsize=8)
+    if axis.type == "log":
+        getattr(axes, f"set_{name}scale")("log")
+    if axis.tickvals is not None and axis.ticktext is not None:
+        getattr(axes, f"set_{name}ticks")(list(axis.tickvals), [_plain(t) for t in axis.ticktext])
+    if axis.range is not None:
+        ends = [10.0**end for end in axis.range] if axis.type == "log" else list(axis.range)
+        getattr(axes, f"set_{name}lim")(*ends)
+    elif axis.rangemode == "tozero":
+        getattr(axes, f"set_{name}lim")(**{"bottom" if name == "y" else "left": 0.0})
+    if axis.autorange == "reversed":
+        (axes.invert_xaxis if name == "x" else axes.invert_yaxis)()
+
+
+def _line(axes: Any, shape: Any) -> None:
+    style = {"color": shape.line.color or "#444444", "linewidth": 1.0, "linestyle": DASHES.get(shape.line.dash, "-")}
+    if shape.x0 == shape.x1:
+        axes.axvline(shape.x0, **style)
+    elif shape.y0 == shape.y1:
+        axes.axhline(shape.y0, **style)
+
+
+def _one(value: Any) -> Any:
+    """A style that holds for the whole trace; the first of one for each point."""
+    if isinstance(value, str) or value is None or np.isscalar(value):
+        return value
+    return value[0] if len(value) else None
+
+
+def _numeric(values: Any) -> bool:
+    return np.asarray(values).dtype.kind in "biuf"
+
+
+def _label(trace: Any) -> str:
+    """'_' hides a trace from the legend."""
+    return "_" if trace.showlegend is False or not trace.name else _plain(trace.name)
+
+
+def _plain(text: str | None) -> str:
+    """Plotly's names are HTML of which the page uses escapes and line breaks."""
+    for code, character in (("<br>", "\n"), ("&lt;", "<"), ("&gt;", ">"), ("&amp;", "&")):
+        text = (text or "").replace(code, character)
+    return (text or "").replace("$", r"\$")
+
+
+def _rgb(colour: str) -> Any:
+    """'#rrggbb', a name, or Plotly's 'rgb(r, g, b)' as Matplotlib takes it."""
+    if colour.startswith("rgb"):
+        return tuple(float(part) / 255 for part in colour[colour.index("(") + 1 : -1].split(",")[:3])
+    return colour

@@ -1,0 +1,40 @@
+"""The page on paper: a PDF of the same content, laid out by WeasyPrint, without a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
+from mbcacq.report.content import Content
+from mbcacq.report.page import render
+
+MISSING = "a PDF needs the libraries WeasyPrint and Matplotlib: pip install 'mbcacq[pdf]' (WeasyPrint also wants Pango: see docs/report.md)"
+
+
+def write_pdf(content: Content, path: str | Path) -> Path:
+    """Write a report as PDF on A4.
+
+    Parameters
+    ----------
+    content
+        Of the report.
+    path
+        The file; its folder is made where it is missing.
+
+    Raises
+    ------
+    ConfigError
+        If WeasyPrint or Matplotlib is not installed, or finds no Pango.
+    RecordingError
+        If the file cannot be written.
+    """
+    try:
+        import matplotlib  # noqa: F401  (draws the figures; asked for before anything is drawn)
+        import weasyprint
+        from weasyprint.urls import URLFetcher
+    except (ImportError, OSError) as error:
+        raise ConfigError(f"{MISSING} ({error})") from None
+    html = render(content, paper=True)
+    inside = URLFetcher(allowed_protocols=["data"])  # pictures stand in the page itself; nothing else is ever fetched
+    return write_file(path, weasyprint.HTML(string=html, url_fetcher=inside).write_pdf())

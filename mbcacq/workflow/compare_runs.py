@@ -1,0 +1,219 @@
+"""Two recordings of one arm compared: what changed from one campaign to the next, with its uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtrc
+from scipy.stats import norm
+
+from mbcacq.calibration.result_io import chain_of, effects_of
+from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.errors import ConfigError
+from mbcacq.geometry import se3
+from mbcacq.model.cell import RobotModel
+from mbcacq.model.json_text import damage
+from mbcacq.quantities import K
+
+FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
+TURNS = {"rad": 180.0 / np.pi}  # angles are shown in degrees
+REGULAR = 1e-12  # least eigenvalue of the normalised covariance of all changes that counts as known
+
+
+@dataclass(frozen=True)
+class Change:
+    """One quantity in both recordings, with expanded uncertainties (k = 2); None where a recording does not determine it.
+
+    what: 'parameter', 'hand-eye', 'effect' or 'figure'. significant: the change is beyond what chance makes of that many rows.
+    """
+
+    what: str
+    name: str
+    unit: str
+    before: tuple[float, float | None] | None
+    after: tuple[float, float | None] | None
+    change: tuple[float, float | None] | None
+    significant: bool = False
+    why_not: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        def value(pair: tuple[float, float | None] | None) -> dict[str, float | None] | None:
+            return None if pair is None else {"value": pair[0], "U": pair[1]}
+
+        shown = {"before": value(self.before), "after": value(self.after), "change": value(self.change)}
+        return {"what": self.what, "name": self.name, "unit": self.unit, **shown, "significant": self.significant, "why_not": self.why_not}
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """What changed between two recordings of one arm.
+
+    Attributes
+    ----------
+    names
+        How the recordings are called, the earlier first.
+    robot
+        Name of the arm.
+    rows
+        A row a quantity.
+    chi2, dof, p_value
+        Of all changes of arm and hand-eye together, with their whole covariances, against none; p_value is the probability of a larger
+        chi2 where nothing changed.
+    """
+
+    names: tuple[str, str]
+    robot: str
+    rows: tuple[Change, ...]
+    chi2: float
+    dof: int
+    p_value: float
+
+    @property
+    def changed(self) -> list[Change]:
+        """The rows whose change is significant."""
+        return [row for row in self.rows if row.significant]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content, format 'mbcacq-run-comparison/1'. Lengths mm, angles deg."""
+        together = {"chi2": self.chi2, "dof": self.dof, "p_value": self.p_value}
+        return {
+            "format": "mbcacq-run-comparison/1",
+            "recordings": list(self.names),
+            "robot": self.robot,
+            "together": together,
+            "rows": [row.to_dict() for row in self.rows],
+        }
+
+
+def compare_runs(first: Path | str, second: Path | str) -> RunComparison:
+    """Compare the calibrations of two recordings of one arm: a run folder each (with its effects, where ``diagnose --calibrate`` made
+    such a result), or a result.json.
+
+    Raises ConfigError where one has no result, or they are of different arms.
+    """
+    results = [_result(Path(path)) for path in (first, second)]
+    return compare_results(results[0], results[1], (str(first), str(second)))
+
+
+def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: tuple[str, str] = ("first", "second")) -> RunComparison:
+    """Compare the contents of two result.json. Raises ConfigError where they are of different arms, or one is damaged."""
+    try:
+        robot = str(first["robot"]["name"])
+        nominal = [chain_of(dict(result), "nominal") for result in (first, second)]
+        other = RobotModel(str(second["robot"]["name"]), nominal[1], *(np.zeros(nominal[1].n), np.zeros(nominal[1].n)), np.zeros((1, 3)))
+        refuse_other_arm("the first recording is of", robot, nominal[0], other, "the second")
+        changes, covariance = _geometry(first, second)
+        rows = [*changes, *_effects(first, second)]
+        figures = _figures(first, second)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"one of the results is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
+    tested = sum(row.change is not None and row.change[1] is not None for row in rows)
+    limit = float(norm.isf(FALSE_ALARMS / 2 / max(tested, 1)))
+    rows = [_judged(row, limit) for row in rows]
+    chi2, dof = _together([row.change[0] for row in changes if row.change is not None], covariance)
+    return RunComparison(names, robot, (*rows, *figures), chi2, dof, float(chdtrc(dof, chi2)) if dof else 1.0)
+
+
+def _result(path: Path) -> dict[str, Any]:
+    """The best result of a run: with effects, where there is one."""
+    from mbcacq.exports.result_json import load_result
+
+    with_effects = path / "with-effects" / "result.json"
+    return load_result(with_effects if with_effects.is_file() else path)
+
+
+def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list[Change], np.ndarray]:
+    """Rows of arm and hand-eye, and the covariance (c, c) of the changes that both recordings determine, in their order and units."""
+    listed = [{p["name"]: p for p in result["parameters"]} for result in (first, second)]
+    T = se3.inverse(np.array(first["T_flange_scanner"], float)) @ np.array(second["T_flange_scanner"], float)
+    moved = dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*T[:3, 3], *se3.rotation_log(T[:3, :3])), strict=True))
+    rows: list[Change] = []
+    common: list[tuple[str, float]] = []
+    for name, one in listed[0].items():
+        two = listed[1].get(name)
+        mount = name.removeprefix("hand_eye.") if name.startswith("hand_eye.") else ""
+        if two is None or name.startswith("ball_") or (one["status"] != "free" and two["status"] != "free"):
+            continue
+        scale = TURNS.get(one["unit"], 1.0)
+        unit = "deg" if one["unit"] in TURNS else one["unit"]
+        before, after = (None if mount or p["std"] is None else (scale * p["error"], K * scale * p["std"]) for p in (one, two))
+        if one["std"] is None or two["std"] is None:
+            held = "first" if one["std"] is None else "second"
+            rows.append(Change("hand-eye" if mount else "parameter", name, unit, before, after, None, why_not=f"held in the {held}"))
+            continue
+        value = moved[mount] if mount else two["error"] - one["error"]
+        change = (scale * value, K * scale * float(np.hypot(one["std"], two["std"])))
+        rows.append(Change("hand-eye" if mount else "parameter", name, unit, before, after, change))
+        common.append((name, scale))
+    covariance = np.zeros((len(common), len(common)))
+    for result in (first, second):
+        at = [list(result["names"]).index(name) for name, _ in common]
+        covariance += np.array(result["covariance"], float)[np.ix_(at, at)]
+    scales = np.array([scale for _, scale in common])
+    return rows, covariance * scales[:, None] * scales
+
+
+def _together(changes: list[float], covariance: np.ndarray) -> tuple[float, int]:
+    """Chi2 of all changes against none, and its degrees of freedom; combinations that no recording determines are left out."""
+    if not changes:
+        return 0.0, 0
+    sigma = np.sqrt(np.diag(covariance))
+    value, vector = np.linalg.eigh(covariance / sigma / sigma[:, None])
+    known = value > REGULAR * value[-1]
+    along = vector[:, known].T @ (np.array(changes) / sigma)
+    return float(np.sum(along**2 / value[known])), int(known.sum())
+
+
+def _effects(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Change]:
+    models = [effects_of(result) for result in (first, second)]
+    terms = [{} if model is None else {term.key: term for term in model.terms if term.name != "unknown"} for model in models]
+    rows = []
+    for key in dict.fromkeys([*terms[0], *terms[1]]):
+        one, two = (found.get(key) for found in terms)
+        term = one or two
+        assert term is not None, "the key is of one of them"
+        for k, name in enumerate(term.names):
+            before, after = (None if t is None else (float(t.coefficients[k]), K * float(t.std[k])) for t in (one, two))
+            change = None
+            if before is not None and after is not None:
+                change = (after[0] - before[0], float(np.hypot(before[1], after[1])))
+            lacking = "" if change is not None else f"not found in the {'first' if one is None else 'second'}"
+            title = f"{term.name} at {'+'.join(term.where)}: {name}"
+            rows.append(Change("effect", title, term.units[k], before, after, change, why_not=lacking))
+    return rows
+
+
+def _figures(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Change]:
+    """What describes the recordings themselves; no row of it is judged."""
+    rows = []
+    for name, keys in (
+        ("residual, 3D rms", ("fit", "rms_mm")),
+        ("largest sphere spacing error", ("verification", "after", "max_mm")),
+        ("mean sphere spacing error", ("verification", "after", "mean_mm")),
+    ):
+        values = [_inside(result, keys) for result in (first, second)]
+        if any(v is not None for v in values):
+            before, after = (None if v is None else (v, None) for v in values)
+            change = None if before is None or after is None else (after[0] - before[0], None)
+            rows.append(Change("figure", name, "mm", before, after, change))
+    for axis in range(3):
+        before, after = ((float(result["noise"]["scanner_mm"][axis]), None) for result in (first, second))
+        rows.append(Change("figure", f"scanner noise (k = 1), {'xyz'[axis]}", "mm", before, after, (after[0] - before[0], None)))
+    return rows
+
+
+def _inside(content: Mapping[str, Any], keys: tuple[str, ...]) -> float | None:
+    value: Any = content
+    for key in keys:
+        value = (value or {}).get(key)
+    return None if value is None else float(value)
+
+
+def _judged(row: Change, limit: float) -> Change:
+    if row.change is None or not row.change[1]:
+        return row
+    return replace(row, significant=bool(abs(row.change[0]) > limit * row.change[1] / K))

@@ -1,0 +1,151 @@
+"""The poses of a plan steered by a calibrated arm: joint angles that bring it, with its effects, to the places the plan means."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration.joint_targets import joint_targets
+from mbcacq.calibration.place_errors import ArmImprovement, arm_improvement
+from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.sealed_json import digest
+from mbcacq.calibration.uncertainty import frames, measuring_covariance
+from mbcacq.devices.addresses import on_loopback_only
+from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.model.json_text import damage
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan, PlannedPose
+from mbcacq.workflow.correct import refuse_uncalibrated
+from mbcacq.workflow.load import as_result, is_run_folder, load_observations
+
+LARGEST_MM = 25.0  # by which an arm in good order may miss a place; the errors of arms as delivered are below 10 mm
+SAME_PLACE = np.radians(2.0)  # of every joint: nearer, effects of gears aside, an error of the arm is the same
+WITH_EFFECTS = "with-effects"  # folder in that of a run, of the result with what its diagnosis found
+ARRAYS = ("nominal", "corrected", "moved_mm", "noise_mm")
+CalibratedArm = Calibration | CalibratedCell | dict[str, Any] | Path | str
+
+
+@dataclass(frozen=True)
+class CorrectedTargets:
+    """result: SHA-256 of the calibration that steers. nominal, corrected: (P, n) rad of all poses of the plan. moved_mm: (P,) by how much
+    the calibrated arm misses its place with the nominal angles. noise_mm: (P,) 3D standard deviation of a point measured there. took_part:
+    (P,) bool, whether the calibration was made with a pose there; None: not known."""
+
+    result: str
+    nominal: np.ndarray
+    corrected: np.ndarray
+    moved_mm: np.ndarray
+    noise_mm: np.ndarray
+    took_part: np.ndarray | None = None
+
+    def steer(self, poses: Sequence[PlannedPose]) -> list[PlannedPose]:
+        """The poses with their corrected joint angles. Raises ConfigError where they are not those that were corrected."""
+        q = np.array([p.q for p in poses])
+        if q.shape != self.nominal.shape or not np.allclose(q, self.nominal, rtol=0, atol=1e-9):
+            raise ConfigError("the corrected targets are of other poses than the plan has; start a new run")
+        return [replace(pose, q=corrected) for pose, corrected in zip(poses, self.corrected, strict=True)]
+
+    def improvement(self, obs: Observations) -> ArmImprovement | None:
+        """Before and after, as a recording with these targets shows them; None where it cannot."""
+        at = obs.pose_id
+        if at.max(initial=-1) >= len(self.nominal):
+            return None
+        took_part = None if self.took_part is None else self.took_part[at]
+        try:
+            return arm_improvement(obs, self.nominal[at], self.corrected[at], self.noise_mm[at], took_part)
+        except CalibrationError:
+            return None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content; angles in rad, with all their digits, so that a resumed run drives to the same joint angles."""
+        took_part = None if self.took_part is None else self.took_part.tolist()
+        arrays = {name: getattr(self, name).tolist() for name in ARRAYS}
+        return {"result": self.result, **arrays, "took_part": took_part}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> CorrectedTargets:
+        """The targets that ``to_dict`` wrote. Raises ConfigError where they are damaged."""
+        try:
+            nominal, corrected, moved, noise = arrays = [np.array(content[name], dtype=float) for name in ARRAYS]
+            took_part = None if content["took_part"] is None else np.array(content["took_part"], dtype=bool)
+            result = str(content["result"])
+            count = len(nominal)
+            whole = nominal.ndim == 2 and corrected.shape == nominal.shape and moved.shape == noise.shape == (count,)
+            if not (whole and all(np.isfinite(a).all() for a in arrays) and (took_part is None or took_part.shape == (count,))):
+                raise ValueError("shapes differ, or an angle is no number")
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"the corrected targets of this run are damaged ({damage(error)}); start a new run") from error
+        return cls(result, nominal, corrected, moved, noise, took_part)
+
+
+def corrected_targets(loaded: LoadedPlan, poses: Sequence[PlannedPose], calibrated: CalibratedArm, dry_run: bool) -> CorrectedTargets:
+    """Correct the targets of a plan's poses by a calibrated arm with its effects.
+
+    A simulated calibration steers only fakes. Raises ConfigError where the result is of another arm, holds the nominal arm, is simulated
+    and the arm real, where a place cannot be reached within the limits, or the calibrated arm misses one by more than an arm in good order.
+    """
+    content = as_result(calibrated)
+    arm = CalibratedCell.from_dict(content)
+    refuse_other_arm("the result is of", arm.robot, arm.preliminary.chain, loaded.cell.robot, "the plan")
+    refuse_uncalibrated(arm, dry_run or on_loopback_only(loaded.plan.robot.options))
+    nominal = np.array([p.q for p in poses])
+    goals = loaded.cell.robot.chain.flange(nominal)
+    found = joint_targets(arm, goals, nominal, loaded.cell.robot.limits)
+    moved_mm = np.linalg.norm(frames(arm, nominal)[:, -1, :3, 3] - goals[:, :3, 3], axis=1)
+    for pose, reached, reason, left, moved in zip(poses, found.reached, found.reasons, found.error_mm, moved_mm, strict=True):
+        where = f"{loaded.path}:{pose.line}: pose {pose.number} (step '{pose.step_name}', station '{pose.station}')"
+        if moved > LARGEST_MM:
+            raise ConfigError(
+                f"{where}: by this result the arm misses the place by {moved:.1f} mm, more than an arm in good order; "
+                "give the result of this arm, in this state"
+            )
+        if not reached:
+            raise ConfigError(
+                f"{where}: the calibrated arm stays {left:.3f} mm short of its place, {reason}; move the station or change the view"
+            )
+    noise_mm = np.sqrt(np.trace(measuring_covariance(arm, nominal, np.zeros((len(nominal), 3))), axis1=1, axis2=2))
+    return CorrectedTargets(digest(content), nominal, found.q, moved_mm, noise_mm, _took_part(calibrated, nominal))
+
+
+def _took_part(calibrated: CalibratedArm, q: np.ndarray) -> np.ndarray | None:
+    """(P,) bool: whether the calibration was made with a pose at joint angles near q (P, n) rad; None where its poses are not known."""
+    learnt = None
+    if isinstance(calibrated, Calibration):
+        learnt = calibrated.observations.q
+    elif isinstance(calibrated, Path | str):
+        place = Path(calibrated)
+        folder = place if place.is_dir() else place.parent
+        folder = folder.parent if folder.name == WITH_EFFECTS else folder
+        learnt = load_observations(folder).q if is_run_folder(folder) else None
+    if learnt is None:
+        return None
+    return (np.abs(q[:, None] - learnt[None]).max(axis=2) < SAME_PLACE).any(axis=1)
+
+
+def improvement_of_run(folder: Path, obs: Observations) -> ArmImprovement | None:
+    """Before and after, where a calibrated arm steered the run of this folder; None where it did not, or the recording cannot show it."""
+    from mbcacq.recording.run_folder.run_plan import read_kept_plan
+
+    kept = read_kept_plan(folder).corrected
+    return None if kept is None else CorrectedTargets.from_dict(kept).improvement(obs)
+
+
+def to_go_on_with(folder: Path, given: CorrectedTargets | None) -> CorrectedTargets | None:
+    """The corrected targets of a run that goes on: those it began with, as its folder or its recordings hold them. given: by this call.
+    Raises ConfigError where the two do not belong into one recording."""
+    from mbcacq.recording.run_folder.run_plan import read_kept_plan
+
+    kept = read_kept_plan(folder)
+    before = None if kept.corrected is None else CorrectedTargets.from_dict(kept.corrected)
+    if given is None or kept.files is None:  # lost in the folder and in its recordings: taken to be as in this run
+        return before or given
+    if before is None:
+        raise ConfigError(f"{folder} was recorded with the plan's own targets; go on without --corrected, or start a new run")
+    if before.result != given.result:
+        raise ConfigError(f"{folder} was steered by another result; go on without --corrected, which keeps that, or start a new run")
+    return before

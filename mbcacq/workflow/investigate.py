@@ -1,0 +1,204 @@
+"""``mbcacq investigate``: measure, weigh, choose the next visit, in a loop, with the runner, the checks and the safety of a run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from mbcacq.acquisition.device_check import refuse_impossible_devices
+from mbcacq.design.adaptive.investigation import Budget, Decision, refuse_empty
+from mbcacq.design.adaptive.investigation import decisions as decisions_of
+from mbcacq.devices.addresses import on_loopback_only
+from mbcacq.errors import ConfigError
+from mbcacq.files.atomic_write import write_file
+from mbcacq.model import yaml12
+from mbcacq.model.json_text import damage, read_json
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan, expand, load, refuse_errors
+from mbcacq.plan.growth import with_steps
+from mbcacq.workflow import resume as resuming
+from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
+from mbcacq.workflow.address_space import refuse_small_address_space
+from mbcacq.workflow.dry_run import device_overrides, name_of
+from mbcacq.workflow.evaluate import RunResult, evaluate
+from mbcacq.workflow.investigation_page import PAGE, write_investigation_page
+from mbcacq.workflow.load import as_plan, load_observations
+from mbcacq.workflow.next_plan import plan_of_recording
+from mbcacq.workflow.run import Operator
+
+FORMAT, DECISIONS = "mbcacq-investigation/1", "investigation.json"
+
+
+@dataclass
+class CellInvestigation:
+    """An investigation in the folder of a run: an iterator of decisions, each of them on the disk before its visit is measured.
+
+    loaded: the plan of the cell. folder: of the run. budget, dry_run, seed, operator: as of ``mbcacq.investigate``. decisions: made so far.
+    """
+
+    loaded: LoadedPlan
+    folder: Path
+    budget: Budget
+    dry_run: bool = False
+    seed: int = 0
+    live: bool = False
+    operator: Operator = field(default_factory=Operator)
+    decisions: list[Decision] = field(default_factory=list)
+    begun_from_run: bool = False
+    _settled: int = 0
+
+    def __iter__(self) -> Iterator[Decision]:
+        """Decisions, those of an interrupted investigation first. Raises what a run raises."""
+        from mbcacq.recording.run_folder.lock import write_lock
+
+        before = tuple(self.decisions)
+        with write_lock(self.folder, "investigate"):
+            self._keep()
+            self._settled = self._poses_settled(before)
+            measured = load_observations(self.folder) if self.begun_from_run else None
+            for decision in decisions_of(self.loaded, self._measure, self.budget, before, measured, self.seed):
+                if decision.number >= len(self.decisions):
+                    self.decisions.append(decision)
+                    self._keep()
+                yield decision
+
+    def finish(self) -> RunResult:
+        """Measure the plan's poses that judge the calibration, calibrate and verify the cell, and write the page on how it was found."""
+        from mbcacq.recording.run_folder.lock import write_lock
+
+        judging = [] if self.begun_from_run else [s for s in yaml12.load(self.loaded.text)["steps"] if s["phase"] == "verification"]
+        with write_lock(self.folder, "investigate"):
+            if judging:
+                grown = plan_of_recording(self.folder)
+                if not any(step.phase == "verification" for step in grown.plan.steps):
+                    self._settled = len(expand(grown))
+                    grown = _grown(grown, judging)
+                self._measure(grown)
+            write_investigation_page(self.folder, self.loaded.plan.name, self.decisions)
+            return evaluate(self.folder, self.loaded.plan.accept.sphere_spacing_error_mm, self.operator.progress)
+
+    @property
+    def page(self) -> Path:
+        """The page on how it was found, once it is finished."""
+        return self.folder / PAGE
+
+    def _measure(self, grown: LoadedPlan) -> Observations:
+        """Everything that is measured, after the poses that the plan has grown by."""
+        operator, cell = self.operator, name_of(self.dry_run, self.seed)
+        poses = expand(grown)
+        refuse_errors(grown, poses)
+        from mbcacq.recording.rrd import layout
+
+        fresh = not layout.parts(self.folder)
+        before = resuming.new_progress() if fresh else resuming.resumed_progress(self.folder, grown, cell)
+        for sentence in before.repairs:
+            operator.message(sentence)
+        done = before.done | frozenset(range(self._settled))
+        if any(p.number not in done for p in poses):
+            operator.progress("checking every motion between the poses")
+            acquisition = plan_acquisition(grown, poses, done, before.part, cell)
+            acquisition.simulated = self.dry_run or on_loopback_only(grown.plan.robot.options)
+            operator.progress("")
+            if not self.dry_run:
+                operator.allow_motion(grown, [p for p in poses if p.number not in done], acquisition.sweep())
+            acquisition.folder = self.folder
+            operator.progress("starting the fake cell" if self.dry_run else "")
+            with device_overrides(grown, poses, self.dry_run, self.seed, operator.assume_yes) as overrides:
+                acquisition.execute(overrides, operator.subscribers, live=self.live, message=operator.message, pause=operator.pause)
+        self._settled = len(poses)
+        operator.progress("weighing all explanations")
+        return load_observations(self.folder)
+
+    def _poses_settled(self, before: Sequence[Decision]) -> int:
+        """Poses of the plan that are measured or were left out for good: all but those of the last decision, which may be incomplete."""
+        if not before:
+            return 0
+        grown = plan_of_recording(self.folder)
+        poses = expand(grown) if self.begun_from_run else [p for p in expand(grown) if p.phase != "verification"]
+        last = before[-1].steps
+        begun = bool(last) and any(step.name == last[-1]["name"] for step in grown.plan.steps)
+        return len(poses) - sum(len(step["poses_deg"]) for step in last) if begun else len(poses)
+
+    def _keep(self) -> None:
+        content = {
+            "format": FORMAT,
+            "plan": str(self.loaded.path.absolute()),
+            "budget": asdict(self.budget),
+            "begun_from_run": self.begun_from_run,
+            "begun_with": self.loaded.text,
+            "decisions": [d.to_dict() for d in self.decisions],
+        }
+        write_file(self.folder / DECISIONS, json.dumps(content, indent=1) + "\n")
+
+
+def _grown(grown: LoadedPlan, steps: list[dict[str, Any]]) -> LoadedPlan:
+    return replace(load(grown.path, with_steps(grown, steps)), grown_from=grown.grown_from)
+
+
+def investigate(  # noqa: PLR0913 -- one argument an option of its command
+    plan: LoadedPlan | Path | str | None,
+    budget: Budget | None = None,
+    *,
+    out: Path | str | None = None,
+    resume: Path | str | None = None,
+    recording: Path | str | None = None,
+    dry_run: bool = False,
+    seed: int = 0,
+    live: bool = False,
+    operator: Operator | None = None,
+) -> CellInvestigation:
+    """An investigation: iterate it, one decision after the other, each followed by the visit that it chose; then call ``finish``.
+
+    It measures the best 24 poses of a plan, weighs all explanations, chooses the next visit of a station among the views that can be taken,
+    and ends when the cell is known, the budget is spent, or nothing that can be reached would decide more.
+    plan: of the cell; not needed with ``resume`` or ``recording``. budget: most poses, moves and minutes. out: the folder of the run.
+    resume: the folder of an interrupted investigation, whose decisions are replayed. recording: the folder of a finished run, which it goes
+    on with. dry_run, seed, live, operator: as of ``mbcacq.run``.
+
+    Raises ConfigError where these do not fit together; iterating raises what a run raises.
+    """
+    refuse_small_address_space()
+    budget = budget or Budget()
+    refuse_empty(budget)
+    if sum(given is not None for given in (out, resume, recording)) > 1:
+        raise ConfigError("--out, --resume and --from exclude each other: an investigation goes on in the folder that it began in")
+    operator = operator or Operator()
+    if resume is not None:
+        return _resumed(Path(resume), dry_run, seed, live, operator)
+    if recording is not None:
+        folder = Path(recording)
+        return CellInvestigation(_from_run(folder), folder, budget, dry_run, seed, live, operator, begun_from_run=True)
+    if plan is None:
+        raise ConfigError("there is no plan to investigate with; give one, or --from RUN")
+    loaded = as_plan(plan)
+    if not dry_run:
+        refuse_impossible_devices(loaded)
+    folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
+    operator.began(folder)
+    return CellInvestigation(loaded, folder, budget, dry_run, seed, live, operator)
+
+
+def _from_run(folder: Path) -> LoadedPlan:
+    loaded = plan_of_recording(folder)
+    return replace(loaded, grown_from=loaded.grown_from or len(expand(loaded)))
+
+
+def _resumed(folder: Path, dry_run: bool, seed: int, live: bool, operator: Operator) -> CellInvestigation:
+    """An interrupted investigation, with its budget and the decisions that it has made."""
+    try:
+        content = read_json((folder / DECISIONS).read_text(encoding="utf-8"), "the investigation", "give the folder of an investigation")
+        decisions = [Decision.from_dict(one) for one in content["decisions"]]
+        budget = Budget(**content["budget"])
+        loaded, begun_from_run = load(Path(content["plan"]), str(content["begun_with"])), bool(content["begun_from_run"])
+    except FileNotFoundError:
+        raise ConfigError(f"{folder} holds no investigation to resume; give its folder, or --from RUN for a finished run") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(
+            f"{folder / DECISIONS} is damaged ({damage(error)}); go on with the run: mbcacq investigate --from {folder}"
+        ) from error
+    if begun_from_run:
+        loaded = replace(loaded, grown_from=plan_of_recording(folder).grown_from or len(expand(loaded)))
+    return CellInvestigation(loaded, folder, budget, dry_run, seed, live, operator, decisions, begun_from_run)

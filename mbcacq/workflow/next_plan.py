@@ -1,0 +1,109 @@
+"""The next measurements after a recording, as a plan that runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mbcacq.design.adaptive.next_plan import NextPoses, choose_next, next_plan_text
+from mbcacq.diagnosis.interim import InterimEvidence, weigh
+from mbcacq.diagnosis.result import Advice, EvidenceSummary
+from mbcacq.errors import ConfigError, MbcacqError
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.files.atomic_write import write_file
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan
+from mbcacq.workflow.diagnosis_result import DiagnosisResult
+from mbcacq.workflow.load import as_observations, as_plan
+
+
+@dataclass(frozen=True)
+class NextPlan:
+    """What to measure next: the chosen poses, and the text of a plan with them ('' where there are none)."""
+
+    chosen: NextPoses
+    text: str
+
+    @property
+    def sentences(self) -> list[str]:
+        """What is chosen and why, for people."""
+        said = [f"{reason}." for reason in self.chosen.reasons]
+        if not self.chosen.visits:
+            return [*said, "No pose that can be reached would decide more."]
+        each = ", ".join(f"{len(v.poses)} poses at station {v.station}" for v in self.chosen.visits)
+        return [*said, f"Next: {each}."]
+
+
+def weigh_evidence(data: Observations | Path | str, options: CalibrationOptions | None = None) -> EvidenceSummary:
+    """The evidence of a recording as it stands: the e-value of all effects together, and the compared sets with coefficients and odds.
+
+    It is what ``diagnose`` decides by, without validation on data left out, and holds at every look while a recording grows.
+    Raises CalibrationError where the data do not determine the geometry.
+    """
+    return weigh(as_observations(data), options).summary
+
+
+def next_poses(
+    observations: Observations | Path | str, plan: LoadedPlan | Path | str, *, visits: int = 3, poses: int = 24, seed: int = 0
+) -> NextPoses:
+    """The poses to measure next with a cell of a plan, for people with a runner of their own.
+
+    observations: what was measured so far. plan: describes the cell, its stations and what is in the way; its poses are among those that
+    are chosen from. visits, poses: at most so many. Joint angles are ``[p.q for p in chosen.poses]``, (n,) rad each.
+    Raises CalibrationError where the data do not determine the geometry, ConfigError where plan and recording are of different cells.
+    """
+    return _chosen(weigh(as_observations(observations)), as_plan(plan), visits, poses, seed)
+
+
+def next_plan(
+    run: Path | str, out: Path | str, *, plan: LoadedPlan | Path | str | None = None, visits: int = 3, poses: int = 24
+) -> NextPlan:
+    """The next measurements after a run as a plan, which is written to a file where there are any.
+
+    plan: of the cell (default: that of the run folder). The new plan runs by itself, and ``run --extend`` adds its poses to the run.
+    Raises ConfigError where the run has no plan, CalibrationError where its data do not determine the geometry.
+    """
+    out = Path(out)
+    loaded = plan_of_recording(Path(run)) if plan is None else as_plan(plan)
+    chosen = _chosen(weigh(as_observations(run)), loaded, visits, poses, 0)
+    if not chosen.visits:
+        return NextPlan(chosen, "")
+    text = next_plan_text(loaded, chosen.visits, out.parent, chosen.reasons)
+    write_file(out, text)
+    return NextPlan(chosen, text)
+
+
+def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
+    """The diagnosis of a run that cannot tell, with poses as advice that can be reached, seen and routed in the cell of its plan."""
+    if found.poses is None or found.poses.verdict != "cannot_tell" or found.observations is None:
+        return found
+    try:
+        loaded = plan_of_recording(run)
+        chosen = _chosen(weigh(found.observations), loaded, 3, 24, 0)
+    except MbcacqError:
+        return found  # a run of which the plan is not known any more, or whose cell is another one
+    advice = chosen.advice or tuple(Advice(reason, ()) for reason in chosen.reasons)
+    return replace(found, poses=replace(found.poses, advice=advice))
+
+
+def plan_of_recording(folder: Path) -> LoadedPlan:
+    """The plan that a run folder was recorded with, as it is kept there. Raises ConfigError where there is none."""
+    from mbcacq.plan import load
+    from mbcacq.recording.run_folder.run_plan import read_kept_plan
+
+    if not folder.is_dir():
+        raise ConfigError(f"{folder} is no run folder, which would say what can be measured next; give the folder of a run, or a plan")
+    kept = read_kept_plan(folder)
+    if kept.plan is None or kept.path is None:
+        raise ConfigError(f"{folder} does not hold the plan that it was recorded with; give the plan of the cell")
+    return replace(load(Path(kept.path), kept.plan), grown_from=kept.grown_from)
+
+
+def _chosen(look: InterimEvidence, loaded: LoadedPlan, visits: int, poses: int, seed: int) -> NextPoses:
+    arm, planned = look.problem.linear.obs.cell.robot, loaded.cell.robot
+    if arm.n != planned.n:
+        raise ConfigError(f"the recording is of an arm with {arm.n} axes, {loaded.path} of one with {planned.n}; give the plan of the cell")
+    unknown = {s.id for s in look.problem.linear.obs.cell.stations} - {s.id for s in loaded.cell.stations}
+    if unknown:
+        raise ConfigError(f"{loaded.path} has no station {', '.join(sorted(unknown))} of the recording; give the plan of the cell")
+    return choose_next(look, loaded, visits, poses, seed=seed)

@@ -1,0 +1,6 @@
+"""Cells simulated for tests of the diagnosis are shared."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "diagnosis"))

@@ -1,0 +1,91 @@
+"""What to measure next can be reached, decides what is open, and is measured; an investigation ends, and replays its decisions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.design.adaptive.first_block import first_block
+from mbcacq.design.adaptive.investigation import Budget, Decision, decisions
+from mbcacq.design.adaptive.next_plan import choose_next, next_plan_text
+from mbcacq.design.adaptive.options import AdaptiveOptions
+from mbcacq.diagnosis.interim import weigh
+from mbcacq.model.observations import Observations
+from mbcacq.plan import LoadedPlan, expand, load
+from mbcacq.plan.feasibility import check
+
+PLAN = Path(__file__).parents[2] / "plans" / "concealed.yaml"
+FEW = AdaptiveOptions(views_per_station=6, most=5)
+QUIET = Scenario(0, "none", 7, (), 1, 0.0)
+SCALE = [{"name": "joint_scale", "where": "A5", "strength": 3.0, "seed": 3}]
+
+
+@pytest.fixture(scope="module")
+def begun() -> LoadedPlan:
+    return first_block(load(PLAN))
+
+
+@pytest.fixture(scope="module")
+def looked(begun):
+    return weigh(observe(begun, expand(begun), QUIET, SCALE)[0])
+
+
+def test_the_first_block_is_of_the_plans_own_poses_and_revisits_no_station(begun):
+    own = [p for p in expand(load(PLAN)) if p.phase != "verification"]
+    poses = expand(begun)
+    assert len(poses) == begun.grown_from == 24
+    assert all(min(np.abs(p.q - o.q).max() for o in own if o.station == p.station) < 1e-4 for p in poses)
+    stations = [p.station for p in poses]
+    assert len(dict.fromkeys(stations)) == 1 + sum(a != b for a, b in zip(stations, stations[1:], strict=False))
+
+
+def test_the_next_poses_are_a_plan_without_errors_at_stations_of_the_cell(begun, looked, tmp_path):
+    chosen = choose_next(looked, begun, visits=2, poses=10, options=FEW)
+    assert 0 < len(chosen.poses) <= 10
+    file = tmp_path / "next.yaml"
+    file.write_text(next_plan_text(begun, chosen.visits, tmp_path, chosen.reasons), encoding="utf-8")
+    further = load(file)
+    poses = expand(further)
+    assert [p.station for p in poses] == [p.station for p in chosen.poses]
+    assert np.allclose([p.q for p in poses], [p.q for p in chosen.poses], atol=np.radians(1e-3))
+    assert [f for f in check(further, poses) if f.level == "error"] == []
+
+
+def test_without_moves_only_stations_whose_artefact_stands_there_are_chosen(begun, looked):
+    last = {s.artefact: s.id for s in (begun.cell.station(p.station) for p in expand(begun))}
+    chosen = choose_next(looked, begun, poses=6, moves=0, options=FEW)
+    assert {v.station for v in chosen.visits} <= set(last.values())
+
+
+def test_decisions_are_replayed_and_go_on_as_they_did(begun):
+    def measure(grown: LoadedPlan) -> Observations:
+        return observe(grown, expand(grown), QUIET, [])[0]
+
+    def of(before: list[Decision]) -> list[Decision]:
+        return list(decisions(load(PLAN), measure, Budget(poses=30), before))
+
+    made = of([])
+    assert made[-1].end
+    assert all(not d.end for d in made[:-1])
+    assert of([Decision.from_dict(d.to_dict()) for d in made[:1]]) == made
+
+
+def test_a_recording_of_a_run_is_gone_on_with(begun):
+    grown_plans: list[LoadedPlan] = []
+
+    def measure(grown: LoadedPlan) -> Observations:
+        grown_plans.append(grown)
+        return observe(grown, expand(grown), QUIET, [])[0]
+
+    recorded = observe(begun, expand(begun), QUIET, SCALE)[0]
+    found = decisions(replace(begun, grown_from=24), measure, Budget(poses=27), measured=recorded)
+    first = next(found)
+    assert first.poses == 24
+    if first.steps:
+        assert next(found).poses == 24 + sum(len(step["poses_deg"]) for step in first.steps)
+        assert grown_plans[0].grown_from == 24

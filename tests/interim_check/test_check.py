@@ -1,0 +1,211 @@
+"""A check of a cell: what changed is named, dated and sized; what cannot be judged is refused; the history survives or says why not."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+import mbcacq as library
+from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.sealed_json import digest, sealed_text
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.cli.app import app
+from mbcacq.errors import CellChanged, ConfigError, DeviceFault, ExitCode
+from mbcacq.interim_check.check import CheckSettings, InterimCheck, check, with_observations
+from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
+from mbcacq.interim_check.measured_day import refuse_incomplete
+from mbcacq.interim_check.options import CheckOptions, UsualChanges
+from mbcacq.interim_check.planned_check import _criterion, _pose_grams, choose_poses, planned_check
+from mbcacq.interim_check.verdict import verdict_of
+from mbcacq.plan import expand, load
+
+ROOT = Path(__file__).parents[2]
+NOTHING = Scenario(0, "none", 3, (), 1, 1.0)
+
+
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory):
+    loaded = load(ROOT / "plans" / "kuka.yaml")
+    observations, _ = observe(loaded, expand(loaded), NOTHING, [])
+    path = tmp_path_factory.mktemp("learnt") / "result.json"
+    path.write_text(sealed_text(library.calibrate(observations).to_dict() | {"simulated": True}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def planned(learnt):
+    loaded = load(ROOT / "plans" / "quick.yaml")
+    return planned_check(loaded, expand(loaded), CalibratedCell.from_json(learnt), True, UsualChanges())
+
+
+def history_of(planned, days):
+    """(T, R) rows as a history."""
+    kept = [
+        CheckedDay(f"2026-03-{t + 1:02d}T08:00:00+00:00", f"/run{t}", dict(zip(planned.keys, rows.reshape(-1, 3), strict=True)))
+        for t, rows in enumerate(days)
+    ]
+    q = np.array([p.q for p in planned.poses])
+    return CheckHistory("result", "plan", tuple(p.number for p in planned.poses), q, True, UsualChanges(), {}, tuple(kept))
+
+
+def noise(planned, days, seed=0):
+    rng = np.random.default_rng(seed)
+    root = np.linalg.cholesky(planned.rows.noise)
+    return rng.standard_normal((days, len(root))) @ root.T + rng.standard_normal((days, planned.rows.daily.shape[1])) @ planned.rows.daily.T
+
+
+def change(planned, name, where):
+    return next(r for r in planned.changes if (r.name, r.where) == (name, where))
+
+
+def test_what_changed_is_named_dated_and_sized(planned):
+    days = noise(planned, 12)
+    assert not verdict_of(planned, history_of(planned, days)).changed
+    mount = change(planned, "mount", "scanner on the flange")
+    true = np.array([0.05, -0.03, 0.0, 0.0, 0.0, np.radians(0.02)])
+    days[8:] += mount.columns @ (true / mount.usual)
+    found = verdict_of(planned, history_of(planned, days))
+    assert found.changed
+    assert found.since == 8
+    assert found.between == (8, 8)
+    first = found.suspects[0]
+    assert (first.name, len(found.suspects)) == ("mount", 1)
+    assert np.abs((np.array(first.size) - true) / np.array(first.std)).max() < 4
+    done = InterimCheck(found, history_of(planned, days), Path("check.json"), Path("run"))
+    assert "mount (scanner on the flange), before the check of 2026-03-09" in done.sentence
+    with pytest.raises(CellChanged) as caught:
+        done.refuse_changed()
+    assert caught.value.exit_code is ExitCode.CHANGED
+
+
+def test_a_joint_that_lost_its_zero_is_named_and_so_is_what_looks_like_it(planned):
+    days = noise(planned, 8, seed=1)
+    zero = change(planned, "mastering", "A4")
+    days[5:] += zero.columns[:, 0] * np.radians(0.005) / zero.usual[0]
+    found = verdict_of(planned, history_of(planned, days))
+    assert found.changed
+    named = next(s for s in found.suspects if s.name == "mastering")
+    assert named.where == "A4"
+    assert abs(np.degrees(named.size[0]) - 0.005) < 4 * np.degrees(named.std[0])
+
+
+def test_a_change_without_a_name_is_not_given_one(planned):
+    days = noise(planned, 8, seed=2)
+    unnamed = change(planned, "unnamed", "the arm")
+    days[4:] += unnamed.columns @ np.random.default_rng(4).standard_normal(unnamed.columns.shape[1])
+    found = verdict_of(planned, history_of(planned, days))
+    assert found.changed
+    assert found.suspects[0].name == "unnamed"
+    assert found.suspects[1].explains < 0.9
+
+
+def test_a_change_between_calibration_and_first_check_is_seen_on_the_first_day(planned):
+    days = noise(planned, 1, seed=3)
+    assert not verdict_of(planned, history_of(planned, days)).changed
+    zero = change(planned, "mastering", "A5")
+    found = verdict_of(planned, history_of(planned, days + zero.columns[:, 0] * np.radians(0.05) / zero.usual[0]))
+    assert found.changed
+    assert found.since == 0
+
+
+def test_the_poses_that_are_chosen_are_of_one_station_and_notice_more_than_others(learnt):
+    loaded = load(ROOT / "plans" / "quick.yaml")
+    everything = planned_check(loaded, expand(loaded), CalibratedCell.from_json(learnt), True, UsualChanges())
+    numbers = choose_poses(everything, CheckOptions(poses=6))
+    assert len(numbers) == 6
+    grams, first, free = _pose_grams(everything, range(10))
+    criteria = [
+        _criterion(grams[list(k)].sum(axis=0), first, free) for k in ([0, 1, 2, 3, 4, 5], [4, 5, 6, 7, 8, 9], [0, 2, 4, 6, 8, 9], numbers)
+    ]
+    assert np.argmax(criteria) == 3
+    with pytest.raises(ConfigError, match="no station of this plan has"):
+        choose_poses(everything, CheckOptions(poses=12, fewest=11))
+
+
+def test_measured_days_leave_the_noise_that_is_expected(learnt):
+    """The fake cell as it was calibrated: residuals by the calibrated cell are the noise of measuring, with the artefact where it stands."""
+    loaded = load(ROOT / "plans" / "quick.yaml")
+    poses = [replace(p, exposures=load(ROOT / "plans" / "kuka.yaml").plan.exposures) for p in expand(loaded)]
+    planned = planned_check(loaded, poses, CalibratedCell.from_json(learnt), True, UsualChanges())
+    history = replace(history_of(planned, np.zeros((0, 3 * planned.obs.n_centres))), poses=tuple(p.number for p in poses))
+    for day in range(2):
+        obs, _ = observe(loaded, poses, NOTHING, [], noise_seed=day)
+        history = with_observations(planned, history, obs, Path(f"/run{day}"))
+    between = np.array([history.days[1].residual[k] - history.days[0].residual[k] for k in planned.keys]).reshape(-1) / np.sqrt(2)
+    root = np.linalg.cholesky(planned.rows.noise)
+    assert 0.6 < np.mean(np.linalg.solve(root, between) ** 2) < 1.6
+    with pytest.raises(ConfigError, match="already"):
+        with_observations(planned, history, obs, Path("/run1"))
+
+
+def test_a_day_counts_whole(planned):
+    residual = dict.fromkeys(planned.keys, np.zeros(3))
+    refuse_incomplete(planned, residual)
+    with pytest.raises(DeviceFault, match="pose 7 of the check"):
+        refuse_incomplete(planned, {k: v for k, v in residual.items() if k[0] != 7})
+
+
+def test_the_history_comes_back_as_it_was_and_a_damaged_one_says_so(planned, tmp_path):
+    history, file = history_of(planned, noise(planned, 2)), tmp_path / "check.json"
+    assert read_history(file) is None
+    history.write(file)
+    again = read_history(file)
+    assert np.array_equal(again.q, history.q)
+    assert max(np.abs(again.days[1].residual[k] - history.days[1].residual[k]).max() for k in planned.keys) <= 5e-6
+    text = file.read_text()
+    for harmed, said in (
+        (text.replace("/run1", "/run2"), "is not as it was written"),
+        (text[: len(text) // 2], "check.json"),
+        ('{"format": "mbcacq-check/1"}', "is damaged"),
+        ("[]", "is no history of checks"),
+    ):
+        file.write_text(harmed)
+        with pytest.raises(ConfigError, match=said):
+            read_history(file)
+
+
+def test_a_history_is_of_one_result_and_one_set_of_poses(learnt, planned, tmp_path):
+    file = tmp_path / "check.json"
+    history_of(planned, noise(planned, 1)).write(file)
+    with pytest.raises(ConfigError, match="is the history of another result"):
+        check(learnt, ROOT / "plans" / "quick.yaml", history=file, dry_run=True)
+    content = json.loads(learnt.read_text())
+    replace(history_of(planned, noise(planned, 1)), result=digest(content), q=np.zeros((10, 6))).write(file)
+    with pytest.raises(ConfigError, match="no longer has the poses"):
+        check(learnt, ROOT / "plans" / "quick.yaml", history=file, dry_run=True)
+    with pytest.raises(ConfigError, match="give 6 or more"):
+        check(learnt, ROOT / "plans" / "quick.yaml", history=tmp_path / "new.json", dry_run=True, settings=CheckSettings(poses=3))
+
+
+def test_a_real_arm_moves_for_a_check_only_where_somebody_said_so(learnt, tmp_path):
+    plan = yaml.safe_load((ROOT / "plans" / "quick.yaml").read_text())
+    plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
+    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
+    plan["robot"]["options"] |= {"bind": "192.168.1.5", "controller_ip": "192.168.1.6"}
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
+    with pytest.raises(ConfigError, match="this would move"):
+        check(learnt, tmp_path / "plan.yaml", history=tmp_path / "check.json")
+    assert not (tmp_path / "check.json").exists()
+
+
+def test_the_command_measures_judges_and_says_as_before(learnt, tmp_path):
+    plan = yaml.safe_load((ROOT / "plans" / "quick.yaml").read_text())
+    plan["robot"] |= {"driver": "simulated", "options": {}, "model": str(ROOT / "plans" / plan["robot"]["model"])}
+    plan["scanner"] |= {"driver": "simulated", "options": {}}
+    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
+    history = tmp_path / "check.json"
+    given = ["check", str(learnt), str(tmp_path / "plan.yaml"), "--history", str(history), "--json"]
+    done = CliRunner().invoke(app, [*given, "--dry-run", "--poses", "6", "--out", str(tmp_path / "day"), "--seed", "3"])
+    assert done.exit_code == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert (said["verdict"], said["checks"]) == ("as_before", 1)
+    assert len(read_history(history).poses) == 6
+    again = CliRunner().invoke(app, [*given, "--from", str(tmp_path / "day")])
+    assert again.exit_code == ExitCode.USAGE
+    assert "is in the history of these checks already" in again.stderr

@@ -1,0 +1,70 @@
+"""The report on paper: the same verdict and figures as on the page, A4, every picture in it, and nothing fetched."""
+
+import re
+import zlib
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from click.testing import CliRunner
+from test_report import make_observations, make_result
+
+from mbcacq.cli.report import command
+from mbcacq.errors import ConfigError
+from mbcacq.report import pdf_from_result
+from mbcacq.report.charts.static_svg import static_svg
+
+
+@pytest.fixture(scope="module")
+def pdf(tmp_path_factory):
+    path = tmp_path_factory.mktemp("paper") / "report.pdf"
+    return pdf_from_result(make_result(), path=path, observations=make_observations()).read_bytes()
+
+
+def streams(pdf):
+    for data in re.findall(rb"stream\r?\n(.*?)endstream", pdf, re.DOTALL):
+        try:
+            yield zlib.decompress(data)
+        except zlib.error:
+            yield data
+
+
+def test_it_is_a4_and_of_few_pages(pdf):
+    whole = b"\n".join([pdf, *streams(pdf)])
+    sizes = {tuple(round(float(v)) for v in box.split()) for box in re.findall(rb"/MediaBox\s*\[([^\]]+)\]", whole)}
+    assert sizes == {(0, 0, 595, 842)}
+    assert 2 <= len(re.findall(rb"/Type\s*/Page\b", whole)) <= 12
+
+
+def test_pictures_are_drawn_and_not_referred_to(pdf):
+    drawn = b"".join(streams(pdf))
+    assert drawn.count(b" c\n") + drawn.count(b" c ") > 500  # curves of marks and characters in the figures
+    assert b"http" not in pdf
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_bar_is_as_long_as_its_value(axis):
+    """The outlines of two bars, 1 and 3, in the drawing."""
+    bar = go.Bar(x=["a", "b"], y=[1.0, 3.0]) if axis == "y" else go.Bar(y=["a", "b"], x=[1.0, 3.0], orientation="h")
+    bar.marker.color = "#123456"
+    svg = static_svg(go.Figure(bar, layout={"height": 300}), 400)
+    paths = re.findall(r'<path d="([^"]+)"[^>]*style="fill: #123456', svg)
+    corners = [np.array([[float(v) for v in pair] for pair in re.findall(r"[ML] ([-\d.]+) ([-\d.]+)", path)]) for path in paths]
+    lengths = [np.ptp(c[:, 1 if axis == "y" else 0]) for c in corners]
+    assert lengths[1] / lengths[0] == pytest.approx(3.0, rel=1e-3)
+
+
+def test_grouped_bars_stand_beside_each_other():
+    svg = static_svg(go.Figure([go.Bar(x=["a"], y=[1.0], marker={"color": c}) for c in ("#111111", "#222222")]), 400)
+    spans = []
+    for colour in ("#111111", "#222222"):
+        (path,) = re.findall(rf'<path d="([^"]+)"[^>]*style="fill: {colour}', svg)
+        x = [float(v) for v in re.findall(r"[ML] ([-\d.]+)", path)]
+        spans.append((min(x), max(x)))
+    assert spans[0][1] <= spans[1][0] + 0.01
+
+
+def test_an_out_that_is_no_pdf_is_refused(tmp_path):
+    outcome = CliRunner().invoke(command, [str(tmp_path), "--pdf", "--out", str(tmp_path / "report.html")])
+    assert isinstance(outcome.exception, ConfigError)
+    assert "does not end in .pdf" in str(outcome.exception)
