@@ -27,7 +27,7 @@ class ReusedMemory:
             return np.empty(count, dtype)
         block = self._taken(size)
         # Over a memoryview, so that a view of a view refers to this array and not to the block under it: it ends with its last view.
-        array: np.ndarray = np.frombuffer(memoryview(block), dtype, count)
+        array: np.ndarray = np.frombuffer(block.data, dtype, count)
         weakref.finalize(array, self._free.append, block).atexit = False
         return array
 

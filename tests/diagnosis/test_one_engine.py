@@ -50,7 +50,9 @@ def test_a_clean_recording_keeps_the_noise_of_its_calibration(plan):
     full = fit_model(prepare(observed))
 
     assert full.model.effects == ()
-    np.testing.assert_allclose(full.noise.joint, calibrate(observed, CalibrationOptions(refuse=False, discrepancy=False)).noise.joint, rtol=1e-12)
+    np.testing.assert_allclose(
+        full.noise.joint, calibrate(observed, CalibrationOptions(refuse=False, discrepancy=False)).noise.joint, rtol=1e-12
+    )
 
 
 def test_a_latency_of_the_exposure_is_no_other_robot(plan):
