@@ -77,13 +77,13 @@ class Questions:
         """(...,): expected log odds gained over what is known ``before`` (one D for each comparison), as far as they are needed, and what
         else shows. products (..., pairs, pairs), squares (..., K).
         """
-        return self.decided(products, before) + OPTIONS.hidden * self.hidden(squares)
+        return self.log_odds_gained(products, before) + OPTIONS.hidden * self.hidden(squares)
 
     def hidden(self, squares: np.ndarray) -> np.ndarray:
         """(...,) sum over the effects that could hide, at their usual size, of log(1 + information), each kind alike."""
         return np.log1p(np.maximum(squares[..., self.pairs :], 0.0)) @ self.weights
 
-    def decided(self, products: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def log_odds_gained(self, products: np.ndarray, before: np.ndarray) -> np.ndarray:
         """(...,) expected log odds gained between the sets."""
         total = np.zeros(products.shape[:-2])
         for comparison, known in zip(self.comparisons, before, strict=True):
