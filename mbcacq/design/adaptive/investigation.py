@@ -137,8 +137,9 @@ def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budg
 
 
 def sure(look: InterimEvidence) -> bool:
-    """Whether what a diagnosis would say can be stood for: nothing, or effects of which each shows by enough information."""
-    if look.verdict == "cannot_tell":
+    """Whether what a diagnosis would say can be stood for: nothing, or effects of which each shows by enough information; and little of the
+    catalogue could still hide behind it."""
+    if look.verdict == "cannot_tell" or look.excluded < OPTIONS.excluded:
         return False
     fit = look.full.evidence
     if look.verdict == "none" or not fit.significant:
@@ -167,7 +168,8 @@ def _sets(look: InterimEvidence) -> tuple[tuple[str, float], ...]:
 def _known(look: InterimEvidence) -> str:
     if look.verdict == "none":
         return f"nothing is concealed; {look.excluded:.0%} of the effects of the catalogue are excluded at usual size"
-    return f"known: {set_in_words(sorted(look.reported.labels))}"
+    found, left = set_in_words(sorted(look.reported.labels)), 1 - look.excluded
+    return f"known: {found}; {left:.0%} of the other effects of the catalogue could still hide at usual size"
 
 
 def _open(look: InterimEvidence) -> str:

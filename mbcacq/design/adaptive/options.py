@@ -26,6 +26,7 @@ class AdaptiveOptions:
     spare: float = 2.0  # log odds beyond that are aimed at, since what is expected is a mean
     least_gain: float = 0.3  # of a further visit of a sequence, less than which is not planned ahead
     sure: float = 7.0  # log evidence that each effect of a verdict must have: information of 20, less what its coefficients cost
+    excluded: float = 0.8  # share of the catalogue that must be excluded at usual size before a search ends: what could still hide
     repeats: float = 3.0  # times that all reachable views may be measured before separating two sets is given up as futile
     hidden: float = 0.1  # weight of one log(1 + information) of an effect that is not excluded, against one of log odds
 
