@@ -59,6 +59,7 @@ class CheckOptions:
     tool_kg: float = 1.0
     elastic: float = 2e-6  # rad/(N m), of a joint of an arm of 10 kg; a tool bends it
     unnamed: float = 3e-5  # rad of each joint, each pose by itself: what no name describes
+    unnamed_mm: float = 0.01  # of each centre by itself, the same
     hypers: int = 3  # values of an effect's hyper-parameter that are tried
     station_rounds: int = 4  # Gauss-Newton steps for the place of an artefact
     usual_days: UsualChanges = field(default_factory=UsualChanges)

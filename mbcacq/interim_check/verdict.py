@@ -9,12 +9,14 @@ import numpy as np
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
+from mbcacq.calibration.uncertainty import point_columns
 from mbcacq.errors import DeviceFault
+from mbcacq.estimation.forward_model import arm_jacobian
 from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS, CheckOptions
 from mbcacq.interim_check.planned_check import PlannedCheck
-from mbcacq.interim_check.possible_changes import UNNAMED, PossibleChange
+from mbcacq.interim_check.possible_changes import SCANNER, UNNAMED, PossibleChange, rows_of, twist_columns
 
 AS_BEFORE, CHANGED = "as_before", "changed"
 LEAST_COMMON = 0.5  # of the centres of a check: with fewer it is another check
@@ -120,42 +122,54 @@ def verdict_by(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -
     return CheckVerdict(verdict, log_e, log_first, threshold, suspects, since, between, noticed(evidence, null, T, options), *noise)
 
 
-Estimates = list[tuple[np.ndarray, np.ndarray, float]]
+Estimate = tuple[np.ndarray, np.ndarray, float]
+Estimates = list[Estimate]
 
 
 def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level, options: CheckOptions) -> tuple[np.ndarray, Estimates]:
-    """(A,) log of weight times Bayes factor that each change changed between the calibration and the first check, and its estimate.
+    """(A,) log of what each possible change between the calibration and the first check adds to the e-value, and its estimate.
 
     The mean of all days against the prediction, whose uncertainty is the calibration's covariance, what a good arm is off beyond its model,
-    and where the artefacts stand, which nobody knew. That the calibration's statement is true is assumed, not bounded.
+    and where the artefacts stand, which nobody knew. The null takes the best level of noise. That the calibration's statement is true is
+    assumed, not bounded. Single centres may be off for ever (certificate, lens), and are no change since the calibration.
     """
-    from mbcacq.calibration.uncertainty import point_columns
-    from mbcacq.estimation import forward_model
+    known, free = _of_calibration(check, evidence, options), _station_columns(check)[evidence.keep]
+    rows, mean = evidence.process.rows, evidence.days.mean(axis=0)
+    null, log, estimates = [], [], []
+    for noise in options.noise_levels:
+        days = (noise**2 * rows.noise + level.day**2 * rows.daily @ rows.daily.T) / len(evidence.days)
+        weight, log_det = weight_of(days + known, free)
+        null.append(-0.5 * (mean @ weight @ mean + log_det))
+        found = [_single(change, weight, mean, options) for change in evidence.changes]
+        log.append([v for v, _ in found])
+        estimates.append([e for _, e in found])
+    best = int(np.argmax(null))
+    relative = np.array(null) - null[best] - np.log(len(null))
+    return logsumexp(np.array(log) + relative[:, None], axis=0), estimates[best]
 
+
+def _single(change: PossibleChange, weight: np.ndarray, mean: np.ndarray, options: CheckOptions) -> tuple[float, Estimate]:
+    """log of weight times Bayes factor of one change, and its estimate."""
+    b, S = change.columns.T @ weight @ mean, change.columns.T @ weight @ change.columns
+    each = [_log_factor(S, b, size) for size in options.sizes]
+    log = logsumexp(each) - np.log(len(each)) + np.log(change.weight)
+    estimate = _estimate(change, S, b, options.sizes[int(np.argmax(each))])
+    return (-np.inf if change.where == SCANNER else float(log)), estimate
+
+
+def _of_calibration(check: PlannedCheck, evidence: Evidence, options: CheckOptions) -> np.ndarray:
+    """(R, R) covariance of the prediction: the calibrated parameters, and what a good arm is off beyond its model at each pose."""
     obs, prediction, cell = check.obs, check.prediction, check.cell
     T = prediction.T_base_scanner[obs.pose][:, :3, :3]
     A = np.swapaxes(T, 1, 2) @ point_columns(cell, obs.q[obs.pose], prediction.xyz)
     A = A.reshape(-1, A.shape[2])[evidence.keep]
-    J = forward_model.arm_jacobian(obs, prediction, check.state.chain.joint_twists(prediction.frames)) * options.discrepancy
+    J = arm_jacobian(obs, prediction, check.state.chain.joint_twists(prediction.frames)) * options.discrepancy
     J = J.reshape(-1, J.shape[2])[evidence.keep]
     pose = np.repeat(obs.pose, 3)[evidence.keep]
-    rows = evidence.process.rows
-    covariance = (level.noise**2 * rows.noise + level.day**2 * rows.daily @ rows.daily.T) / len(evidence.days)
-    covariance = covariance + A @ cell.covariance @ A.T + (J @ J.T) * (pose[:, None] == pose)
-    weight, _ = weight_of(covariance, _station_columns(check)[evidence.keep])
-    mean = evidence.days.mean(axis=0)
-    log, estimates = [], []
-    for change in evidence.changes:
-        b, S = change.columns.T @ weight @ mean, change.columns.T @ weight @ change.columns
-        each = [_log_factor(S, b, size) for size in options.sizes]
-        log.append(logsumexp(each) - np.log(len(each)) + np.log(change.weight))
-        estimates.append(_estimate(change, S, b, options.sizes[int(np.argmax(each))]))
-    return np.array(log), estimates
+    return A @ cell.covariance @ A.T + (J @ J.T) * (pose[:, None] == pose)
 
 
 def _station_columns(check: PlannedCheck) -> np.ndarray:
-    from mbcacq.interim_check.possible_changes import rows_of, twist_columns
-
     columns = twist_columns(check.obs, check.prediction, "station", 0)
     stations = [columns * (check.obs.station[check.obs.pose] == s)[:, None, None] for s in np.unique(check.obs.station)]
     return np.concatenate([rows_of(part) for part in stations], axis=1)
