@@ -18,7 +18,6 @@ from mbcacq.design.adaptive.visit_choice import OpenPair, Visit, VisitChoice, Vi
 from mbcacq.diagnosis.interim import InterimEvidence
 from mbcacq.diagnosis.result import TOGETHER, Advice
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.errors import ConfigError
 from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
@@ -134,15 +133,15 @@ def _approached(poses: list[PlannedPose], both_ways: bool) -> tuple[PlannedPose,
 
 
 def _feasible(loaded: LoadedPlan, visits: list[Visit]) -> list[Visit]:
-    """The visits without the poses that a check of their plan finds wrong."""
+    """The visits without the poses that a check of their plan finds wrong. What is wrong with no single pose, such as a bar that calibrates
+    nothing by itself, is none of their faults: they extend a recording, and the plan that has grown is checked as a whole before it is run.
+    """
     while visits:
         text = next_plan_text(loaded, visits, loaded.path.parent)
         plan = load(loaded.path, text)
-        wrong = {number for f in check(plan, expand(plan)) if f.level == "error" for number in f.poses or (-1,)}
+        wrong = {number for f in check(plan, expand(plan)) if f.level == "error" for number in f.poses}
         if not wrong:
             return visits
-        if wrong == {-1}:
-            raise ConfigError(f"{loaded.path}: the next poses cannot be planned, since the plan itself is wrong; mbcacq plan check it")
         number, left = 0, []
         for visit in visits:
             kept = tuple(p for k, p in enumerate(visit.poses) if number + k not in wrong)
