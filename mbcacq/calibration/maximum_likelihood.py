@@ -19,7 +19,7 @@ from mbcacq.calibration.with_discrepancy import with_discrepancy
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.phases import copies, select_phases
+from mbcacq.estimation.phases import copies, select_phases, without_copies
 from mbcacq.model.observations import Observations
 
 
@@ -60,7 +60,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), result.observations, options)
         refuse_runaway(result.state.chain, result.observations.cell.robot.chain, options)
         return result
-    obs = select_phases(observations, options)
+    obs = without_copies(select_phases(observations, options))
     refuse_insufficient(obs, options)
     fitted = _adjusted(obs, options)
     if options.kinematics:

@@ -11,8 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.calibration.result import Calibration
+from mbcacq.estimation import parameters
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.parameters import HAND_EYE, Estimate
+from mbcacq.estimation.solver import solve
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 
 
 def with_nominal_arm(result: Calibration, lineariser: Lineariser) -> Calibration:
@@ -32,6 +37,22 @@ def with_nominal_arm(result: Calibration, lineariser: Lineariser) -> Calibration
     left_out = np.zeros(result.layout.size)
     chain = result.layout.blocks[0]
     left_out[: int(chain.free.sum())] = result.errors.reshape(-1)[chain.free]
-    state = replace(result.state, chain=result.cell.robot.chain)
+    state = _replaced(replace(result.state, chain=result.cell.robot.chain), lineariser, result)
     _, residual = lineariser.residual(Estimate(state, result.coefficients))
     return replace(result, state=state, covariance=result.covariance + np.outer(left_out, left_out), residual=residual)
+
+
+def _replaced(state: CellState, lineariser: Lineariser, result: Calibration) -> CellState:
+    """The state with the places of the artefacts as the nominal arm sees them. The place of an instrument is a result itself, and stays."""
+    if result.cell.measurement != ARTEFACT_IN_SCANNER:
+        return state
+    hold = tuple(f"{name}.{c}" for name in _mounts(result) for c in HAND_EYE)
+    options = CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=hold, displaced=lineariser.options.displaced)
+    layout = parameters.build(lineariser.obs, options)
+    noise = Noise(np.ones(3), np.full(result.cell.robot.n, 1e-12), 1e-2)
+    return solve(Lineariser(lineariser.obs, layout, options), Estimate(state), noise, result.weights).estimate.state
+
+
+def _mounts(result: Calibration) -> list[str]:
+    """Names of the hand-eye transforms: one, or one for each of several recordings."""
+    return list(dict.fromkeys(name.rsplit(".", 1)[0] for name in result.layout.blocks[1].names))

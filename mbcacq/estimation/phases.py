@@ -10,7 +10,7 @@ from mbcacq.model.observations import Observations
 
 
 def select_phases(obs: Observations, options: CalibrationOptions) -> Observations:
-    """The poses to fit: of the phases asked for, else all but 'verification' where there are others; an exact copy of a pose once."""
+    """The poses to fit: of the phases asked for, else all but 'verification' where there are others."""
     if obs.phase is None:
         keep = np.ones(obs.n_poses, bool)
     elif options.phases is not None:
@@ -21,12 +21,17 @@ def select_phases(obs: Observations, options: CalibrationOptions) -> Observation
     if not keep.any() and options.phases:
         recorded = sorted(set([] if obs.phase is None else obs.phase.tolist()))
         raise ConfigError(f"there is no pose of phase {' or '.join(options.phases)}; these data have {', '.join(recorded)}")
-    keep[copies(obs)] = False
     chosen = (obs if keep.all() else obs.select(keep)).measured()
     if not chosen.n_poses:
         asked = f" of phase {' or '.join(options.phases)}" if options.phases else ""
         raise CalibrationError(f"there is no pose with a measured centre{asked}; nothing can be calibrated")
     return chosen
+
+
+def without_copies(obs: Observations) -> Observations:
+    """Every exact copy of a pose once."""
+    again = copies(obs)
+    return obs.select(~np.isin(np.arange(obs.n_poses), again)) if len(again) else obs
 
 
 def copies(obs: Observations) -> np.ndarray:

@@ -46,7 +46,8 @@ def test_the_bar_is_better_after_geometry_and_again_after_effects(calibrated):
     before, geometry, effects = (np.abs(e).mean() for e in calibrated.stages.values())
 
     assert list(calibrated.stages) == ["before", "after geometry", "after effects"]
-    assert effects < 0.02 < geometry < before
+    assert effects < 0.02
+    assert geometry < 0.02 < before  # what repeats is learnt as a smooth function of posture, before anything has a name
     assert effects < 0.5 * geometry
 
 

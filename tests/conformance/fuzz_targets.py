@@ -360,7 +360,7 @@ scanner: {name: made, noise_mm: [0.005, 0.005, 0.009]}
 SET = {"poses.csv": POSES, "centres.csv": CENTRES, "cell.yaml": CELL}
 LISTED = b"label,x_mm,y_mm,z_mm,d_mm,U_mm,k,T_C\n1,0.5,-2,3e1,12.001,0.002,2,20.0\n2,10,0,0,12,0.002,2,20.0\n"
 LISTED_HERE = "\ufeffBall;X (mm);Y (mm);Z (mm);Diameter (mm)\nK1;0,5;-2;30;12,001\nK2;10;0;0;12\n".encode()
-BALLS = b"id: mbc\nT_C: 20\nuncertainty_mm: 0.001\nballs:\n  - {label: K1, centre_mm: [0, 0.5, 3], diameter: 12}\n  - {id: 2, x: 1, y: 2, z: 3, d: 12}\n"
+BALLS = b"id: mbc\nT_C: 20\nuncertainty_mm: 0.001\nballs:\n  - {label: K1, centre_mm: [0, 0.5, 3], diameter: 12}\n  - {label: K2, centre_mm: [1, 2, 3], diameter: 12}\n"
 DMIS = b"""DMISMN/'certificate'
 UNITS/MM,ANGDEC
 $$ a comment

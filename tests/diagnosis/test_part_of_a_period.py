@@ -55,7 +55,7 @@ def test_orders_that_look_alike_at_the_angles_of_a_recording_are_all_named(postu
 
 def test_order_and_amplitude_of_half_a_period_are_uncertain_together(postures):
     """Over half a turn an error of order one is nearly one of order two with another amplitude, and is found as such here."""
-    q, amplitude = postures.copy(), 8e-5
+    q, amplitude = postures.copy(), 1.6e-4
     q[:, 3] = np.random.default_rng(13).uniform(-1.6, 1.6, len(q))
     phase = amplitude * np.array([np.cos(16.9), np.sin(16.9)])
 

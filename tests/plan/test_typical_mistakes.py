@@ -245,7 +245,7 @@ MISTAKES = {  # what was done: how, words of the cause, words of the cure
         robot("theta,d_mm,a_mm,alpha_deg\n0,1,2,3\n0,1,2,3\n", "rows.csv", convention="standard"), "column theta_deg is missing", "name it so if it is in deg",
     ),
     "decimal commas between commas": (data("poses.csv", "0.5,-90.5", "0,5,-90,5"), "the row has 6 cells, the header 4", "and semicolon"),
-    "a column forgotten": (data("poses.csv", "q2_deg", "A2"), "column q2_deg is missing", "add it"),
+    "a column forgotten": (data("poses.csv", "q2_deg", "second"), "column q2_deg is missing", "add it"),
     "an empty cell": (data("poses.csv", "10.5", ""), "the cell is empty", "fill it in"),
     "n/a for a number": (data("centres.csv", "1.5", "n/a"), "'n/a' is not a number", "correct it"),
     "a pose number twice": (data("poses.csv", "2,table,10.5", "1,table,10.5"), "pose 1 appears twice", "number each pose once"),

@@ -176,7 +176,7 @@ def test_a_table_without_its_convention_is_asked_about(tmp_path):
     path.write_text("theta_deg,d_mm,a_mm,alpha_deg\n0,1,2,3\n0,1,2,x\n")
     with pytest.raises(ConfigError, match="say --convention standard or --convention modified"):
         import_robot(path)
-    with pytest.raises(ConfigError, match="row 2: alpha_deg is 'x', not a number"):
+    with pytest.raises(ConfigError, match="column alpha_deg: 'x' is not a number"):
         import_robot(path, convention="standard")
 
 

@@ -71,7 +71,8 @@ class MotionModel:
         self.store = NormalStore(group, runs, options, held)
         self.selected: list[SelectedEffect] = []
         joints = range(len(group.joints))
-        ranges = np.array([np.ptp(np.concatenate([signal[:, j] for signal in group.signal])) for j in joints])
+        measured = group.signal or group.mismatch  # where there is no delay to be found, there is no signal beside the mismatch
+        ranges = np.array([np.ptp(np.concatenate([one[:, j] for one in measured])) for j in joints])
         self._least = np.maximum(LEAST_NOISE * ranges, 1e-12)
         self.floor = np.maximum([third_difference_noise(tuple(m[:, j] for m in group.mismatch)) for j in joints], self._least)
 
