@@ -16,11 +16,13 @@ import numpy as np
 
 from mbcacq_gocator.build_loop import SOURCE, library_of
 from mbcacq_gocator.layouts import INVALID
+from mbcacq_gocator.reused import ReusedMemory
 
 Real = np.floating[Any]
 _BLOCK = 32768  # pixels: what is made of them fits the second-level cache
 # x, y, z of one pixel, raw and in mm: selected as one item, runs of valid pixels are moved whole
 _ROW, _POINT = np.dtype("V6"), np.dtype("V12")
+_memory = ReusedMemory()
 
 
 def load(library: Path) -> ctypes.CDLL | None:
@@ -74,7 +76,7 @@ def picked(grey: np.ndarray, pixel: np.ndarray) -> np.ndarray:
         return flat.copy()
     if loop is None:
         return flat[pixel]
-    found = np.empty(len(pixel), np.uint8)
+    found = _memory.empty(flat.size, np.uint8)[: len(pixel)]
     loop.pick(flat.ctypes.data, pixel.ctypes.data, len(pixel), found.ctypes.data)
     return found
 
@@ -84,19 +86,22 @@ class _Compiled:
         self._loop = loop
 
     def cloud(self, raw: np.ndarray, scale: np.ndarray, offset: np.ndarray, every: bool) -> tuple[np.ndarray, np.ndarray]:
-        points, pixel = np.empty(raw.shape[0] * raw.shape[1] * 3, np.float32), np.empty(raw.shape[0] * raw.shape[1], np.int32)
+        points, pixel = self._room(raw.shape[0] * raw.shape[1])
         constants = scale.ctypes.data, offset.ctypes.data
         count = self._loop.cloud_points(raw.ctypes.data, len(pixel), every, *constants, points.ctypes.data, pixel.ctypes.data)
-        points.resize(3 * count, refcheck=False)  # gives back what was not needed, and moves nothing
-        pixel.resize(count, refcheck=False)
-        return points.reshape(count, 3), pixel
+        return points[:count], pixel[:count]
 
     def heights(self, raw: np.ndarray, x: np.ndarray, y: np.ndarray, scale: Real, offset: Real) -> tuple[np.ndarray, np.ndarray]:
         count = self._loop.count_heights(raw.ctypes.data, raw.size)
-        points, pixel = np.empty((count, 3), np.float32), np.empty(count, np.int32)
+        points, pixel = (array[:count] for array in self._room(raw.size))
         grid = x.ctypes.data, y.ctypes.data, scale, offset
         self._loop.height_points(raw.ctypes.data, *raw.shape, count, *grid, points.ctypes.data, pixel.ctypes.data)
         return points, pixel
+
+    @staticmethod
+    def _room(pixels: int) -> tuple[np.ndarray, np.ndarray]:
+        """Points and pixels, room for all: of one size for one sensor, so that it fits the next scan too."""
+        return _memory.empty(3 * pixels, np.float32).reshape(pixels, 3), _memory.empty(pixels, np.int32)
 
 
 class _WithNumpy:

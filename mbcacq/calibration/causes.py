@@ -62,7 +62,7 @@ def fault_of(lineariser: Lineariser, strict: Solution, known: Collection[int] = 
     """As ``likely_cause``, of what happened while the recording was made; '' too where its misfit is within the scatter of the noise, or
     where one of the poses that are ``known`` (their numbers) explains it."""
     misfit, dof = excess(lineariser, strict)
-    best = told(list(stories(lineariser, strict)), misfit) if misfit > SCATTER * np.sqrt(2 * dof) else None
+    best = convincing(list(stories(lineariser, strict)), misfit) if misfit > SCATTER * np.sqrt(2 * dof) else None
     return "" if best is None or best.pose in known else best.text
 
 
@@ -80,7 +80,7 @@ def excess(lineariser: Lineariser, strict: Solution) -> tuple[float, float]:
     return strict.cost - dof, dof
 
 
-def told(found: list[Story], misfit: float) -> Story | None:
+def convincing(found: list[Story], misfit: float) -> Story | None:
     """The best story where it explains enough and no story of another kind comes near."""
     if not found:
         return None

@@ -178,9 +178,9 @@ def link_ratio(solution: Solution, layout: ParameterLayout) -> float:
     found = [0.0]
     for index in layout.sized.values():
         sigma, value = solution.prior.sigma[index], solution.prior.offset[index]
-        told = len(index) - float(np.sum(np.diag(covariance)[index] / sigma**2))  # how many of them the recording determines
-        if told > 0.5:
-            found.append(float(np.sqrt(np.sum((value / sigma) ** 2) / told)))
+        determined = len(index) - float(np.sum(np.diag(covariance)[index] / sigma**2))  # how many of them the recording determines
+        if determined > 0.5:
+            found.append(float(np.sqrt(np.sum((value / sigma) ** 2) / determined)))
     return max(found)
 
 

@@ -105,7 +105,7 @@ def merge(
 
     
     Examples:
-      mbcacq data merge joints.csv tracker.csv --robot ur10e --eye-to-hand --out cell-4
+      mbcacq data merge joints.csv tracker.csv --robot ur10e --out cell-4
       mbcacq data merge flange.csv camera.csv --flange kuka --standstill 1.0
     """
     from mbcacq.recording.datasets.loose_table import UnderstoodTable, understood

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbcacq.design.adaptive.backward_elimination import BackwardElimination, Measured
+from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 
 POSES, ROWS, G, K, PAIRS = 12, 4, 9, 5, 2
@@ -23,7 +23,7 @@ def beyond_the_geometry(before: InformationBlocks, left: InformationBlocks) -> n
 
 @pytest.fixture
 def elimination():
-    return BackwardElimination(Measured.nothing(G, K).with_poses(blocks(1)), blocks(2), PAIRS)
+    return BackwardElimination(MeasuredInformation.nothing(G, K).with_poses(blocks(1)), blocks(2), PAIRS)
 
 
 def test_what_each_pose_is_missed_by_is_what_leaving_it_out_loses(elimination):
@@ -44,7 +44,7 @@ def test_the_poses_that_are_left_are_the_best_pair_of_a_station_that_growing_wou
     Z, E = np.zeros((3, 1, 1)), np.zeros((3, 1, 1))
     Z[0], Z[1], E[0], E[1], E[2] = 100.0, 100.0, 30.0, -30.0, 3.0
     data = InformationBlocks(Z, E)
-    start = Measured.nothing(1, 1)
+    start = MeasuredInformation.nothing(1, 1)
     alone = [float(start.with_poses(data.select(np.array([k]))).squares[0]) for k in range(3)]
     elimination = BackwardElimination(start, data, 0)
     index, _, missed = elimination.missed()

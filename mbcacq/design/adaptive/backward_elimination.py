@@ -21,7 +21,7 @@ LEAST_LEFT = 1e-9  # of the information of a pose that the others have as well: 
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredInformation:
     """What is known already. N (G, G) information of the geometry with its prior, B (G, K) = Z'E and products (K, K) = E'E."""
 
     N: np.ndarray
@@ -29,13 +29,13 @@ class Measured:
     products: np.ndarray
 
     @classmethod
-    def nothing(cls, G: int, K: int) -> Measured:
+    def nothing(cls, G: int, K: int) -> MeasuredInformation:
         return cls(np.eye(G), np.zeros((G, K)), np.zeros((K, K)))
 
-    def with_poses(self, blocks: InformationBlocks) -> Measured:
+    def with_poses(self, blocks: InformationBlocks) -> MeasuredInformation:
         """The same with the poses of the blocks measured as well."""
         Z, E = blocks.Z.reshape(-1, blocks.Z.shape[2]), blocks.E.reshape(-1, blocks.E.shape[2])
-        return Measured(self.N + Z.T @ Z, self.B + Z.T @ E, self.products + E.T @ E)
+        return MeasuredInformation(self.N + Z.T @ Z, self.B + Z.T @ E, self.products + E.T @ E)
 
     @cached_property
     def gram(self) -> np.ndarray:
@@ -53,7 +53,7 @@ class BackwardElimination:
     their squares.
     """
 
-    def __init__(self, before: Measured, blocks: InformationBlocks, pairs: int):
+    def __init__(self, before: MeasuredInformation, blocks: InformationBlocks, pairs: int):
         self.blocks, self.pairs = blocks, pairs
         self.left = np.ones(len(blocks.Z), dtype=bool)
         whole = before.with_poses(blocks)

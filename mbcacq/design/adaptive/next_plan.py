@@ -129,7 +129,7 @@ def choose_next(
 
 
 def _approached(poses: list[PlannedPose], both_ways: bool) -> tuple[PlannedPose, ...]:
-    """Measured forwards, and then backwards, so that every pose but the last is approached from two others."""
+    """MeasuredInformation forwards, and then backwards, so that every pose but the last is approached from two others."""
     return tuple([*poses, *reversed(poses[:-1])] if both_ways else poses)
 
 

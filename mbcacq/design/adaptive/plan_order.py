@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.design.adaptive.backward_elimination import BackwardElimination, Measured
+from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.next_plan import costs_of
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
@@ -118,7 +118,7 @@ def _of_step(loaded: LoadedPlan, index: int, step: Any, reachable: Sequence[Plan
 
 def _information(
     loaded: LoadedPlan, kept: Sequence[PlannedPose], poses: Sequence[PlannedPose]
-) -> tuple[InformationBlocks, Questions, Measured]:
+) -> tuple[InformationBlocks, Questions, MeasuredInformation]:
     """Of the poses to choose from, and what the kept ones tell already, in the nominal cell."""
     every = [*kept, *poses]
     obs = planned_observations(loaded, [replace(p, number=k) for k, p in enumerate(every)])
@@ -128,7 +128,7 @@ def _information(
     asked = questions(None, linear, timeless=True)
     blocks = InformationBlocks.of(linear, asked.columns, planned_noise(loaded, every), linear.keep)
     first = blocks.select(np.arange(len(kept)))
-    before = Measured.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(first)
+    before = MeasuredInformation.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(first)
     return blocks.select(np.arange(len(kept), len(every))), asked, before
 
 
@@ -137,7 +137,7 @@ def _elimination_order(
     items: Sequence[_Item],
     blocks: InformationBlocks,
     asked: Questions,
-    before: Measured,
+    before: MeasuredInformation,
     count: int,
     options: AdaptiveOptions,
 ) -> np.ndarray:

@@ -38,7 +38,7 @@ class SetToTell:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SetComparison:
     """Two sets, one of which is true. truth: column of its displacement; model: columns of the other set, in prior sigmas; weight: how
     probable it is to be true; known: log odds in its favour as they stand.
     """
@@ -67,7 +67,7 @@ class Questions:
     """
 
     sets: tuple[SetToTell, ...]
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[SetComparison, ...]
     columns: np.ndarray
     pairs: int
     weights: np.ndarray
@@ -77,13 +77,13 @@ class Questions:
         """(...,): expected log odds gained over what is known ``before`` (one D for each comparison), as far as they are needed, and what
         else shows. products (..., pairs, pairs), squares (..., K).
         """
-        return self.told(products, before) + OPTIONS.hidden * self.hidden(squares)
+        return self.log_odds_gained(products, before) + OPTIONS.hidden * self.hidden(squares)
 
     def hidden(self, squares: np.ndarray) -> np.ndarray:
         """(...,) sum over the effects that could hide, at their usual size, of log(1 + information), each kind alike."""
         return np.log1p(np.maximum(squares[..., self.pairs :], 0.0)) @ self.weights
 
-    def told(self, products: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def log_odds_gained(self, products: np.ndarray, before: np.ndarray) -> np.ndarray:
         """(...,) expected log odds gained between the sets."""
         total = np.zeros(products.shape[:-2])
         for comparison, known in zip(self.comparisons, before, strict=True):
@@ -96,7 +96,7 @@ class Questions:
         return np.array([c.information(products) for c in self.comparisons])
 
 
-def needed(comparison: Comparison) -> float:
+def needed(comparison: SetComparison) -> float:
     """Log odds that a comparison still lacks."""
     return max(OPTIONS.enough + OPTIONS.spare - comparison.known, 0.0)
 
@@ -145,7 +145,7 @@ def differ_by_direction(look: InterimEvidence) -> bool:
     return any("direction" in catalogue.declaration(m.candidate.name).needs for h in surviving(look) for m in h.members)
 
 
-def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell], list[Comparison], list[np.ndarray]]:
+def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell], list[SetComparison], list[np.ndarray]]:
     found = surviving(look)
     if len(found) < 2:
         return [], [], []
@@ -164,7 +164,7 @@ def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell]
         for b in range(len(found)):
             if a != b and 0 in (a, b):  # each against the most probable one
                 known = float(logs[a] - logs[b])
-                comparisons.append(Comparison(truth[a], model[b], float(probability[a]), known, a, b))
+                comparisons.append(SetComparison(truth[a], model[b], float(probability[a]), known, a, b))
     return sets, comparisons, columns
 
 

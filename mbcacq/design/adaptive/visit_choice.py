@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.design.adaptive.backward_elimination import BackwardElimination, Measured
+from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
 from mbcacq.design.adaptive.planned_observations import continued
@@ -80,7 +80,7 @@ class VisitChoice:
         keep = np.r_[kept, np.ones(linear.obs.n_centres - len(kept), dtype=bool)]
         blocks = InformationBlocks.of(linear, self.asked.columns, look.full.noise, keep)
         every = np.arange(len(blocks.Z))
-        self._before = Measured.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(blocks.select(every[:count]))
+        self._before = MeasuredInformation.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(blocks.select(every[:count]))
         self._ahead, self._pool, self._costs, self._options = blocks.select(every[count:]), list(pool), costs, options
         self._at, self._names = {s.id: s for s in stations}, np.array([p.station for p in pool])
         pairs = slice(0, self.asked.pairs)
@@ -128,7 +128,9 @@ class VisitChoice:
             best[name] = best.get(name, 0.0) + float(gain)
         return [name for name, gain in sorted(best.items(), key=lambda one: -one[1]) if gain > 0]
 
-    def _ranked(self, before: Measured, costs: VisitCosts, free: np.ndarray, most: int) -> tuple[list[Visit], dict[str, list[int]]]:
+    def _ranked(
+        self, before: MeasuredInformation, costs: VisitCosts, free: np.ndarray, most: int
+    ) -> tuple[list[Visit], dict[str, list[int]]]:
         visits, indices = [], {}
         for name in dict.fromkeys(self._names[free].tolist()):
             here = np.flatnonzero((self._names == name) & free)
@@ -142,7 +144,7 @@ class VisitChoice:
         return sorted(visits, key=lambda v: -v.value / v.seconds), indices
 
     def _of_station(
-        self, before: Measured, here: np.ndarray, costs: VisitCosts, station: Station, most: int
+        self, before: MeasuredInformation, here: np.ndarray, costs: VisitCosts, station: Station, most: int
     ) -> tuple[list[int], float, float]:
         """Poses of one station, by elimination of all others: of the numbers of poses that may be, the one with most value per second; with
         the log odds that they are expected to gain between sets, and their value.
@@ -150,7 +152,7 @@ class VisitChoice:
         asked, pairs = self.asked, slice(0, self.asked.pairs)
         elimination = BackwardElimination(before, self._ahead.select(here), asked.pairs)
         products, squares = before.gram[pairs, pairs], before.squares
-        base, told = float(asked.value(products, squares, self._known)), float(asked.told(products, self._known))
+        base, log_odds_gained = float(asked.value(products, squares, self._known)), float(asked.log_odds_gained(products, self._known))
         best, rate = ([], 0.0, 0.0), -np.inf
         while True:
             count = int(elimination.left.sum())
@@ -158,7 +160,7 @@ class VisitChoice:
             seconds = costs.moves(station) * costs.move_s + count * costs.pose_s
             if count <= most and value / seconds > rate:
                 rate = value / seconds
-                best = list(elimination), float(asked.told(elimination.products, self._known)) - told, value
+                best = list(elimination), float(asked.log_odds_gained(elimination.products, self._known)) - log_odds_gained, value
             if count <= self._options.fewest:
                 return best
             index, products, missed = elimination.missed()
@@ -180,14 +182,16 @@ def _linearised(look: InterimEvidence, pool: Sequence[PlannedPose], stations: Se
     return LinearProblem.of(continued(obs, state, pool), state)
 
 
-def _open_pairs(before: Measured, ahead: InformationBlocks, asked: Questions, g: int, options: AdaptiveOptions) -> list[OpenPair]:
+def _open_pairs(
+    before: MeasuredInformation, ahead: InformationBlocks, asked: Questions, g: int, options: AdaptiveOptions
+) -> list[OpenPair]:
     """What is to be told apart, with the log odds that are within reach. g: free parameters of the geometry, without the stations."""
     if not asked.comparisons:
         return []
     pairs = slice(0, asked.pairs)
     much = InformationBlocks(np.sqrt(options.repeats) * ahead.Z, np.sqrt(options.repeats) * ahead.E)
     after = before.with_poses(much)
-    fixed = Measured(after.N[:g, :g], after.B[:g], after.products)
+    fixed = MeasuredInformation(after.N[:g, :g], after.B[:g], after.products)
     now, then, held = (asked.information(m.gram[pairs, pairs]) for m in (before, after, fixed))
     out: dict[tuple[int, int], OpenPair] = {}
     for j, comparison in enumerate(asked.comparisons):
