@@ -6,10 +6,11 @@
 
 A cell is calibrated from a recording of plans/seeing.yaml by the array path (the fake cell's world without protocols), its twelve poses
 are chosen, and days of these are recorded by the same path: a pool of days as they are, and for each change and each of its sizes its
-trace, the difference of two days of one noise with and without it. Years are made of days of the pool, drawn anew, with what changes from
-day to day added to them; a change stands from day 30 on. Years without a change are looked at daily until day 60 and every tenth day from
-then on, years with one daily from the change. Of changes more than twenty checks back the simulation takes every fifth with the weight of
-five. Figures are kept in runs/check-benchmark, so that a call goes on where another ended.
+trace, the difference of two days of one noise with and without it. The days of a year are put together of poses of the pool, with a random
+sign of their noise, and what changes from day to day is added to them; a change stands from day 30 on.
+Years without a change are looked at daily until day 60 and every tenth day from then on, years with one daily from the change. Of changes
+more than twenty checks back the simulation takes every fifth with the weight of five. Figures are kept in runs/check-benchmark, so that a
+call goes on where another ended.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose, expand
 ROOT = Path(__file__).parents[1]
 KEPT = Path("runs") / "check-benchmark"
 CLEAN = Scenario(0, "none", 5, (), 1, 1.0)
-POOL = 120  # days as they are
+POOL = 500  # days as they are
 ONSET, LAST = 30, 60  # a change stands from this day on, and is waited for until that one
 YEAR = 365
 LOOKS = (*range(2, 61), *range(70, YEAR + 1, 10))  # of a year in which nothing changes
@@ -100,9 +101,15 @@ class Bench:
         return self.rows(self.recorded(day, change.hidden)) - self.rows(self.recorded(day, before))
 
     def year(self, days: int, rng: np.random.Generator, usual: float) -> np.ndarray:
-        """(days, R) of the pool, with ``usual`` times what changes from day to day."""
-        daily = self.check.rows.daily
-        return self.pool[rng.integers(0, len(self.pool), days)] + usual * rng.standard_normal((days, daily.shape[1])) @ daily.T
+        """(days, R), with ``usual`` times what changes from day to day. Each pose of a day is one of the pool with a sign of its noise, for
+        days that were drawn twice would have the same noise twice, which is what a change looks like."""
+        daily, mean = self.check.rows.daily, self.pool.mean(axis=0)
+        pose = np.repeat(self.check.obs.pose, 3)
+        poses = len(self.poses)
+        drawn = rng.integers(0, len(self.pool), (days, poses))[:, pose]
+        sign = rng.choice([-1.0, 1.0], (days, poses))[:, pose]
+        noise = self.pool[drawn, np.arange(len(pose))] - mean
+        return mean + sign * noise + usual * rng.standard_normal((days, daily.shape[1])) @ daily.T
 
     def log_e(self, days: np.ndarray, looks: Iterable[int]) -> np.ndarray:
         """log E after each of these numbers of days."""
