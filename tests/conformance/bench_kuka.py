@@ -124,5 +124,5 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
             lambda: make("KR 210 R2700-2"),
             begin,
             lambda: fake.state.read().standstill,
-            {"silence_s": 0.4, "connect_timeout_s": 1.0, "reconnect_s": 0.5},
+            {"silence_s": 1.2, "connect_timeout_s": 1.0, "reconnect_s": 0.5},
         )
