@@ -19,10 +19,10 @@ from mbcacq.estimation.solver import Solution
 from mbcacq.model import shipped
 from mbcacq.model.observations import Observations
 
-EXPLAINED = 0.7  # share of the misfit beyond the noise that a story must remove to be told
+EXPLAINED = 0.7  # share of the misfit beyond the noise that a story must remove to be said
 SCATTER = 6.0  # standard deviations of chi square, within which a misfit needs no story
 APART = 20.0  # of chi square to the best story of another kind: odds of e^10; a wrong name is worse than none
-SAME = 20.0  # of chi square: moments that are this near are told as a range
+SAME = 20.0  # of chi square: moments that are this near are said as a range
 MOST_POSES = 400  # whose moments are looked at
 LEAST_SIDE = 3  # poses on either side of a moment
 SINGULAR = 1e-9  # share of the largest eigenvalue

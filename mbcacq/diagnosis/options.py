@@ -26,7 +26,7 @@ class DiagnosisOptions:
 
     # Verdict. The evidence of all effects together has mean one without any effect, at every size of a recording that grows: with the
     # noise known it exceeds 100 at any look in less than 1 % of recordings (Ville's inequality). That the noise is estimated and sets are
-    # searched is not covered by that, but by simulation (benchmarks/investigate.md). Below the lower value there is nothing to speak of:
+    # searched is not covered by that (benchmarks/investigate.py looks). Below the lower value there is nothing to speak of:
     # noise alone is above it in 4 of 1000 recordings of 50 poses and more.
     least_e_value: float = 100.0  # of all effects together, for an effect to be there
     noteworthy_e_value: float = 2.0  # above which it cannot be told whether there is one
