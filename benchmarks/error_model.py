@@ -25,7 +25,8 @@ from cells import iiwa, kr10, measure, random_errors, scanner_cell  # noqa: E402
 
 from mbcacq import load_observations
 from mbcacq.calibration import CalibrationOptions, calibrate
-from mbcacq.calibration.cross_validation import prediction_error  # noqa: E402
+from mbcacq.calibration.held_out_poses import prediction_error  # noqa: E402
+from mbcacq.calibration.uncertainty import point_columns, to_base  # noqa: E402
 from mbcacq.errors import CalibrationError, MbcacqError  # noqa: E402
 from mbcacq.estimation import forward_model, parameters  # noqa: E402
 from mbcacq.estimation.linearization import Lineariser  # noqa: E402
@@ -216,6 +217,48 @@ def arms(cells: int) -> None:
         print(f"| {name} | {m[0]:.0f} | {m[1]:.0f} | {m[2]:.1f} | {m[3]:.1f} | {m[4]:.1f} |", flush=True)
 
 
+def workspace_errors(found, truth, postures: int = 100) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (K,) mm of the coordinates of points all over the workspace, a rigid motion of everything aside; and their stated sigma."""
+    obs, rng = found.observations, np.random.default_rng(5)
+    low, high = found.state.chain.drawn_between(obs.cell.robot.limits)
+    q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
+    xyz = np.tile(obs.xyz.mean(axis=0), (postures, 1))
+    points = to_base(found, q, xyz)
+    off = points - se3.apply(truth.chain.frames(q)[:, -1] @ truth.T_flange_scanner, xyz)
+    rigid = np.concatenate([np.tile(np.eye(3), (postures, 1, 1)), -1e-3 * se3.skew(points)], axis=2).reshape(-1, 6)
+    rest = np.eye(3 * postures) - rigid @ np.linalg.pinv(rigid)
+    A = rest @ point_columns(found, q, xyz).reshape(3 * postures, -1)
+    return rest @ off.ravel(), np.sqrt(np.einsum("kg,gh,kh->k", A, found.covariance, A))
+
+
+def links(arms: int) -> None:
+    """Ordinary arms in few poses: the nominal arm, links free, and links of a common size."""
+    print("| poses | joints repeat within | nominal, um | free links, um | calibrate, um | median | within 2 sigma: free | calibrate |")
+    print("|---|---|---|---|---|---|---|---|")
+    methods = (
+        CalibrationOptions(kinematics=False, refuse=False),
+        CalibrationOptions(discrepancy=False, random_links=False, refuse=False),
+        CalibrationOptions(refuse=False),
+    )
+    for places, each in ((5, 5), (8, 8), (16, 12)):
+        for joint in (8e-6, 8e-5, 4e-4):
+            size, within = np.zeros((arms, 3)), np.zeros((arms, 3))
+            for seed in range(arms):
+                rng = np.random.default_rng([11, seed, places])
+                errors = ordinary_errors(kr10(), rng)
+                cell = scanner_cell(rng, stations=places, per_station=each, errors=errors, joint_rad=joint)
+                for k, method in enumerate(methods):
+                    off, sigma = workspace_errors(calibrate(cell.observations, method), cell.truth)
+                    size[seed, k], within[seed, k] = np.sqrt(3 * np.mean(off**2)), np.mean(np.abs(off) < 2 * sigma)
+            rms, share = 1e3 * np.sqrt(np.mean(size**2, axis=0)), within.mean(axis=0)
+            middle = 1e3 * np.median(size, axis=0)
+            print(
+                f"| {places * each} | {1e6 * joint:.0f} urad | {rms[0]:.0f} | {rms[1]:.0f} | {rms[2]:.0f} "
+                f"| {middle[1]:.0f} / {middle[2]:.0f} | {share[1]:.1%} | {share[2]:.1%} |",
+                flush=True,
+            )
+
+
 def least_squares(obs):
     """The geometry by plain least squares of the centres, every one of the same weight."""
     first = calibrate(obs, CalibrationOptions(discrepancy=False, refuse=False))
@@ -261,13 +304,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arms", type=int, default=200)
     parser.add_argument("--strikes", type=int, default=20)
+    parser.add_argument("--links", type=int, default=60)
     parser.add_argument("--cells", type=int, default=12)
     parser.add_argument("--data", type=Path, nargs="*", default=[])
     parser.add_argument("--poses", type=int, default=300, help="of each recording, at most")
     given = parser.parse_args()
     if given.arms:
         hand_eye(given.arms)
-    strikes(given.strikes)
+    if given.strikes:
+        strikes(given.strikes)
+    if given.links:
+        links(given.links)
     if given.cells:
         arms(given.cells)
     recordings(given.data, given.poses)

@@ -21,6 +21,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.meta_analysis import random_effect
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import HAND_EYE, Estimate, ParameterLayout, build
+from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.several_recordings import JointProblem, joint_problem
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.estimation.terms import PER_POSE, Term
@@ -110,6 +111,7 @@ def _fitted(problem: JointProblem, options: CalibrationOptions) -> Calibration:
     obs = problem.observations
     options = replace(options, start=problem.start)
     fitted = adjust(obs, options)
+    fitted = with_random_links(fitted, options) if options.kinematics else fitted
     result = Calibration.adjusted(obs, options, fitted)
     return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
 
