@@ -15,15 +15,10 @@ import numpy as np
 
 from mbcacq.estimation.adjustment import COARSE, FINE, Adjustment, settle_variances
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.parameters import ParameterBlock, ParameterLayout
+from mbcacq.estimation.parameters import KINDS, KINDS_START, ParameterBlock, ParameterLayout
 from mbcacq.estimation.solver import solve, with_prior_of
 from mbcacq.geometry.chain import PARAMETERS
 
-# Kinds of errors that have a size in common: a joint's zero is set when it is mastered, the rest when the arm is built.
-KINDS = {"theta": "joint zeros", "alpha": "link twists", "beta": "link twists", "d": "link lengths", "a": "link lengths"}
-# sigma at the start, far larger than arms have (0.1 to 0.3 mm, 0.2 to 0.5 mrad): sizes that begin small may stay there.
-START = {"joint zeros": 1e-2, "link twists": 3e-3, "link lengths": 1.0}
-ORDINARY = {"joint zeros": 5e-4, "link twists": 5e-4, "link lengths": 0.2}  # of an industrial arm as it is delivered
 LEAST_OF_A_KIND = 3  # fewer free parameters say nothing of a common size and stay without one
 
 
@@ -57,7 +52,7 @@ def with_random_links(fitted: Adjustment, options: CalibrationOptions) -> Adjust
     )
 
 
-def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = START) -> ParameterLayout:
+def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = KINDS_START) -> ParameterLayout:
     """The layout with random errors of the links.
 
     Parameters
@@ -76,7 +71,7 @@ def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = STAR
     if chain.group is not None or np.isfinite(chain.sigma[chain.free]).any():
         return layout
     kind = np.array([KINDS[p] for p in PARAMETERS] * (len(chain.names) // len(PARAMETERS)))
-    common = {name for name in START if np.sum(chain.free & (kind == name)) >= LEAST_OF_A_KIND}
+    common = {name for name in KINDS_START if np.sum(chain.free & (kind == name)) >= LEAST_OF_A_KIND}
     if not common:
         return layout
     group = tuple(name if name in common else "" for name in kind)

@@ -21,6 +21,8 @@ from mbcacq.quantities import K
 
 FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
 TURNS = {"rad": 180.0 / np.pi}  # angles are shown in degrees
+# Links within the size that such errors have lean to nominal in both alike: a change may be understated, never overstated.
+DETERMINED = {"free", "prior"}
 REGULAR = 1e-12  # least eigenvalue of the normalised covariance of all changes that counts as known
 
 
@@ -136,7 +138,7 @@ def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list
     for name, one in listed[0].items():
         two = listed[1].get(name)
         mount = name.removeprefix("hand_eye.") if name.startswith("hand_eye.") else ""
-        if two is None or name.startswith("ball_") or (one["status"] != "free" and two["status"] != "free"):
+        if two is None or name.startswith("ball_") or not {one["status"], two["status"]} & DETERMINED:
             continue
         scale = TURNS.get(one["unit"], 1.0)
         unit = "deg" if one["unit"] in TURNS else one["unit"]
