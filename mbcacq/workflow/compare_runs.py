@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
-from scipy.stats import norm
+from scipy.special import chdtrc, ndtri
 
 from mbcacq.calibration.result_io import chain_of, effects_of
 from mbcacq.calibration.same_arm import refuse_other_arm
@@ -114,7 +113,7 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: 
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"one of the results is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
     tested = sum(row.change is not None and row.change[1] is not None for row in rows)
-    limit = float(norm.isf(FALSE_ALARMS / 2 / max(tested, 1)))
+    limit = float(-ndtri(FALSE_ALARMS / 2 / max(tested, 1)))
     rows = [_judged(row, limit) for row in rows]
     chi2, dof = _together([row.change[0] for row in changes if row.change is not None], covariance)
     return RunComparison(names, robot, (*rows, *figures), chi2, dof, float(chdtrc(dof, chi2)) if dof else 1.0)
