@@ -18,6 +18,8 @@ from mbcacq.calibration.rivals import plain_least_squares, rivalry
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.calibration.with_discrepancy import noise_beyond_sheet, with_discrepancy
+from mbcacq.calibration.with_effects import refitted
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
@@ -34,7 +36,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     options = options or CalibrationOptions()
     try:
         with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
-            return _with_copies_said(_calibrate(observations, options), observations)
+            return replace(_with_copies_said(_calibrate(observations, options), observations), fit=calibrate)
     except ContradictionError as error:
         cause = misdescribed(observations)
         raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
@@ -43,6 +45,13 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
             f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
             "that are not millimetres, and for poses or balls taken for others"
         ) from error
+
+
+def calibrate_with_effects(
+    observations: Observations, options: CalibrationOptions | None, model: EffectModel, *, hold: bool = False
+) -> Calibration:
+    """The cell with effects; see ``mbcacq.calibration.with_effects.refitted``."""
+    return refitted(observations, options, model, calibrate, hold=hold)
 
 
 def _with_copies_said(result: Calibration, observations: Observations) -> Calibration:
