@@ -9,12 +9,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.causes import misdescribed
+from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
-from mbcacq.calibration.rivals import plain_least_squares, rivalry
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.calibration.with_discrepancy import noise_beyond_sheet, with_discrepancy
@@ -114,7 +114,7 @@ def _hand_eye_alone(result: Calibration, fitted: Adjustment) -> Calibration:
 
 
 def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
-    """With smooth errors of the joints where the evidence asks for them; a simpler one where that predicts better; and a warning where the
+    """With smooth errors of the joints where the evidence asks for them; a simpler one where it predicts better; and a warning where the
     joints' noise is beyond the data sheet."""
     refuse_unusable(_collected(obs, options, fitted))
     fault = fault_while_recording(fitted) if options.discrepancy else ""
@@ -145,7 +145,7 @@ def _with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adj
 def _unless_it_loses(
     obs: Observations, options: CalibrationOptions, result: Calibration, fitted: Adjustment
 ) -> tuple[Calibration, Adjustment]:
-    """The calibration, or the rival that predicts held-out poses better."""
+    """The calibration, or the competing method that predicts held-out poses better."""
     own, lenient = "the weighted adjustment", replace(options, refuse=False)
     fits: dict[str, Callable[[Observations], tuple[Calibration, Adjustment]]] = {
         own: lambda some: _with_discrepancy(some, lenient, with_random_links(adjust_recording(some, lenient), lenient)),
@@ -153,13 +153,13 @@ def _unless_it_loses(
         "plain least squares": lambda some: _by(some, lenient, plain_least_squares(adjust_recording(some, lenient))),
         "the nominal arm": lambda some: _of_nominal_arm(some, lenient),
     }
-    found = rivalry(obs, own, {name: lambda some, fit=fit: fit(some)[0] for name, fit in fits.items()})
+    found = compared_on_held_out(obs, own, {name: lambda some, fit=fit: fit(some)[0] for name, fit in fits.items()})
     if found is None:
         return result, fitted
     if found.chosen != own:
         result, fitted = fits[found.chosen](obs)
         result = _warned(replace(result, options=replace(result.options, refuse=options.refuse)), found.sentence(own))
-    return replace(result, extra={**result.extra, "rivals": found.to_dict()}), fitted
+    return replace(result, extra={**result.extra, "competing_methods": found.to_dict()}), fitted
 
 
 def _by(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> tuple[Calibration, Adjustment]:
