@@ -84,19 +84,23 @@ def compared_on_held_out(obs: Observations, own: str, fits: Mapping[str, Callabl
     masks, by_station = _blocks(obs)
     if len(masks) < LEAST_BLOCKS:
         return None
-    distances: dict[str, list[np.ndarray]] = {}
-    for name, fit in fits.items():
-        try:
-            distances[name] = [_distances(obs.select(mask), fit(obs.select(~mask)), by_station) for mask in masks]
-        except (CalibrationError, np.linalg.LinAlgError):
-            if name == own:
-                return None
+    distances: dict[str, list[np.ndarray]] = {name: [] for name in fits}
+    parts = [(obs.select(~mask), obs.select(mask)) for mask in masks]
+    for rest, held in parts:
+        for name in list(distances):
+            try:
+                distances[name].append(_distances(held, fits[name](rest), by_station))
+            except (CalibrationError, np.linalg.LinAlgError):
+                if name == own:
+                    return None
+                del distances[name]
     rms = _rms_without_gross(distances)
     return HeldOutComparison(rms, _chosen(rms, own))
 
 
 def plain_least_squares(alone: Adjustment) -> Adjustment:
-    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected.
+    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected. Where the links have sizes, those
+    stay as they are: without them the error where nothing was measured has no bound.
 
     Parameters
     ----------

@@ -147,10 +147,18 @@ def _unless_it_loses(
 ) -> tuple[Calibration, Adjustment]:
     """The calibration, or the competing method that predicts held-out poses better."""
     own, lenient = "the weighted adjustment", replace(options, refuse=False)
+
+    shared: dict[int, Adjustment] = {}
+
+    def linked(some: Observations) -> Adjustment:
+        if id(some) not in shared:  # three of the methods begin with it
+            shared[id(some)] = with_random_links(adjust_recording(some, lenient), lenient)
+        return shared[id(some)]
+
     fits: dict[str, Callable[[Observations], tuple[Calibration, Adjustment]]] = {
-        own: lambda some: _with_discrepancy(some, lenient, with_random_links(adjust_recording(some, lenient), lenient)),
-        "geometry alone": lambda some: _by(some, lenient, with_random_links(adjust_recording(some, lenient), lenient)),
-        "plain least squares": lambda some: _by(some, lenient, plain_least_squares(adjust_recording(some, lenient))),
+        own: lambda some: _with_discrepancy(some, lenient, linked(some)),
+        "geometry alone": lambda some: _by(some, lenient, linked(some)),
+        "plain least squares": lambda some: _by(some, lenient, plain_least_squares(linked(some))),
         "the nominal arm": lambda some: _of_nominal_arm(some, lenient),
     }
     found = compared_on_held_out(obs, own, {name: lambda some, fit=fit: fit(some)[0] for name, fit in fits.items()})
