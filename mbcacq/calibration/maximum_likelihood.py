@@ -157,7 +157,7 @@ def _unless_it_loses(
 
     fits: dict[str, Callable[[Observations], tuple[Calibration, Adjustment]]] = {
         own: lambda some: _with_discrepancy(some, lenient, linked(some)),
-        "geometry alone": lambda some: _by(some, lenient, linked(some)),
+        "the adjustment without smooth errors": lambda some: _by(some, lenient, linked(some)),
         "plain least squares": lambda some: _by(some, lenient, plain_least_squares(linked(some))),
         "the nominal arm": lambda some: _of_nominal_arm(some, lenient),
     }

@@ -77,12 +77,13 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     """The observations calibrated with effects by ``fit``, which calibrates them under any options. The effects are the account of what
     the arm does beyond its geometry: no discrepancy is sought beside them."""
     options = replace(options, discrepancy=False)
-    alone = fit(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
+    lenient = replace(options, refuse=False)  # what is undetermined without the effects may be determined with them
+    alone = fit(obs, replace(lenient, random_links=False))
     if hold:
         known = tuple(zip(model.at(obs), model.coefficients, strict=True))
         return _beside(alone, replace(fit(obs, replace(options, displaced=known)), effects=model))
     parametric, unmodelled = model.parametric, model.select(lambda t: t.name == UNKNOWN)
-    fitted = fit(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
+    fitted = fit(obs, replace(options, terms=parametric.at(obs)) if parametric else lenient)
     if not unmodelled:
         return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
     stage, noise = sized_groups(fitted, options, parametric, unmodelled)
@@ -92,7 +93,7 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
     apart = parametric.select(lambda t: not t.periodic_in_own_angle or joint_of(t) not in pattern.joints)
     if len(apart.terms) < len(parametric.terms):
-        fitted = fit(obs, replace(options, terms=apart.at(obs))) if apart else alone
+        fitted = fit(obs, replace(options, terms=apart.at(obs)) if apart else lenient)
     patterned = with_pattern(obs, unmodelled, pattern)
     stage, noise = sized_groups(fitted, options, apart, patterned, noise)
     found = with_groups(stage, noise, apart, patterned)
