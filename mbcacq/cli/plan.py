@@ -72,13 +72,7 @@ def new(
         wanted[kind] = given or click.prompt(f"{kind[:-1]} ({choices}, or a file)", err=True)
     options = NewPlanOptions(driver, stations, count, seed)
     with StepProgress() as steps:
-
-        def said(text: str) -> None:
-            steps.clear()
-            echo(text, err=True)
-            steps.begin(text)
-
-        made = new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=said)
+        made = new_plan(wanted["robots"], wanted["scanners"], wanted["artefacts"], out, options, force=force, progress=steps.printed)
     if as_json:
         places = [str(s.id) for s in made.plan.stations]
         echo(json.dumps({"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}))

@@ -45,6 +45,15 @@ class StepProgress:
         if text and (self._terminal or self._gets_a_line()):
             self._say(f"{text}{self._left(self._began)} ...")
 
+    def printed(self, text: str) -> None:
+        """A step that has a line of its own, which stays; the same step again has none."""
+        if text != self._text:
+            self.clear()
+            if not self._quiet:
+                echo(text, err=True)
+        self.begin(text)
+        self._said = True
+
     def begin(self, text: str) -> None:
         """A step whose begin is not worth a line: it is named only when it takes long."""
         now = time.monotonic()

@@ -44,6 +44,18 @@ def test_a_file_or_a_pipe_gets_one_line_a_step(monkeypatch, capfd):
     assert ticking(monkeypatch, capfd, False) == "calibrating ...\ndrawing ...\n"
 
 
+def test_a_step_that_comes_again_has_no_second_line(capfd, monkeypatch):
+    clock = iter(range(100))
+    monkeypatch.setattr(step_progress.time, "monotonic", lambda: float(next(clock)) * 10)
+    progress = StepProgress()
+    progress._terminal = False
+    for _ in range(3):
+        progress.printed("checking every path")
+        progress._tick()
+    progress.printed("61 poses")
+    assert capfd.readouterr().err == "checking every path\n61 poses\n"
+
+
 def test_of_many_parts_a_file_gets_the_first_the_last_and_every_tenth(capfd):
     progress = StepProgress()
     for part in range(1, 201):
