@@ -41,7 +41,7 @@ def import_(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Make a robot file of FILE: .urdf, .xacro, .mjcf or .xml, or a table of DH rows (.csv, .yaml).
+    """Make a robot file of FILE: .urdf, .xacro, .mjcf or .xml, a table of DH rows (.csv, .yaml), or a UR's calibration.yaml.
 
     The rows are compared with the file's own forward kinematics at random joint angles. Packages that a xacro names are found by the
     package.xml above the file, in ROS where it is installed, or by --package.

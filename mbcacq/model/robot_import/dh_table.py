@@ -104,12 +104,17 @@ def _table(path: Path) -> Table:
     return table
 
 
-def _yaml(path: Path) -> CsvText:
-    """The rows of a YAML list of mappings, or of its list ``rows``."""
+def yaml_content(path: Path) -> Any:
+    """What a YAML file holds. Raises ConfigError where it is none."""
     try:
-        data = yaml12.load(read_text(path, MAX_BYTES))
+        return yaml12.load(read_text(path, MAX_BYTES))
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
+
+
+def _yaml(path: Path) -> CsvText:
+    """The rows of a YAML list of mappings, or of its list ``rows``."""
+    data = yaml_content(path)
     rows = data.get("rows") if isinstance(data, dict) else data
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise ConfigError(f"{path}: {NEEDED} is needed")

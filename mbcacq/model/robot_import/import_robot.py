@@ -16,9 +16,10 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain_from_axes import ChainInFrames, chain_from_axes
 from mbcacq.model import yaml12
 from mbcacq.model.cell_schema import RobotSpec
-from mbcacq.model.robot_import.dh_table import read_dh_table
+from mbcacq.model.robot_import.dh_table import read_dh_table, yaml_content
 from mbcacq.model.robot_import.mjcf import read_mjcf
 from mbcacq.model.robot_import.source import ArmSource
+from mbcacq.model.robot_import.ur_calibration import is_ur_calibration, read_ur_calibration
 from mbcacq.model.robot_import.urdf import read_urdf
 
 POSTURES = 200  # random ones at which both forward kinematics are compared
@@ -55,7 +56,8 @@ def import_robot(
     packages: Mapping[str, Path] | None = None,
     arguments: Mapping[str, str] | None = None,
 ) -> ImportedRobot:
-    """Read a URDF, xacro, MJCF file or a DH table (CSV, YAML; then ``convention`` must be said) and write it as a robot file.
+    """Read a URDF, xacro, MJCF file, a DH table (CSV, YAML; then ``convention`` must be said) or the factory calibration of a UR arm (YAML,
+    as ``ur_calibration`` writes it), and write it as a robot file.
 
     base, flange: links (URDF), bodies or sites (MJCF); default: what the file's names suggest. speed_deg_s: of every axis where the source
     states none. packages: folders of the ROS packages that a xacro names and that are not found above it; arguments: of its ``$(arg ..)``.
@@ -97,6 +99,8 @@ def _read(
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
         raise ConfigError(f"{path} {what}; give the file that describes the arm")
+    if kind in (".yaml", ".yml") and is_ur_calibration(content := yaml_content(path)):
+        return read_ur_calibration(path, content)
     if kind in (".csv", ".yaml", ".yml"):
         if convention is None:
             raise ConfigError(f"{path}: which convention do its rows follow? say --convention standard or --convention modified")
