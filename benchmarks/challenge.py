@@ -84,7 +84,7 @@ def _power(job: tuple[str, int]) -> PowerCell:
 
 
 def measure_e_values(share: float, jobs: int, kept: list[dict], file: Path) -> None:
-    """Of the clean cells."""
+    """Rates of the clean cells."""
     _, seed, effects, count, *_ = PARTS["clean"]
     done = {r["number"] for r in kept if r["part"] == "e-values"}
     todo = [s for s in draw(seed, max(int(round(share * count)), 1), kinds(effects)) if s.number not in done]

@@ -8,7 +8,7 @@ A cell is calibrated from a recording of plans/seeing.yaml by the array path (th
 are chosen, and days of these are recorded by the same path: a pool of days as they are, and for each change and each of its sizes its
 trace, the difference of two days of one noise with and without it. The days of a year are put together of poses of the pool, with a random
 sign of their noise, and what changes from day to day is added to them; a change stands from day 30 on.
-Years without a change are looked at daily until day 60 and every tenth day from then on, years with one daily from the change. Of changes
+Years without a change are looked at daily until day 60 and every tenth day from then on, years with one daily from the change. For changes
 more than twenty checks back the simulation takes every fifth with the weight of five. Figures are kept in runs/check-benchmark, so that a
 call goes on where another ended.
 """

@@ -53,7 +53,7 @@ def made(effect: str, seed: int, folder: Path) -> Path:
 
 
 def twist(s):
-    """Of link 2 about its length, under the moment about it, until it saturates: no effect of the catalogue."""
+    """Torsion of link 2 about its length, under the moment about it, until it saturates: no effect of the catalogue."""
     from mbcacq.estimation.forward_model import Displacements
 
     moment = s.gravity_moment(2)[:, 0]

@@ -102,7 +102,7 @@ def band_name(candidate: Candidate, band: LimitBand) -> str:
 
 
 def stated_limits(planned: PlannedRecording, drawn: CandidateScoring) -> dict[str, Case]:
-    """Of a draw, those that the diagnosis would call tested."""
+    """The limits of a draw that the diagnosis would call tested."""
     out = {}
     for limit in limits_of(drawn, planned.candidates, ()):
         if limit.in_usual_sizes <= OPTIONS.largest_usual:

@@ -29,8 +29,8 @@ INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" 
 
 
 class ArmCalibration(BaseCalibration):
-    """FIGAROH's calibration with a cost function of one's own, as its manual asks for. Of positions alone the residual is a difference; the
-    function of its examples makes the logarithm of a pose of each reading, which gives the same and takes longer."""
+    """FIGAROH's calibration with a cost function of one's own, as its manual asks for. With positions alone the residual is a
+    difference; the function of its examples makes the logarithm of a pose of each reading, which gives the same and takes longer."""
 
     def cost_function(self, var: np.ndarray) -> np.ndarray:
         return 1e3 * (calc_updated_fkm(self.model, self.data, var, self.q_measured, self.calib_config) - self.PEE_measured)

@@ -247,13 +247,13 @@ def main() -> None:
 | two workers, resumed | {rest[1]:.2f} | {rest[0]:.1f} s |
 
 Two workers over one: {ranged(rates[1] / rates[0])} (1.8 asked). What the computer allows, two plain processes over one:
-{ranged(rates[3] / rates[2])}. Of the rate of two plain processes, two workers reach {ranged(rates[1] / rates[3])}.
+{ranged(rates[3] / rates[2])}. Two workers reach {ranged(rates[1] / rates[3])} of the rate of two plain processes.
 Medians of {ROUNDS} rounds (lowest to highest), in each of which all four are measured one after the other. Killed and resumed
 over the run of one worker that followed: {half[1] / rates[0][0]:.2f} and {rest[1] / rates[0][0]:.2f}. A recording takes
 {1e3 * processor:.0f} ms of processor time. Rates are from the first result to the last: neither the start of the cluster is in them nor
 the table and the page in the end.
 
-Of the {half[2]} results that were there after the kill, {repeated} were made again.
+{repeated} of the {half[2]} results that were there after the kill were made again.
 
 Without a result: {len(broken)} recording, the one that was cut in the middle of a row: {reasons}.
 

@@ -139,7 +139,7 @@ def responses(plan, effects: list[Effect], method: str) -> list[dict[str, Any]]:
 
 
 def best_forms(rows) -> list[dict[str, Any]]:
-    """Of each family the form that needs the smallest share of its plausible size."""
+    """The form of each family that needs the smallest share of its plausible size."""
 
     def share(row):
         return row["size"] / row["plausible"]

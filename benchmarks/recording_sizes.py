@@ -160,7 +160,7 @@ def judged(record: dict) -> str:
 
 
 def upper_limit(events: int, cells: int) -> float:
-    """Of a rate, at 95 % (Clopper and Pearson)."""
+    """Limits of a rate, at 95 % (Clopper and Pearson)."""
     return 1.0 if events >= cells else float(beta.ppf(0.95, events + 1, cells - events))
 
 

@@ -138,7 +138,7 @@ What the diagnosis says of it: it is *named* (or an unmodelled effect is, at the
 the *limit* stated for its order *holds*; its order was *not tested* by these poses. False are a *limit* below the truth and *another name*
 at the same joint with the truth excluded; asked: not more than 5 %.
 
-Of the cells 1 to 8 of each plan 8 of 24 were false while a limit was that of a median order and a balancer as probable on a light arm as
+Eight of the 24 cells 1 to 8 of each plan were false while a limit was that of a median order and a balancer as probable on a light arm as
 on a heavy one: two limits below the truth, and six times a balancer in the place of the gear."""
 
 

@@ -79,7 +79,7 @@ def peer(lineariser: Lineariser, begin: Estimate, weights: Weights) -> float:
 
 
 def recording(poses: int) -> Observations:
-    """Of an arm with errors, eight balls a pose and eight poses a station."""
+    """Observations of an arm with errors, eight balls a pose and eight poses a station."""
     rng = np.random.default_rng(0)
     times = max(poses // MADE_POSES, 1)
     made = scanner_cell(rng, stations=poses // times // 8)

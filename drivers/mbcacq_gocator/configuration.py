@@ -42,7 +42,7 @@ class Configuration:
 
     @property
     def exposure_us(self) -> float | None:
-        """Of the main sensor; None if the file does not say."""
+        """Exposure of the main sensor; None if the file does not say."""
         return _float(self._root.findtext(_DEVICE + "/Exposure"), None)
 
     def scan_settings(self) -> dict[str, str]:

@@ -129,7 +129,7 @@ class CalibrationFit:
 
     @classmethod
     def adjusted(cls, obs: Observations, options: CalibrationOptions, a: Adjustment) -> Self:
-        """Of an adjustment of the observations under the same options."""
+        """The fit of an adjustment of the observations under the same options."""
         return cls.of(obs, options, a.lineariser, a.solution, a.noise, a.weights, a.preliminary, a.found)
 
     @property

@@ -88,7 +88,7 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
     Parameters
     ----------
     adjustment : Adjustment
-        Of hand-eye and stations, with the links' errors as random effects.
+        Adjustment of hand-eye and stations, with the links' errors as random effects.
     options : CalibrationOptions
         It was made with.
     """
@@ -155,7 +155,7 @@ def at_allowed_sizes(lineariser: Lineariser, options: CalibrationOptions) -> Lin
 def noise_ratios(solution: Solution) -> tuple[float, float]:
     """Ratios of the scanner's noise and of the joints', each over all its components.
 
-    Of a component k the ratio is y'P V_k P y / tr(P V_k), which is 1 in expectation under the noise of the solution (Patterson and Thompson
+    The ratio of a component k is y'P V_k P y / tr(P V_k), which is 1 in expectation under the noise of the solution (Patterson and Thompson
     1971); the score by log sigma is their difference.
     """
     joints = len(solution.noise.joint)

@@ -21,7 +21,7 @@ Motions = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def motions(hand: np.ndarray, eye: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A and B (K, 4, 4) between every two poses of a group. hand: (P, 4, 4) such as T_base_flange; eye: (P, 4, 4) T_scanner_target; group:
-    (P,) the fixed target that was seen. Of more than ``MOST_MOTIONS`` evenly chosen ones."""
+    (P,) the fixed target that was seen. More than ``MOST_MOTIONS`` are thinned evenly."""
     i, j = np.triu_indices(len(hand), 1)
     same = np.flatnonzero(group[i] == group[j])
     if len(same) > MOST_MOTIONS:

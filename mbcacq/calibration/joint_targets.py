@@ -13,7 +13,7 @@ from mbcacq.geometry import se3
 
 @dataclass(frozen=True)
 class TargetOptions:
-    """Of the search for joint angles."""
+    """How joint angles are searched."""
 
     rounds: int = 60
     reached_mm: float = 1e-3  # a thousandth of a millimetre is below any arm's repeatability

@@ -107,7 +107,7 @@ def length_budget(
     balls
         Ids of the two balls.
     ends
-        Of each ball: joint angles (1, n) rad, centre (1, 3) mm in the scanner frame, and number of poses averaged over.
+        For each ball: joint angles (1, n) rad, centre (1, 3) mm in the scanner frame, and number of poses averaged over.
     calibration
         Gives the noise; None: probing and repeatability are not known and count as zero.
     """

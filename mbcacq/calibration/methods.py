@@ -65,8 +65,8 @@ def by_poses(name: str) -> Callable[[Observations], CellState]:
 
 
 def _poses_of_both(obs: Observations, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The moving hand (K, 4, 4), the target seen by the eye (K, 4, 4) and the station (K,) of each pose. Of a fixed scanner the hand that
-    moves is the base as the flange sees it. Raises CalibrationError where the poses do not determine the equations of ``name``."""
+    """The moving hand (K, 4, 4), the target seen by the eye (K, 4, 4) and the station (K,) of each pose. With a fixed scanner the
+    hand that moves is the base as the flange sees it. Raises CalibrationError where the poses do not determine the equations ``name``."""
     where, eye = artefact_poses(obs)
     station = obs.station[where]
     if np.bincount(station).max() < LEAST_POSES:

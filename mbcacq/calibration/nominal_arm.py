@@ -32,7 +32,7 @@ def with_nominal_arm(result: Calibration, lineariser: Lineariser) -> Calibration
     result : Calibration
         With link errors as random effects (``CalibrationOptions(kinematics=False)``).
     lineariser : Lineariser
-        Of the same recording and layout.
+        Lineariser of the same recording and layout.
     """
     left_out = np.zeros(result.layout.size)
     chain = result.layout.blocks[0]

@@ -36,7 +36,7 @@ class MissedBy:
 
     @classmethod
     def of(cls, mm: np.ndarray) -> MissedBy:
-        """Of the poses' (P,) mm."""
+        """Figures of the poses' (P,) mm."""
         return cls(float(np.sqrt(np.mean(mm**2))), float(np.median(mm)), float(mm.max()))
 
 

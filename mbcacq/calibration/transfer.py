@@ -283,7 +283,7 @@ def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, u
     rows = keep[obs.pose]
     some = obs.select(keep)
     terms = model.at(some) if model else ()
-    # Of what differs between recordings the other one has a draw of its own: a random effect, beside what was learnt.
+    # What differs between recordings has another draw in the other one: a random effect, beside what was learnt.
     differing = tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(some))
     options = CalibrationOptions(terms=(*terms, *differing), balls=False, phases=_all_phases(some))
     layout = parameters.build(some, options)

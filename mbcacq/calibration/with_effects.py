@@ -34,7 +34,7 @@ from mbcacq.model.observations import Observations
 
 @dataclass(frozen=True)
 class GroupSizeOptions:
-    """Of the size of each group of unmodelled effects."""
+    """How the size of each group of unmodelled effects is estimated."""
 
     turns: int = 4  # of size, step and noise; geometry and effects no longer move by then
     turns_again: int = 2  # of the same from a noise that was found with other groups; what is learnt is the same with four

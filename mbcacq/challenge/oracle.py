@@ -91,7 +91,7 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
 
 
 def carriers(coupling: EffectCoupling, effect: dict[str, Any]) -> dict[Where, float]:
-    """Of an injected effect that shows only through another one: location -> true coefficient of that other one."""
+    """Location -> true coefficient of the effect through which alone an injected one shows."""
     return {(f"A{i + 1}",): float(c) for i, c in enumerate(effect[coupling.parameter]) if c > 0}
 
 

@@ -22,7 +22,7 @@ TRUE_JOINT = 5e-6  # rad, the fake cell's default
 
 @dataclass(frozen=True)
 class Gauge:
-    """Of one plan; the cell is linearised once, where the plan has it."""
+    """How visible effects are by one plan; the cell is linearised once, where the plan has it."""
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]

@@ -113,7 +113,7 @@ class _Choice:
         return [CandidateView(v.station, v.aim, v.view, self._pose(k, v.station, q, v.balls)) for k, (v, q) in enumerate(postures)]
 
     def _postures(self, seen: list[_SeenView]) -> list[np.ndarray | None]:
-        """Of the positions that reach each view the one that the plan's expansion will take, or None where that one is poor."""
+        """The position by which the plan's expansion will reach each view, or None where that one is poor."""
         loaded, robot, options = self._loaded, self._loaded.cell.robot, self._options
         sign = [{"positive": 1, "negative": -1, "any": 0}[v.view.wrist] for v in seen]
         reached = self._solver.solutions(np.stack([v.flange for v in seen])) if seen else []

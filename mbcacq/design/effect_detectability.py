@@ -90,7 +90,7 @@ def _projected(problem: CandidateScoring, candidate: Candidate, hyper: float | N
     """An effect at its usual size with the geometry refitted: what remains (in standard deviations), the share absorbed, and the effect as
     one row (rows + z,) under the metric of ``_inner``.
 
-    Of several coefficients the least visible one counts, the others being free.
+    The least visible of several coefficients counts, the others being free.
     """
     X = problem.block(candidate, hyper) * candidate.typical
     row = np.concatenate([X, problem.Q.T @ X]).T

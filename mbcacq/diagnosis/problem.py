@@ -104,7 +104,7 @@ def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustm
 
 
 def differing(candidates: Sequence[Candidate], obs: Observations) -> list[Candidate]:
-    """Of several recordings: each effect of one coefficient on the arm once more, with a coefficient of its own in every recording."""
+    """Each effect of one coefficient on the arm once more, with a coefficient of its own in every one of several recordings."""
     if obs.recording is None:
         return []
     alike = [c for c in candidates if c.k == 1 and c.hyper is None and c.where[0].startswith(ON_THE_ARM)]

@@ -78,7 +78,7 @@ class GeometryAlone:
 
     @classmethod
     def of(cls, fit: CalibrationFit) -> Self:
-        """Of a calibration without effects."""
+        """Noise and figures of a calibration without effects."""
         turn = fit.noise.turn if fit.residual.shape[1] == 6 else None
         arm, hand_eye, *_ = fit.layout.blocks
         return cls(

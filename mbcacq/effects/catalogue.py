@@ -108,7 +108,7 @@ def declaration(name: str) -> Declaration:
 
 
 def couplings() -> tuple[EffectCoupling, ...]:
-    """Of all effects that show only through another one."""
+    """The couplings of all effects that show only through another one."""
     return tuple(c for name in effects() if (c := declaration(name).coupling) is not None)
 
 

@@ -121,8 +121,8 @@ def best_alignment(errors: OwnErrors, found: Mapping[int, JointAlignment], joint
 class PatternComparison:
     """A joint's own error beside the pattern of others, everything else and the joint's deviation from a pattern integrated out.
 
-    Of the pattern A (2 K, 2 K) and hp (2 K,), of the joint C and hv, mixed B; sigma: prior of the pattern; constant: what the logarithm of
-    the Bayes factor has whatever the offset.
+    A (2 K, 2 K) and hp (2 K,) belong to the pattern, C and hv to the joint, B to both; sigma: prior of the pattern; constant: what the
+    logarithm of the Bayes factor has whatever the offset.
     """
 
     A: np.ndarray

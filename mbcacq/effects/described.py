@@ -19,9 +19,9 @@ def evaluated(covariates: Covariates, parts: Sequence[Written], value: Values | 
     Parameters
     ----------
     covariates
-        Of the recording.
+        Covariates of the recording.
     parts
-        Of an effect.
+        Parts of an effect.
     value
         Name of a covariate -> its values, where they are not those of the recording.
 

@@ -41,7 +41,7 @@ def own_errors(here: Covariates) -> list[EffectTerm]:
     Parameters
     ----------
     here : Covariates
-        Of the recording to be calibrated.
+        Covariates of the recording to be calibrated.
 
     Returns
     -------

@@ -165,7 +165,7 @@ class Candidate:
         return tuple((p.place, p.index, p.component) for p in parts) if alike else ()
 
     def functions(self, values: np.ndarray) -> tuple[Column, ...]:
-        """Of an effect with ``components``: the functions by which each is multiplied, at values (H,) of the hyper-parameter."""
+        """The functions by which each component of an effect with ``components`` is multiplied, at values (H,) of the hyper-parameter."""
         (first, *_) = self.parts(values[:, None])
         assert isinstance(first, DescribedPart), "only effects that are written down have components"
         return first.columns[: self.k // len(self.components)]
@@ -206,7 +206,7 @@ def plain_effect(
     name, where, depends_on, described
         As of ``Candidate``.
     parameters
-        Of each coefficient the name under which it is reported, which ends with its unit, and its typical size in a real cell.
+        The name under which each coefficient is reported, which ends with its unit, and its typical size in a real cell.
     fields
         Further fields of ``Candidate`` (``hyper``, ``positive``, ``several``, ``variant``).
     """

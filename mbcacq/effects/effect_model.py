@@ -85,7 +85,7 @@ class EffectModel:
         return tuple(t.term(here, self.learnt) for t in self.terms)
 
     def left_out_at(self, obs: Observations) -> tuple[Term, ...]:
-        """Of a recording other than the one learnt from: the terms that differ between recordings, as functions of its own covariates.
+        """The terms that differ between recordings, for another recording than the one learnt from, as functions of its own covariates.
 
         ``at`` leaves them out, or takes them as they were at the end; there they are as large as ``sigma`` of the term says, with
         coefficients of which nothing else is known. So are unmodelled effects beyond where they were learnt.

@@ -30,7 +30,7 @@ LENGTHS, ANGLES = "link lengths", "link angles"
 LINK_GROUP = {"theta": ANGLES, "d": LENGTHS, "a": LENGTHS, "alpha": ANGLES, "beta": ANGLES}
 # sigma at the start, far larger than arms have (0.1 to 0.3 mm, 0.3 to 0.5 mrad): sizes that begin small may stay there.
 LINK_START = {LENGTHS: 1.0, ANGLES: 3e-3}
-# Of an industrial arm as it is delivered (absolute accuracy 0.5 to 1 mm), as a factor of the sigma at the start: 0.2 mm, 0.5 mrad.
+# Sizes of an industrial arm as it is delivered (absolute accuracy 0.5 to 1 mm), as a factor of the sigma at the start: 0.2 mm, 0.5 mrad.
 ORDINARY_LINKS = {LENGTHS: 0.2 / LINK_START[LENGTHS], ANGLES: 5e-4 / LINK_START[ANGLES]}
 # Kinds of errors of an arm that is identified, which have a size in common: a joint's zero is set when it is mastered, the rest when the
 # arm is built. Sizes at the start as above.

@@ -58,7 +58,7 @@ def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = KIND
     Parameters
     ----------
     layout : ParameterLayout
-        Of an arm that is to be identified.
+        Layout of an arm that is to be identified.
     sizes : mapping
         sigma (mm, rad) of each kind of error.
 

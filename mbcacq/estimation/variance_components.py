@@ -97,8 +97,8 @@ def restricted_maximum_likelihood(
 def reml_step(system: PoseSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
     """One step of average-information scoring (REML); also the rise of the log posterior density that its quadratic model promises.
 
-    Of one variance component alone, q times as large as supposed, the scored step of log sigma is s = (q - 1) / 2q where log(q) / 2 leads
-    to the maximum; so -log(1 - 2 s) / 2 is taken, which is s to first order.
+    Where one variance component alone is q times as large as supposed, the scored step of log sigma is s = (q - 1) / 2q where log(q) / 2
+    leads to the maximum; so -log(1 - 2 s) / 2 is taken, which is s to first order.
     """
     score, information = reml_score_and_information(system, noise)
     theta = pack(noise)

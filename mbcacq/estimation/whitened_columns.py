@@ -23,14 +23,14 @@ WIDE = 24  # functions of one displacement from which its columns are not writte
 
 @dataclass(frozen=True)
 class ColumnProducts:
-    """Of some centres: information (z, z) the products of the columns, right (z,) with the residual, square of the residual; whitened."""
+    """Products over some centres: information (z, z) those of the columns, right (z,) with the residual, square of it; whitened."""
 
     information: np.ndarray
     right: np.ndarray
     square: float
 
     def of_columns(self, index: np.ndarray) -> ColumnProducts:
-        """Of some of the columns."""
+        """The products of some of the columns."""
         return ColumnProducts(self.information[np.ix_(index, index)], self.right[index], self.square)
 
 
@@ -71,7 +71,7 @@ class WhitenedColumns:
         return out
 
     def products(self, poses: np.ndarray | None = None) -> ColumnProducts:
-        """Of the centres of these poses, (P,) bool, or of all."""
+        """The products over the centres of these poses, (P,) bool, or over all."""
         chosen: slice | np.ndarray = slice(None) if poses is None else poses
         written = self.written if poses is None else self.written[np.repeat(poses[self._obs.pose], self._width)]
         N = written.shape[1]

@@ -168,7 +168,7 @@ class Whitening:
         L = np.linalg.cholesky(gram)
         self.log_det = 2 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum()
         self.M = np.linalg.inv(gram + L)
-        # Of few rows W itself is smaller than what it is made of.
+        # With few rows W itself is smaller than what it is made of.
         few = self.J.shape[1] <= self.J.shape[2]
         self.W = (np.eye(self.J.shape[1]) - self.J @ self.M @ np.swapaxes(self.J, 1, 2)) * np.swapaxes(self.scale, 1, 2) if few else None
 

@@ -30,7 +30,7 @@ MAX_BYTES = 16 << 20
 WHAT = "a certificate"
 NEEDED = ("label", "x", "y", "z", "d")
 LABEL = Column("label", kind="text", aliases=("ball", "id", "name", "feature", "sphere"))
-# Of all balls, or of each.
+# Uncertainty of all balls, or of each.
 ABOUT = (
     Column("U", "mm", aliases=("uncertainty", "expanded_uncertainty", "u95"), required=False, assumed="mm"),
     Column("k", required=False, aliases=("coverage_factor",)),

@@ -36,7 +36,7 @@ class Table:
     Attributes
     ----------
     path
-        Of the file.
+        Path of the file.
     columns
         Heading -> its cells.
     line
@@ -262,13 +262,13 @@ def read_table(
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     schema
         Columns by their names, with units; without one the columns are named by their headings and numbers have no unit.
     names
         What the file calls a column -> the heading that is to be read in its place.
     headings
-        Of a table without schema: whether a line is that of the headings; lines before it are allowed then.
+        Whether a line is that of the headings, where a table has no schema; lines before it are allowed then.
 
     Raises
     ------

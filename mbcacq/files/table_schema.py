@@ -29,7 +29,7 @@ class Column:
     name
         By which the program asks for it.
     unit
-        Of the array, as pint spells it; None for a number without unit, an integer or a text.
+        Unit of the array, as pint spells it; None for a number without unit, an integer or a text.
     kind
         'number', 'integer' or 'text'.
     written
@@ -72,7 +72,7 @@ class TableSchema:
     columns
         Each a ``Column``.
     max_bytes
-        Of the file.
+        Largest size of the file.
     comment
         Mark of lines that are left out; empty: there are none.
     preamble
@@ -207,7 +207,7 @@ def _named(column: Column, heading: str, text: str) -> str | None:
 
 
 def _without_suffix(name: str, column: Column) -> str:
-    """Of a heading that says its unit twice, 'x_mm [mm]', what stands before both; any other as it is."""
+    """What stands before both units of a heading that says its unit twice, 'x_mm [mm]'; any other heading as it is."""
     base, _, unit = name.rpartition("_")
     return base if base and suffix_unit(unit) and _key(base) in map(_key, (column.name, *column.aliases)) else name
 

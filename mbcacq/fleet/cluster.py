@@ -71,7 +71,7 @@ def evaluated(
             raise ConnectError(
                 f"the cluster {where} does not answer ({error or type(error).__name__}); try again, or look whether its scheduler runs"
             ) from error
-        # Of another cluster nobody knows how many workers it has or will get: it gets all at once, a task a recording.
+        # Nobody knows how many workers another cluster has or will get: it gets all at once, a task a recording.
         own, at_once = (store, workers) if scheduler is None else (None, len(left))
         waiting = as_completed(with_results=True, raise_errors=False)
         batches: dict[Any, list[Stamped]] = {}  # of the tasks that are under way, by key

@@ -32,7 +32,7 @@ class Drift:
 
 @dataclass(frozen=True)
 class Trend:
-    """Of each parameter of an arm, if it were the only one that drifts: change (p,) from first to last recording, and its sigma (p,)."""
+    """Each parameter of an arm, as if it were the only one that drifts: change (p,) from first to last recording, and its sigma (p,)."""
 
     arm: str
     names: tuple[str, ...]

@@ -75,7 +75,7 @@ def nominal_parameters(mass: np.ndarray, com: np.ndarray, payload_mass: float = 
 def inertial_sigma(robot) -> np.ndarray:
     """How far the inertial parameters (n, 10) of a robot's description may be off (one sigma).
 
-    Of masses and centres it states, a share; of inertia tensors, which it does not, as much as the link's size allows; without
+    Stated masses and centres may be off by a share; inertia tensors, which it does not state, by as much as the link's size allows; without
     masses all of it is unknown.
     """
     stated = robot.mass.any()

@@ -50,7 +50,7 @@ class NumericalInverse:
     def branches(self, targets: np.ndarray) -> list[np.ndarray]:
         """Per target (P, 4, 4) the joint positions (k, n) rad within the limits that were found, none a full turn from another; k may be 0.
 
-        Of an arm with more than six axes these are samples of a continuum.
+        An arm with more than six axes has a continuum, of which these are samples.
         """
         targets = np.asarray(targets, dtype=float).reshape(-1, 4, 4)
         found = [np.empty((0, self.chain.n)) for _ in targets]

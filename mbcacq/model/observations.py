@@ -20,7 +20,7 @@ class Observations:
     velocity (P, n) rad/s at the exposure; temperatures: column name (ends in _C) -> (P,) deg C.
     Centres: pose (M,) index into the poses, non-decreasing; ball (M,) index into ``cell.ball_ids``; xyz (M, 3) mm in the
     scanner frame (or the instrument's); n_points (M,); rms_mm (M,); rotation (M, 3, 3) orientation of a 6-dof target.
-    Of several recordings of one arm taken as one: recording (P,) int, the recording of each pose; noise_scale (P, 3 + n), sigma of a
+    Where several recordings of one arm are taken as one: recording (P,) int, the recording of each pose; noise_scale (P, 3 + n), sigma of a
     centre's coordinates and of each joint in that recording, relative to the first one's; payload_com (P, 3) mm in the flange frame.
     covariance (M, R, R), where each measurement states its own: of a point (R = 3, mm^2), or of a target's pose (R = 6: position and
     rotation vector in the instrument's frame, mm^2, mm rad, rad^2).

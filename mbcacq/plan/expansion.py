@@ -178,7 +178,7 @@ def _solutions(loaded: LoadedPlan, wanted: list[Target]) -> list[np.ndarray]:
 
 
 def _nearest_home(loaded: LoadedPlan, q: np.ndarray) -> np.ndarray:
-    """Of joint positions (k, n) rad, no more than planning looks at, in their order."""
+    """The joint positions (k, n) rad nearest to home, no more than planning looks at, in their order."""
     most, home = loaded.planning.most_positions, np.radians(loaded.plan.robot.home_deg)
     return q if len(q) <= most else q[np.sort(np.argsort(np.abs(q - home).sum(axis=1), kind="stable")[:most])]
 

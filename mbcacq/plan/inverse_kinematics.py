@@ -34,7 +34,7 @@ class InverseKinematics(Protocol):
     def solutions(self, T_base_flange: np.ndarray, margin: float = 0.0) -> list[np.ndarray]:
         """All joint positions within the limits less ``margin`` (rad), full turns included: per pose (P, 4, 4) (k, n) rad, k may be 0.
 
-        Of an arm with more than six axes, a sample of them.
+        An arm with more than six axes has a continuum, of which these are samples.
         """
         ...
 

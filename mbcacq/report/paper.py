@@ -18,7 +18,7 @@ def write_pdf(content: Content, path: str | Path) -> Path:
     Parameters
     ----------
     content
-        Of the report.
+        What the report holds.
     path
         The file; its folder is made where it is missing.
 

@@ -84,8 +84,8 @@ def verify(
 ) -> Verification:
     """Sphere spacing errors (mm) at the verification poses, before and after calibration, with the uncertainty expected of each.
 
-    calibration: what ``mbcacq.calibrate`` returned, or a result.json, or a run folder that holds one. Of a bare
-    ``mbcacq.estimation.forward_model.CellState``, ``before`` is what to compare with. limit_mm: largest error permitted.
+    calibration: what ``mbcacq.calibrate`` returned, or a result.json, or a run folder that holds one. A bare
+    ``mbcacq.estimation.forward_model.CellState`` is compared with ``before``. limit_mm: largest error permitted.
     """
     if isinstance(calibration, Path | str):
         calibration = room.CalibratedCell.from_json(Path(calibration))
@@ -159,8 +159,8 @@ def calibration_content(
     observations: Observations | None = None,
 ) -> dict[str, Any]:
     """Calibrate a recording and verify it; the content of result.json with 'verification' and 'gaps', with 'accuracy_map' and 'held_out'
-    where asked for. observations: where they have been read from ``data`` already. Of a plan without phase 'position' it is what its run
-    calibrates (``options_for``).
+    where asked for. observations: where they have been read from ``data`` already. Where the plan has no phase 'position',
+    what is calibrated is what its run calibrates (``options_for``).
 
     Raises CalibrationError, ConfigError.
     """

@@ -62,7 +62,7 @@ class RunComparison:
     rows
         A row a quantity.
     chi2, dof, p_value
-        Of all changes of arm and hand-eye together, with their whole covariances, against none; p_value is the probability of a larger
+        Test of all changes of arm and hand-eye together, with their whole covariances, against none; p_value is the probability of a larger
         chi2 where nothing changed.
     """
 

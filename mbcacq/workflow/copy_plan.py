@@ -16,7 +16,7 @@ def copy_plan(name: str, folder: Path | str = ".", *, force: bool = False) -> li
     Parameters
     ----------
     name
-        Of the plan: 'kuka', 'kuka.yaml' or 'plans/kuka.yaml'.
+        Name of the plan: 'kuka', 'kuka.yaml' or 'plans/kuka.yaml'.
     folder
         Made where it is missing. Robot and artefact files keep their places relative to the plan, so that the copy loads as it stands.
     force

@@ -41,8 +41,8 @@ def diagnose(
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
     data: observations, or a run folder, a recording, an observation set; or trajectories of one robot (objects or trajectory sets). Several
-    recordings of poses of one arm share the arm and its effects, and so do several trajectories. Of a run whose controller recorded
-    torques or joint-side angles, the motion between the poses is compared too.
+    recordings of poses of one arm share the arm and its effects, and so do several trajectories. Where a run's controller
+    recorded torques or joint-side angles, the motion between the poses is compared too.
     progress: gets a sentence a step. workers: processes that share the cross-validation (default: one a processor core). options: of the
     adjustment of poses, as ``mbcacq.calibrate`` takes them (which phases are used, what is held). check: further recordings of the
     arm, on which what was learnt is tried with base, tool and stations fitted, or with ``place`` 'known' nothing. simulation: another

@@ -44,7 +44,7 @@ NAME = "{name}"
 WHERE = {where!r}
 DEPENDS_ON = "{depends_on}"
 
-# Of each coefficient: the name under which it is reported, which ends with its unit, and its size in a real cell.
+# Each coefficient has the name under which it is reported, which ends with its unit, and its size in a real cell.
 PARAMETERS = {{
 {parameters}
 }}

@@ -29,7 +29,7 @@ def plan_of(folder, change=("", "")):
 
 
 def verdicts(loaded, folder):
-    """Of plan check, of a run at its begin, of calibrate at the recording: printed or raised."""
+    """The verdict of plan check, of a run at its begin, of calibrate at the recording: printed or raised."""
     poses = expand(loaded)
     recorded = simulated_recording(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses), np.random.default_rng(1))
     write_observation_set(recorded, folder / "set")

@@ -118,7 +118,7 @@ def test_another_recording_of_the_same_cell_is_predicted_within_its_noise(calibr
     few = other.select(np.arange(other.n_poses) % 3 == 0)
     for obs, place in ((other, "fitted"), (few, "fitted"), (other, "known")):
         found = check_transfer(obs, calibrated, place=place)
-        # Of a few centres each station takes a large part: what was fitted there is no degree of freedom.
+        # Each station takes a large part of a few centres: what was fitted there is no degree of freedom.
         assert found.with_effects.chi2_dof == pytest.approx(1.0, abs=0.12), (obs.n_poses, place)
 
 

@@ -20,7 +20,7 @@ def equations(sizes, seed):
 
 
 def log_marginal_likelihood(S, b, sizes):
-    """Of the data with coefficients integrated out, up to a constant; written from its definition."""
+    """Likelihood of the data with coefficients integrated out, up to a constant; written from its definition."""
     prior = np.concatenate([np.full(p.stop - p.start, s**2) for s, p in zip(sizes, SLICES, strict=True)])
     normal = S + np.diag(1 / prior)
     return 0.5 * (b @ np.linalg.solve(normal, b) - np.linalg.slogdet(normal)[1] - np.log(prior).sum())

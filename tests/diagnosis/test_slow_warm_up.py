@@ -1,4 +1,4 @@
-"""Of a scanner that warms up more slowly than the recording lasts, only the rate is determined; what is stated of it says so."""
+"""Only the rate of a scanner that warms up more slowly than the recording lasts is determined; what is stated of it says so."""
 
 import numpy as np
 import pytest

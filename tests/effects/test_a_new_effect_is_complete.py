@@ -21,7 +21,7 @@ IN_MOTION = tuple(
     for name, module in catalogue.effects().items()
     if hasattr(module, "motion_candidates") or catalogue.declaration(name).periodic_in_motion is not None
 )
-# Of an instrument with orientations, and of an arm that does not stop: the challenge's cells have neither.
+# Effects of an instrument with orientations, and of an arm that does not stop: the challenge's cells have neither.
 NO_CHALLENGE = {"orientation_bias", "exposure_latency"}
 CHECKED_ELSEWHERE = {"orientation_bias": "test_orientation_bias.py"}
 # Words of other things too: the tool that a cell declares, the body, the block and the signal of that name.

@@ -164,7 +164,7 @@ def test_a_spalled_raceway_tilts_its_link_where_the_load_passes_the_damage(joint
     tilt = moved.frame[:, joint + 1, 3:]
     size = np.linalg.norm(tilt, axis=1)
     assert size.max() == pytest.approx(effect.tilt, rel=1e-3)
-    # Of a turn it is seen over the loaded zone alone, and the joint's own angle is right there too.
+    # It is seen over the loaded zone of a turn alone, and the joint's own angle is right there too.
     assert np.mean(size[1:] > 0) == pytest.approx(effect.half_width / np.pi, abs=0.01 if joint else 0.03)
     frames = ARM.frames(q)
     about = np.einsum("pij,pi->pj", frames[:, joint + 1, :3, :3], frames[:, joint, :3, 2])

@@ -83,3 +83,20 @@ def test_no_page_and_no_text_uses_a_phrase_that_the_terms_replace():
 )
 def test_a_reader_finds_the_term_by_name(term):
     assert any(term in name.lower() for name in defined())
+
+
+OPENING = re.compile(r"(?:^|[.;] )Of (?!course)[a-z]")
+
+
+def test_no_docstring_and_no_page_opens_a_sentence_with_a_genitive():
+    """'Of fewer the verdict is ..': a sentence begins with its subject."""
+    kinds = ast.Module | ast.ClassDef | ast.FunctionDef
+    found = []
+    for path, tree in sources().items():
+        for node in ast.walk(tree):
+            text = ast.get_docstring(node) if isinstance(node, kinds) else None
+            found += [f"{path.relative_to(ROOT)}: {m[0]}" for m in OPENING.finditer(re.sub(r"\s+", " ", text or ""))]
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")):
+        paragraphs = re.split(r"\n\s*\n|\n[-*|#] ?", page.read_text(encoding="utf-8"))
+        found += [f"{page.relative_to(ROOT)}: {m[0]}" for p in paragraphs for m in OPENING.finditer(re.sub(r"\s+", " ", p).strip())]
+    assert sorted(found) == []

@@ -40,7 +40,7 @@ class ScannerPaths:
 
     @property
     def source_prefix(self) -> str:
-        """Of the scanner's own data sources: scan:ENGINE:SCANNER:"""
+        """How the names of the scanner's own data sources begin: scan:ENGINE:SCANNER:"""
         parts = self.group.strip("/").split("/")
         return f"scan:{parts[-3]}:{parts[-1]}:"
 

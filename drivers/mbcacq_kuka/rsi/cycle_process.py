@@ -78,7 +78,7 @@ class CycleProcess:
         return 0 if self._shared is None else self._shared.decimals
 
     def noted(self) -> tuple[int, str, int]:
-        """Of a session that has not begun: how many datagrams came, from where the last, how many answers the controller discarded."""
+        """How many datagrams came before a session has begun, from where the last, and how many answers the controller discarded."""
         return (0, "", 0) if self._shared is None else self._shared.noted()
 
     def fault(self) -> dict[str, Any] | None:

@@ -89,7 +89,7 @@ class RsiOptions:
     cpu: int | None = None
 
     def settings(self) -> dict[str, Any]:
-        """Of the cycle process, all numbers resolved."""
+        """Settings of the cycle process, all numbers resolved."""
         return {**asdict(self), "dynamics": self.dynamics}
 
     @property

@@ -146,7 +146,7 @@ class FakeCell:
 
     @property
     def process_id(self) -> int:
-        """Of the world's process."""
+        """Number of the world's process."""
         assert self._process is not None, "the fake cell is not started"
         return self._process.pid
 

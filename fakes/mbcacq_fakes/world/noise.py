@@ -22,7 +22,7 @@ class NoiseGrowth:
 
     @classmethod
     def stated(cls, view: ScannerView, noise_mm: Sequence[float], far_mm: Sequence[float] | None, factor_at_60_deg: float) -> NoiseGrowth:
-        """Of a scanner whose centres scatter by noise_mm (3,) in the middle of its view and by far_mm (3,) at the far end."""
+        """Noise of a scanner whose centres scatter by noise_mm (3,) in the middle of its view and by far_mm (3,) at the far end."""
         middle = np.asarray(noise_mm, dtype=float)
         far = middle if far_mm is None else np.asarray(far_mm, dtype=float)
         ratio = np.divide(far, middle, out=np.ones(3), where=(middle > 0) & (far > 0))

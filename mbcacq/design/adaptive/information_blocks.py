@@ -40,7 +40,7 @@ class InformationBlocks:
         return cls(Z[in_order], X[in_order][:, :, g + 6 :])
 
     def select(self, poses: np.ndarray) -> InformationBlocks:
-        """Of some poses."""
+        """The blocks of some poses."""
         return InformationBlocks(self.Z[poses], self.E[poses])
 
 

@@ -64,7 +64,7 @@ class Decision:
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Decision:
-        """Of such content. Raises KeyError or TypeError where it is damaged."""
+        """The decision that such content holds. Raises KeyError or TypeError where it is damaged."""
         sets = tuple((str(name), float(odds)) for name, odds in content["sets"])
         return cls(**{**content, "sets": sets, "reasons": tuple(content["reasons"])})
 

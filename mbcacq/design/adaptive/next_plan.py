@@ -42,7 +42,7 @@ class NextPoses:
 
     @property
     def poses(self) -> list[PlannedPose]:
-        """Of all visits, in their order."""
+        """The poses of all visits, in their order."""
         return [pose for visit in self.visits for pose in visit.poses]
 
     @property

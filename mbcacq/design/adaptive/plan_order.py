@@ -119,7 +119,7 @@ def _of_step(loaded: LoadedPlan, index: int, step: Any, reachable: Sequence[Plan
 def _information(
     loaded: LoadedPlan, kept: Sequence[PlannedPose], poses: Sequence[PlannedPose]
 ) -> tuple[InformationBlocks, Questions, MeasuredInformation]:
-    """Of the poses to choose from, and what the kept ones tell already, in the nominal cell."""
+    """Blocks of the poses to choose from, and what the kept ones tell already, in the nominal cell."""
     every = [*kept, *poses]
     obs = planned_observations(loaded, [replace(p, number=k) for k, p in enumerate(every)])
     home = np.radians(loaded.plan.robot.home_deg)

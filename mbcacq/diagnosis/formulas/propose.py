@@ -49,7 +49,7 @@ class Setting:
 
     @classmethod
     def of(cls, problem: DiagnosisProblem, full: ModelFit) -> Setting:
-        """Of a long recording, some of its poses."""
+        """The setting of a recording; of a long one, some of its poses."""
         linear = full.geometry_only.linear
         if not full.everywhere:
             best = reported_hypothesis(full.evidence)
@@ -66,7 +66,7 @@ class Setting:
         return [(keep & (fold != k)[pose], keep & (fold == k)[pose]) for k in range(int(fold.max()) + 1)]
 
     def scores(self, formula: Formula | None = None, random: Sequence[RandomEffect] = ()) -> list[PredictiveScore]:
-        """Of each part: the parametric effects with others, fitted without the part and evaluated on it."""
+        """Scores of each part: the parametric effects with others, fitted without the part and evaluated on it."""
         effects = [(m.candidate, m.hyper) for m in self.others]
         if formula is not None:
             effects.append((candidate(self.context, formula.placed, formula.sigma / DIAGNOSIS.sizes[-1]), None))

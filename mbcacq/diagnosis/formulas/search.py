@@ -134,7 +134,7 @@ class Formula:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Of its terms."""
+        """Labels of its terms."""
         return frozenset(p.label for p in self.placed)
 
     @property
@@ -168,7 +168,7 @@ def different(formulas: Iterable[Formula]) -> list[Formula]:
 
 
 class FormulaSearch:
-    """Of one recording, or a part of it, under the noise of ``point``, with the other effects in place."""
+    """The search in one recording, or a part of it, under the noise of ``point``, with the other effects in place."""
 
     def __init__(self, point: NoisePoint, others: Sequence[Member], space: FormulaSpace):
         self.point, self.others, self.space = point, tuple(others), space

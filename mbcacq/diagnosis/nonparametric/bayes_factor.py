@@ -33,7 +33,7 @@ def log_bayes_factors(A: np.ndarray, a: np.ndarray, sizes: np.ndarray | None = N
 def relative_sizes(largest: np.ndarray) -> np.ndarray:
     """(H, S) sizes of coefficients, the largest eigenvalue of whose normal matrix in typical sizes is given (H,).
 
-    Of columns of unit size, what the projection removed but for one over the largest size has no evidence.
+    What the projection left less than one over the largest size of, in columns of unit size, has no evidence.
     """
     return SIZES / np.maximum(np.sqrt(np.maximum(largest, 0.0)), 1 / SIZES[-1])[:, None]
 

@@ -56,7 +56,7 @@ class BlockGroup:
 
     @cached_property
     def batches(self) -> list[tuple[np.ndarray, list[Batch]]]:
-        """Of the shapes of as many functions k: which of the group's these are (n, k), and the batches of their blocks."""
+        """For each number of functions k: which of the group's shapes have so many (n, k), and the batches of their blocks."""
         sizes = np.array([len(shape.weight) for shape in self.shapes])
         out = []
         for k in np.unique(sizes):

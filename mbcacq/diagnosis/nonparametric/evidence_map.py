@@ -18,7 +18,7 @@ from mbcacq.diagnosis.search.candidate_scoring import ROUNDING, CandidateScoring
 
 @dataclass(frozen=True)
 class MapEvidence:
-    """Of all B design blocks: log Bayes factor (B,). at: location -> its blocks. locations: location -> log of its mean Bayes factor, best
+    """Log Bayes factor (B,) of all B design blocks. at: location -> its blocks. locations: location -> log of its mean Bayes factor, best
     first.
     """
 
@@ -44,10 +44,11 @@ class MapEvidence:
 
 
 class EvidenceMap:
-    """Of one recording under one noise model, prepared with geometry alone projected out.
+    """Evidence of all groups in one recording under one noise model, prepared with geometry alone projected out.
 
-    Of all columns (K,) of all groups: b, raw squares; absorbed (K, z), their products with the basis of the geometry. sizes: of the blocks
-    with as many coefficients k, which they are (H,), their columns and prior weights (H, k) and normal matrices (H, k, k).
+    b and raw (K,) belong to all columns of all groups: products with the residual, squares; absorbed (K, z): their products with the basis
+    of the geometry. sizes: of the blocks with as many coefficients k, which they are (H,), their columns and prior weights (H, k) and
+    normal matrices (H, k, k).
     """
 
     def __init__(self, projected: CandidateScoring, groups: Sequence[BlockGroup]):
@@ -113,8 +114,8 @@ class EvidenceMap:
         return linear.computed_once(keys, lambda: np.stack([linear.unit(*key) for key in keys], axis=2))
 
     def _normal(self, group: BlockGroup) -> list[np.ndarray]:
-        """Of each batch of a group (n, c, c, k, k): products of its columns, before any projection, of every two components by every two of
-        the functions of a shape.
+        """(n, c, c, k, k) for each batch of a group: products of its columns, before any projection, of every two components by every two
+        of the functions of a shape.
         """
         mix, together = group.location.mix, [functions for functions, _ in group.batches]
         if not group.location.per_pose:

@@ -45,7 +45,7 @@ class JointModel:
 
     @cached_property
     def products(self) -> ColumnProducts:
-        """Of all centres that the whitener keeps."""
+        """Products of the columns over all centres that the whitener keeps."""
         return self.columns.products()
 
     @cached_property

@@ -2,8 +2,8 @@
 
 A coefficient c is estimated as c^ with standard deviation s, and |c| is below |c^| + 1.645 s in 95 % of recordings, whatever it is. An
 effect of known sign is below c^ + 1.645 s, where an estimate below -s counts as -s, so that noise never excludes what the recording could
-not show (power-constrained limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166). Of a parameter of several coefficients, an
-amplitude or a shift, it is the largest such limit over all directions.
+not show (power-constrained limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166). The limit of a parameter of several
+coefficients, an amplitude or a shift, is the largest such limit over all directions.
 
 With the effect everything is free that it is confused with: geometry, what was found, the elasticity that every arm has, and the other
 effects at its location. A slow error of a gear and the elasticity of its joint may compensate each other, and a limit of one that takes
@@ -59,7 +59,7 @@ class BandLimit:
 def limits_of(
     problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[tuple[Candidate, float | None]]
 ) -> list[BandLimit]:
-    """Of every candidate that was not found, by band and parameter. problem: conditioned on what was found."""
+    """Limits of every candidate that was not found, by band and parameter. problem: conditioned on what was found."""
     few = of_fewest_coefficients(candidates)
     there = {(c.name, c.where) for c, _ in found}
     out = []

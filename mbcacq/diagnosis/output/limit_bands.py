@@ -27,8 +27,8 @@ class LimitBand:
 
 
 def bands(candidate: Candidate, found: Sequence[float] = ()) -> list[LimitBand]:
-    """Of a candidate, before anything is known of how well its values are determined. found: orders that are reported at its location, in
-    whose bands nothing is limited.
+    """Bands of a candidate, before anything is known of how well its values are determined. found: orders that are reported at its
+    location, in whose bands nothing is limited.
     """
     hyper = candidate.hyper
     if hyper is None:

@@ -71,7 +71,7 @@ def weights(limited: Sequence[SizedEffect]) -> np.ndarray:
 
 
 def of_fewest_coefficients(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Of several variants of an effect at a location, those of fewest coefficients."""
+    """The variants of each effect at a location that have fewest coefficients."""
     fewest: dict[tuple[str, tuple[str, ...]], int] = {}
     for c in candidates:
         fewest[c.name, c.where] = min(c.k, fewest.get((c.name, c.where), c.k))

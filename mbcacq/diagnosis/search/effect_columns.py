@@ -12,7 +12,7 @@ from mbcacq.estimation.terms import Part
 
 
 def covariates(linear: LinearProblem) -> Covariates:
-    """Of the recording, computed once for a linearisation."""
+    """Covariates of the recording, computed once for a linearisation."""
     return linear.computed_once("covariates", lambda: Covariates(linear.obs))
 
 

@@ -29,7 +29,7 @@ def with_estimated_prior(posterior: Posterior, typical: Sequence[np.ndarray], sl
 
 
 def most_probable_size(values: np.ndarray, covariance: np.ndarray) -> float:
-    """Of the possible sizes of an effect, the one under which its estimated coefficients (k,), in typical sizes, are most probable."""
+    """The size of an effect, among the possible ones, under which its estimated coefficients (k,), in typical sizes, are most probable."""
 
     def log_density(size: float) -> float:
         spread = covariance + size**2 * np.eye(len(values))

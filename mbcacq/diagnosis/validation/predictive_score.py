@@ -97,7 +97,7 @@ class HeldOutPrediction:
 def held_out_score(
     linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, random: Sequence[RandomEffect], noise: Noise
 ) -> PredictiveScore:
-    """Of a whole model."""
+    """The held-out score of a whole model."""
     return HeldOutPrediction(linear, train, test, model, random, noise).score()
 
 

@@ -121,7 +121,7 @@ def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
 
 
 def _report(mass: float, com: np.ndarray) -> Report:
-    """Of the tool in all, in the words of the poses; what there is in kg mm is in kg m here."""
+    """Parameters of the whole tool in the words of the poses; what there is in kg mm is in kg m here."""
     to_mm = np.array([1.0, 1e3, 1e3, 1e3])
     return lambda c, v, _, __: as_estimates(tool(mass, com, to_mm * c[:4], v[:4, :4] * np.outer(to_mm, to_mm)))
 

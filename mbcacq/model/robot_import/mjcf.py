@@ -247,7 +247,8 @@ def _ancestors(model: Any, body: int) -> list[int]:
 
 
 def _masses(compiled: _Model, data: Any, hinges: list[int], back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each joint's body with what is fixed to it, zero where the file does not say; kinematics at zero must be current."""
+    """Masses (n,) and centres of gravity (n, 3) of each joint's body with what is fixed to it, zero where the file does not say;
+    kinematics at zero must be current."""
     model = compiled.model
     owner = {int(model.jnt_bodyid[j]): k for k, j in enumerate(hinges)}
     mass, moment = np.zeros(len(hinges)), np.zeros((len(hinges), 3))

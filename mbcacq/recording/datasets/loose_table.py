@@ -167,7 +167,7 @@ def _readings(table: Table, options: TableOptions) -> Iterator[TableReading]:
         )
     conventions = [_conventions(flange, options.flange, "--flange"), _conventions(targets[0], options.target, "--target")]
     measurements = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
-    # Of unknown measurement, an inverted target is the same equation as the other measurement: the headings are believed.
+    # Where the measurement is not known, an inverted target is the same equation as the other measurement: the headings are believed.
     both = options.measurement and targets[0].rotation and not options.target_inverted
     inverted = (False, True) if both else (options.target_inverted,)
     for (of_flange, of_target), (measurement, inverse) in product(product(*conventions), product(measurements, inverted)):

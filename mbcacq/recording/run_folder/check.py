@@ -79,7 +79,7 @@ def _stretch_faults(path: Path, stretches: list[Stretch], size: int) -> Iterator
 
 
 def _value_faults(path: Path) -> Iterator[str]:
-    """Of what a solver reads, by name."""
+    """Faults of the values that a solver reads, by name."""
     from mbcacq.recording.rrd.reader import opened
 
     try:

@@ -22,7 +22,7 @@ def static_svg(figure: Any, width_px: float, scale: float = 1.0) -> str:
     figure
         With traces of the kinds scatter, bar, heatmap, histogram and box on one pair of axes.
     width_px
-        Of the drawing.
+        Width of the drawing.
     scale
         Its height over that of the figure's layout.
 

@@ -266,7 +266,7 @@ def _observability(result: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _correlation(result: Mapping[str, Any]) -> tuple[list[str], np.ndarray] | None:
-    """Of all free parameters but the balls, which are as certified but for their uncertainty."""
+    """Names and correlations of all free parameters but the balls, which are as certified but for their uncertainty."""
     names = list(result["names"])
     C = np.array(result["covariance"], dtype=float).reshape(len(names), len(names))
     keep = [i for i, n in enumerate(names) if not n.startswith("ball_")]

@@ -76,7 +76,7 @@ class FakeSerialPositioner(SerialLine):
 
 
 def _pattern(send: str) -> re.Pattern[str]:
-    """Of the lines that a text with {raw} or {value} in it makes."""
+    """What matches the lines that a text with {raw} or {value} in it makes."""
     literal = re.split(r"{(raw|value)[^}]*}", send.strip())
     parts = [re.escape(part) if k % 2 == 0 else rf"(?P<{part}>[-+0-9.eE]+)" for k, part in enumerate(literal)]
     return re.compile("".join(parts))
