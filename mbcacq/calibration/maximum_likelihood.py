@@ -20,6 +20,7 @@ from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import copies, select_phases, without_copies
+from mbcacq.model.joint_resolution import rounding_sentence
 from mbcacq.model.observations import Observations
 
 
@@ -31,7 +32,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     options = options or CalibrationOptions()
     try:
         with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
-            return _with_copies_said(_calibrate(observations, options), observations)
+            return _with_rounding_said(_with_copies_said(_calibrate(observations, options), observations))
     except ContradictionError as error:
         cause = misdescribed(observations)
         raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
@@ -49,6 +50,12 @@ def _with_copies_said(result: Calibration, observations: Observations) -> Calibr
     some = ", ".join(map(str, twice[:5])) + (", .." if len(twice) > 5 else "")
     said = f"{len(twice)} poses are exact copies of earlier ones ({some}) and are counted once; measure again instead of copying"
     return replace(result, extra={**result.extra, "warnings": [*result.extra.get("warnings", ()), said]})
+
+
+def _with_rounding_said(result: Calibration) -> Calibration:
+    if not (step := result.cell.joint_step):
+        return result
+    return replace(result, extra={**result.extra, "warnings": [*result.extra.get("warnings", ()), rounding_sentence(step)]})
 
 
 def _calibrate(observations: Observations, options: CalibrationOptions) -> Calibration:
