@@ -98,7 +98,14 @@ class RsiSession:
     def reply(self, data: bytes, source: Any, now: float, in_time: bool = True) -> bytes | None:
         """The answer to a datagram, or None. ``in_time``: False for one that is answered too late in any case."""
         ready = self._ready
-        if ready is not None and in_time and not self._punctuality.held_up(now) and ready[0] in data and ready[1] in data and source == self.controller:
+        if (
+            ready is not None
+            and in_time
+            and not self._punctuality.held_up(now)
+            and ready[0] in data
+            and ready[1] in data
+            and source == self.controller
+        ):
             self._ready, self._data, self._unparsed, self.last_heard = None, data, True, now
             return ready[2]
         if self._muted or self.over:
