@@ -1,4 +1,4 @@
-"""A checker at the controller's side, in simulated time: random motions with lost telegrams, lost and late answers, telegrams that come in a
+"""A checker at the controller's side, in simulated time: motions with lost telegrams, lost and late answers, telegrams that come in a
 burst, angles that jump, stops and turns. Every set point that the controller is given is compared with the limits of speed and
 acceleration on the path that it saw, and none may move after a stop.
 
@@ -18,11 +18,10 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "kuka"))
-from rsi_bench import ACCELERATION, JERK, LIMITS, SOURCE, SPEED, START, T
-
 from mbcacq_kuka.rsi.options import RsiOptions
 from mbcacq_kuka.rsi.session import RsiSession
 from mbcacq_kuka.rsi.shared import MOVE, STOP, RsiCommand, Shared
+from rsi_bench import ACCELERATION, JERK, LIMITS, SOURCE, SPEED, START, T
 
 EVENTS = ("good", "lost", "rejected", "late", "burst")
 SHARES = (0.94, 0.02, 0.02, 0.015, 0.005)

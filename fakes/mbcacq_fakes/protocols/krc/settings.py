@@ -49,7 +49,8 @@ class KrcSettings:
     beta_deg) from which RIst is computed, or none. layout: a name of PROFILES or the elements themselves.
     moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
     lag_s: first-order lag of the arm behind a dead time of two cycles. encoder_noise_deg, encoder_step_deg: how far AIPos scatters about
-    where the arm is, in any cycle, and in which steps it is read; zero for none. rearm_s: pause before telegrams are offered again after a fault.
+    where the arm is, in any cycle, and in which steps it is read; zero for none. rearm_s: pause before telegrams are offered again after
+    a fault.
     """
 
     client: tuple[str, int] = ("127.0.0.1", 49152)
