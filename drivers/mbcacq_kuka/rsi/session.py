@@ -328,18 +328,18 @@ class RsiSession:
         self._check_plausible(measured, taken.steps)
 
     def _check_plausible(self, measured: tuple[float, ...], steps: int) -> None:
-        if not self._runaway.sure and (axis := self._runaway.check(self._used, measured)) is not None:
-            raise SessionFault(
-                "relative",
-                f"A{axis + 1} goes further than it was ever told to, as under RSI_ON(#RELATIVE), which adds each correction to the ones "
-                "before; use RSI_ON(#ABSOLUTE) in the controller's program",
-            )
         jumped = self._jump.check(measured, steps)
         if jumped is not None:
             raise SessionFault(
                 "implausible",
                 f"the controller reports that A{jumped[0] + 1} jumped by {jumped[1]:.2f} deg within {steps * self.cycle_s * 1e3:.0f} ms, "
                 "faster than it can turn; look at the arm, its resolvers and the RSI Ethernet configuration",
+            )
+        if not self._runaway.sure and (axis := self._runaway.check(self._used, measured)) is not None:
+            raise SessionFault(
+                "relative",
+                f"A{axis + 1} goes further than it was ever told to, as under RSI_ON(#RELATIVE), which adds each correction to the ones "
+                "before; use RSI_ON(#ABSOLUTE) in the controller's program",
             )
         if steps > 1:
             self._follow.skip(measured, steps - 1)

@@ -27,11 +27,11 @@ class Watchers:
     def __init__(self, read: Callable[[str], dict[str, Any]]) -> None:
         self._read = read
         self._lock = threading.Lock()
-        self._subscribed: set[tuple[Client, str]] = set()
-        self._streams: dict[tuple[Client, str], int] = {}
+        self._subscribed: set[tuple[ControlClient, str]] = set()
+        self._streams: dict[tuple[ControlClient, str], int] = {}
         self._numbers, self._next = 0, 0.0
 
-    def ask(self, client: Client, method: str, path: str) -> None:
+    def ask(self, client: ControlClient, method: str, path: str) -> None:
         """A request that was answered: sub, unSub, stream and cancelStream count from now on."""
         key = client, path.rstrip("/")
         with self._lock:
@@ -46,7 +46,7 @@ class Watchers:
             elif method == "cancelStream":
                 self._streams.pop(key, None)
 
-    def leave(self, client: Client) -> None:
+    def leave(self, client: ControlClient) -> None:
         with self._lock:
             self._subscribed = {key for key in self._subscribed if key[0] is not client}
             self._streams = {key: number for key, number in self._streams.items() if key[0] is not client}
@@ -70,7 +70,7 @@ class Watchers:
             client.send(OK, {"type": "stream", "path": path, "status": OK, **content})
 
 
-class Client:
+class ControlClient:
     """One connection; replies and what comes between them leave one at a time."""
 
     def __init__(self, sock: socket.socket, watchers: Watchers) -> None:
@@ -82,7 +82,7 @@ class Client:
             return _send(self.sock, status, content)
 
 
-def serve(client: Client, handle: Handler, faults: GoPxLFaults) -> None:
+def serve(client: ControlClient, handle: Handler, faults: GoPxLFaults) -> None:
     """Answer requests until either side closes."""
     try:
         _serve(client, handle, faults)
@@ -90,7 +90,7 @@ def serve(client: Client, handle: Handler, faults: GoPxLFaults) -> None:
         client.watchers.leave(client)
 
 
-def _serve(client: Client, handle: Handler, faults: GoPxLFaults) -> None:
+def _serve(client: ControlClient, handle: Handler, faults: GoPxLFaults) -> None:
     while (asked := _request(client.sock)) is not None:
         method, path = str(asked.get("method", "")), str(asked.get("path", ""))
         if faults.use("close_control", path.rstrip("/")):

@@ -161,7 +161,7 @@ class FakeGoPxL:
     def _accept_control(self, sock: socket.socket) -> None:
         def serve() -> None:
             with sock:
-                control.serve(control.Client(sock, self._watchers), self.resources.handle, self.faults)
+                control.serve(control.ControlClient(sock, self._watchers), self.resources.handle, self.faults)
             with self._lock:
                 self._controls.pop(sock, None)
 
