@@ -116,7 +116,7 @@ def test_angles_that_jump_while_a_motion_begins_are_no_relative_controller(arm):
     one = arm(lag_s=0.02)
     one.connect()
     one.move()
-    one.cycle(35)
+    one.cycle(18)
     one.q = one.q + np.array([30.0, 0, 0, 0, 0, 0])
     one.cycle(2)
     assert one.shared.fault()["kind"] == "implausible"
