@@ -1,69 +1,157 @@
-"""A checker at the controller's side: random motions with lost telegrams, lost and late answers, stops and turns; every set point that the
-controller is given is compared with the limits of speed and acceleration on the path that it saw.
+"""A checker at the controller's side, in simulated time: motions with lost telegrams, lost and late answers, telegrams that come in a
+burst, angles that jump, stops and turns. Every set point that the controller is given is compared with the limits of speed and
+acceleration on the path that it saw, and none may move after a stop.
+
+Arms are ideal, lag, or lag and hum. Every tenth controller adds up its corrections (#RELATIVE), every second of these only once it was
+probed.
 
 python benchmarks/rsi_path.py [MOTIONS] [SEED]
 """
 
 from __future__ import annotations
 
+import re
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "kuka"))
-from rsi_bench import ACCELERATION, LIMITS, SPEED, Bench, T
+from mbcacq_kuka.rsi.options import RsiOptions
+from mbcacq_kuka.rsi.session import RsiSession
+from mbcacq_kuka.rsi.shared import MOVE, STOP, RsiCommand, Shared
+from rsi_bench import ACCELERATION, JERK, LIMITS, SOURCE, SPEED, START, T
 
-EVENTS = ("good", "lost", "rejected", "late")
-SHARES = (0.94, 0.02, 0.02, 0.02)
+EVENTS = ("good", "lost", "rejected", "late", "burst")
+SHARES = (0.94, 0.02, 0.02, 0.015, 0.005)
+ABSOLUTE, RELATIVE, HIDDEN = "absolute", "relative", "relative once it was probed"
+GROUPS = (ABSOLUTE,) * 18 + (RELATIVE, HIDDEN)
+NAMES, ARMS = ("ideal", "lag", "lag and hum"), ((0.0, 0.0), (0.02, 0.0), (0.02, 3e-4))  # s, deg
+JUMPS = 0.05  # share of the motions in which the reported angles jump once
+CYCLES = 340
+QUIET = 120  # cycles after a stop, or after a fault: braking takes no longer
 ROUNDING_DEG = 1e-6  # of the answers
+_AXES = re.compile(rb'A\d="([^"]+)"')
 
 
-def one_cycle(bench: Bench, event: str) -> bool:
-    """Whether the controller was given a set point that it used."""
-    used = len(bench.sent)
-    if event == "lost":
-        bench.ipoc += 4
-        bench.delay += 1
-    elif event == "late":
-        bench.ipoc += 4
-        bench.reply(bench.telegram(), in_time=False)
-        bench.delay += 1
-    else:
-        bench.cycle(accepted=event == "good")
-    return len(bench.sent) > used
+@dataclass
+class Controller:
+    """``cycle`` is one exchange. ``set_point``: where the arm shall be, deg; ``path``: one a cycle; ``given``: whether it was a new one."""
+
+    relative: bool
+    lag_s: float
+    noise_deg: float
+    rng: np.random.Generator
+
+    def __post_init__(self) -> None:
+        self.shared = Shared.create()
+        self.session = RsiSession(self.shared, RsiOptions(limits_deg=LIMITS, late_limit=1_000_000).settings())
+        self.share = 1.0 - np.exp(-T / self.lag_s) if self.lag_s else 1.0
+        self.set_point = self.q = np.array(START)
+        self.ipoc, self.delay, self.behind, self.deaf, self.ended = 1000, 0, 0.0, False, False
+        self.path: list[np.ndarray] = []
+        self.given: list[bool] = []
+
+    def cycle(self, event: str = "good", jump_deg: float = 0.0) -> None:
+        self.ipoc += 4
+        self.behind = 6.0 * T if event == "burst" else max(0.0, self.behind - T)
+        answer = None
+        if event != "lost":
+            now = self.ipoc * 1e-3 + self.behind
+            answer = self.session.reply(self._telegram(jump_deg), SOURCE, now, event != "late")
+            self.session.digest(now)
+        used = answer is not None and event in ("good", "burst") and self.behind < 0.9 * T and not self.ended
+        self.delay += not used and not self.ended
+        if used and answer is not None and not self.deaf:
+            self.ended = b"<Stop>1<" in answer
+            if not self.ended:
+                self.set_point = np.array([float(v) for v in _AXES.findall(answer)]) + (self.set_point if self.relative else START)
+        self.path.append(self.set_point)
+        self.given.append(used)
+        self.q = self.q + self.share * (self.set_point - self.q)
+
+    def _telegram(self, jump_deg: float) -> bytes:
+        shown = self.q + self.noise_deg * self.rng.standard_normal(6)
+        shown[0] += jump_deg
+        axes = " ".join(f'A{i + 1}="{v:.6f}"' for i, v in enumerate(shown))
+        return f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{self.delay}"/><IPOC>{self.ipoc}</IPOC></Rob>'.encode()
+
+    def connect(self) -> None:
+        while not self.session.connected and self.shared.fault() is None:
+            self.cycle()
+
+    def move(self) -> None:
+        target = self.rng.uniform(*np.array(LIMITS).T)
+        self.shared.send(RsiCommand(MOVE, tuple(target), (SPEED,) * 6, (ACCELERATION,) * 6, (JERK,) * 6, 0.01, 0.1))
 
 
-def drive(rng: np.random.Generator) -> tuple[float, float, float]:
-    """One motion: largest speed and acceleration in shares of their limits, and the largest step (deg) after the stop at its end."""
-    bench = Bench(late_limit=1_000_000)
+@dataclass(frozen=True)
+class Found:
+    """speed, acceleration: largest, in shares of their limits; after: largest step (deg) once the arm must stand; travel: largest way (deg)
+    of an arm whose controller adds up; fault: kind of it, or ''."""
+
+    speed: float
+    acceleration: float
+    after: float
+    travel: float
+    fault: str
+
+
+def drive(seed: int, number: int) -> Found:
+    """One motion of one controller."""
+    rng = np.random.default_rng([seed, number])
+    group, arm = number % len(GROUPS), number // len(GROUPS) % len(ARMS)
+    relative = GROUPS[group] != ABSOLUTE
+    one = Controller(relative, *ARMS[arm], rng)
     try:
-        low, high = np.array(LIMITS).T
-        path, given = [bench.sent[-1]] * 3, []
-        stop_at, turn_at = rng.integers(20, 160), rng.integers(20, 300)
-        bench.move(tuple(rng.uniform(low, high)))
-        for cycle in range(300):
+        one.deaf = GROUPS[group] == HIDDEN  # RSI_MOVECORR is not reached yet when it is probed
+        one.connect()
+        one.deaf = False
+        if one.shared.fault() is None:
+            one.move()
+        begin, stopped = len(one.path), CYCLES
+        stop_at, turn_at = rng.integers(20, CYCLES - QUIET), rng.integers(20, CYCLES)
+        jump_at = rng.integers(20, CYCLES) if rng.random() < JUMPS else -1
+        for cycle in range(CYCLES):
             if cycle == turn_at and turn_at < stop_at:
-                bench.move(tuple(rng.uniform(low, high)))
+                one.move()
             elif cycle == stop_at:
-                bench.stop()
-            given.append(one_cycle(bench, str(rng.choice(EVENTS, p=SHARES))))
-            path.append(bench.sent[-1])
+                one.shared.send(RsiCommand(STOP))
+                stopped = min(stopped, cycle)
+            one.cycle(str(rng.choice(EVENTS, p=SHARES)) if not one.behind else "good", 30.0 if cycle == jump_at else 0.0)
+            if one.shared.fault() is not None:
+                stopped = min(stopped, cycle)
+        fault = one.shared.fault()
     finally:
-        bench.shared.close()
-    new, angles = np.array(given), np.array(path)
-    speed = np.abs(np.diff(angles, axis=0)).max() - 2 * ROUNDING_DEG
-    change = np.abs(np.diff(angles, 2, axis=0)).max(axis=1)[-len(given) :][new].max() - 4 * ROUNDING_DEG
-    return speed / (SPEED * T), change / (ACCELERATION * T**2), float(np.abs(np.diff(angles[-20:], axis=0)).max())
+        one.shared.close()
+    path, given = np.array(one.path), np.array(one.given)
+    after = float(np.abs(np.diff(path[begin + stopped + QUIET :], axis=0)).max(initial=0.0))
+    steps, changes = np.abs(np.diff(path, axis=0)), np.abs(np.diff(path, 2, axis=0)).max(axis=1)
+    speed = (steps.max() - 2 * ROUNDING_DEG) / (SPEED * T)
+    acceleration = (changes[given[2:]].max(initial=0.0) - 4 * ROUNDING_DEG) / (ACCELERATION * T**2)
+    travel = float(np.abs(path - START).max()) if relative else 0.0
+    return Found(float(speed), float(acceleration), after, travel, fault["kind"] if fault else "")
+
+
+def report(found: list[Found], what: str) -> bool:
+    """Print a row; whether all of it is within the limits."""
+    speed, acceleration, after, travel = (max(getattr(f, n) for f in found) for n in ("speed", "acceleration", "after", "travel"))
+    kinds = {kind: sum(f.fault == kind for f in found) for kind in sorted({f.fault for f in found} - {""})}
+    way = f", furthest {travel:.2f} deg" if travel else ""
+    print(f"{what}: {len(found)} motions, speed {speed:.4f}, acceleration {acceleration:.4f}, after {after:.1e} deg{way}; faults {kinds}")
+    return after == 0.0 and (travel > 0.0 or (speed <= 1.001 and acceleration <= 1.001))
 
 
 def main() -> int:
-    motions, seed = (int(v) for v in (*sys.argv[1:], "10000", "1")[:2]) if len(sys.argv) != 2 else (int(sys.argv[1]), 1)
-    found = np.array([drive(np.random.default_rng([seed, k])) for k in range(motions)])
-    speed, acceleration, after = found.max(axis=0)
-    shares = f"speed {speed:.4f}, acceleration {acceleration:.4f} of their limits at most"
-    print(f"{motions} motions: {shares}; after the stop {after:.1e} deg a cycle")
-    return int(speed > 1.001 or acceleration > 1.001 or after > 0.0)
+    motions, seed = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000, int(sys.argv[2]) if len(sys.argv) > 2 else 1
+    found = [drive(seed, k) for k in range(motions)]
+    sound = True
+    for group in dict.fromkeys(GROUPS):
+        for arm, name in enumerate(NAMES):
+            some = [f for k, f in enumerate(found) if GROUPS[k % len(GROUPS)] == group and k // len(GROUPS) % len(ARMS) == arm]
+            sound = (not some or report(some, f"{group}, {name}")) and sound
+    return int(not sound)
 
 
 if __name__ == "__main__":

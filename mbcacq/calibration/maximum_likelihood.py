@@ -25,6 +25,7 @@ from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import copies, select_phases, without_copies
 from mbcacq.estimation.random_links import with_random_links
+from mbcacq.model.joint_resolution import rounding_sentence
 from mbcacq.model.observations import Observations
 
 
@@ -36,7 +37,8 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     options = options or CalibrationOptions()
     try:
         with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
-            return replace(_with_copies_said(_calibrate(observations, options), observations), fit=calibrate)
+            said = _with_rounding_said(_with_copies_said(_calibrate(observations, options), observations))
+            return replace(said, fit=calibrate)
     except ContradictionError as error:
         cause = misdescribed(observations)
         raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
@@ -62,6 +64,11 @@ def _with_copies_said(result: Calibration, observations: Observations) -> Calibr
     return _warned(
         result, f"{len(twice)} poses are exact copies of earlier ones ({some}) and are counted once; measure again instead of copying"
     )
+
+
+def _with_rounding_said(result: Calibration) -> Calibration:
+    step = result.cell.joint_step
+    return _warned(result, rounding_sentence(step)) if step else result
 
 
 def _calibrate(observations: Observations, options: CalibrationOptions) -> Calibration:

@@ -17,6 +17,7 @@ from mbcacq.estimation.normal_equations import Normal, PoseSystem, inverse_of_lo
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.pose_block import PoseBlock, flat_product
 from mbcacq.model.cell import Cell
+from mbcacq.model.joint_resolution import rounding_noise
 
 # Standard deviations of logarithms.
 STATED = 0.7  # a stated instrument noise is right within a factor of two
@@ -44,9 +45,11 @@ class NoisePrior:
 
 
 def first_noise(cell: Cell) -> Noise:
-    """Stated figures, or guesses: 0.02 mm a centre, and the repeatability of the data sheet turned into angles at the arm's reach."""
+    """Stated figures, or guesses: 0.02 mm a centre, and the repeatability of the data sheet turned into angles at the arm's reach, with
+    what the joints were rounded by."""
     point = np.full(3, 0.02) if cell.noise_mm is None else np.maximum(cell.noise_mm, LEAST_POINT)
-    return Noise(point, cell.robot.chain.expected_noise(cell.robot.repeatability_mm or 0.06), cell.noise_rad or 1e-4)
+    joint = cell.robot.chain.expected_noise(cell.robot.repeatability_mm or 0.06)
+    return Noise(point, np.hypot(joint, rounding_noise(cell.joint_step)) if cell.joint_step else joint, cell.noise_rad or 1e-4)
 
 
 def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:

@@ -111,6 +111,7 @@ class Cell:
     noise_rad: sigma of a measured orientation about each axis, or None.
     simulated: what was recorded in it comes from a fake cell or a model, not from a real arm.
     room_temperature_C: range that the room keeps, lowest and highest, or None where nobody stated it.
+    joint_step: rad, to which the joint angles that were recorded in it are rounded; 0 where they are not.
     """
 
     robot: RobotModel
@@ -123,6 +124,7 @@ class Cell:
     simulated: bool = False
     noise_rad: float | None = None
     room_temperature_C: tuple[float, float] | None = None
+    joint_step: float = 0.0
 
     def artefact(self, artefact_id: str) -> Artefact:
         return next(a for a in self.artefacts if a.id == artefact_id)

@@ -64,13 +64,19 @@ ACCEPTED = (
 def load_observations(path: Path | str) -> Observations:
     """Read the observations in a run folder, a .rrd file or an observation-set folder.
 
-    Raises ConfigError if it is none of these or its content is wrong, RecordingError if a recording is torn.
+    Their cell says to what the joint angles are rounded. Raises ConfigError if it is none of these or its content is wrong, RecordingError
+    if a recording is torn.
     """
+    from mbcacq.model.joint_resolution import with_joint_step
+
+    return with_joint_step(_load_observations(Path(path)))
+
+
+def _load_observations(path: Path) -> Observations:
     from mbcacq.errors import ConfigError
     from mbcacq.files.atomic_write import finish_set
     from mbcacq.recording.run_folder.latest import refuse_plan
 
-    path = Path(path)
     if not path.exists():
         raise ConfigError(f"{path} does not exist; give {ACCEPTED}")
     refuse_plan(path)

@@ -1,11 +1,10 @@
-"""Devices of our own at the far end of a line that answer in order, each answer after a delay of its own."""
+"""Devices of our own at the far end of a line that answer in order; an answer may be kept until something has happened."""
 
 from __future__ import annotations
 
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable, Mapping
 
 
@@ -19,14 +18,19 @@ def crc(data: bytes) -> bytes:
     return struct.pack("<H", value)
 
 
+def always() -> bool:
+    return True
+
+
 class LatePeer:
-    """Answers what ``answer(request)`` gives, one after the other; ``delays_s`` holds the delay of the n-th, 0 where it holds none.
+    """Answers what ``answer(request)`` gives, one after the other. late: what must have happened before the n-th answer leaves, and with it
+    those behind it; on a connection that ends before, it is said to nobody.
 
     idle: asked every few ms; True closes the connection.
     """
 
-    def __init__(self, answer: Callable[[bytes], bytes], cut: Callable[[bytes], int], delays_s: Mapping[int, float]) -> None:
-        self._answer, self._cut, self._delays = answer, cut, dict(delays_s)
+    def __init__(self, answer: Callable[[bytes], bytes], cut: Callable[[bytes], int], late: Mapping[int, Callable[[], bool]]) -> None:
+        self._answer, self._cut, self.late = answer, cut, dict(late)
         self.requests: list[bytes] = []
         self.connections = 0
         self.idle: Callable[[], bool] = lambda: False
@@ -61,7 +65,7 @@ class LatePeer:
     def _talk(self, client: socket.socket) -> None:
         client.settimeout(0.01)
         pending = b""
-        due: list[tuple[float, bytes]] = []
+        due: list[tuple[int, bytes]] = []
         while not self._quit.is_set() and not self.idle():
             try:
                 data = client.recv(4096)
@@ -74,11 +78,14 @@ class LatePeer:
                 return
             while (size := self._cut(pending)) and len(pending) >= size:
                 request, pending = pending[:size], pending[size:]
-                at = time.monotonic() + self._delays.get(len(self.requests), 0.0)
-                due.append((max([at, *(when for when, _ in due)]), self._answer(request)))
+                due.append((len(self.requests), self._answer(request)))
                 self.requests.append(request)
-            while due and due[0][0] <= time.monotonic():
+            while due and self.late.get(due[0][0], always)():
                 client.sendall(due.pop(0)[1])
+
+    def asked(self, number: int) -> Callable[[], bool]:
+        """That so many requests have come: whoever asks again has given up the answer to the question before."""
+        return lambda: len(self.requests) >= number
 
 
 def rtu_registers(values: Mapping[int, int]) -> Callable[[bytes], bytes]:

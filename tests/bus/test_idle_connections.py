@@ -109,7 +109,7 @@ def test_a_line_of_text_is_used_after_an_hour(clock):
 def test_a_write_whose_connection_breaks_is_not_sent_twice():
     """Whether it has begun to move cannot be known."""
     options = {"stations": {1: 5.0}, "position": {"address": 10}, "in_position": {"address": 3, "table": "discrete"}}
-    with LatePeer(tcp_answer, tcp_cut, {0: 1e9}) as peer:
+    with LatePeer(tcp_answer, tcp_cut, {0: lambda: False}) as peer:
         peer.idle = lambda: bool(peer.requests)
         with ModbusPositioner("p", "", {"host": peer.host, "port": peer.port, "timeout_s": 20.0, **options}) as positioner:
             with pytest.raises(DeviceTimeout, match="broke the connection while writing holding 10"):

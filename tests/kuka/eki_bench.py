@@ -45,8 +45,10 @@ def settings(system="kss", **more):
 
 
 class Bench:
+    """The controller's arm stands still to the last digit, so that the bytes of a telegram can be stated."""
+
     def __init__(self, system="kss", **more):
-        self.controller = EkiController(settings(system, **more))
+        self.controller = EkiController(settings(system, **{"encoder_noise_deg": 0.0, "encoder_step_deg": 0.0, **more}))
         self.variables = self.controller.program.globals
         self.sockets = []
         self.ticks(6)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from kuka_bench import HOME_DEG, LIMITS_DEG, wait
 from mbcacq_fakes.protocols.krc import FakeKrc
+from mbcacq_fakes.protocols.krc.settings import KrcSettings
 
 IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 DELAY = re.compile(rb'<Delay D="(\d+)"')
@@ -77,8 +78,16 @@ def start():
 
     def start(**settings):
         client = Client()
-        krc = FakeKrc(
-            **{"client": client.address, "realtime": False, "start_deg": tuple(HOME_DEG), "limits_deg": LIMITS_DEG, **settings}
+        krc = FakeKrc(  # its arm stands still to the last digit, so that bytes can be stated
+            **{
+                "client": client.address,
+                "realtime": False,
+                "start_deg": tuple(HOME_DEG),
+                "limits_deg": LIMITS_DEG,
+                "encoder_noise_deg": 0.0,
+                "encoder_step_deg": 0.0,
+                **settings,
+            }
         ).start()
         opened.extend([krc.stop, client.socket.close])
         return krc, client
@@ -265,3 +274,12 @@ def test_unknown_faults_are_refused(start):
     krc, _ = start()
     with pytest.raises(ValueError, match="unknown faults"):
         krc.inject(silent=1)
+
+
+def test_an_arm_at_rest_hums_as_encoders_do_unless_told_otherwise(start):
+    known = KrcSettings()
+    krc, client = start(encoder_noise_deg=known.encoder_noise_deg, encoder_step_deg=known.encoder_step_deg)
+    shown = np.array([axis(client.receive()[0]) for _ in range(400)])
+    assert 1e-4 < shown.std() < 5e-4
+    np.testing.assert_allclose(shown / 5e-5, np.rint(shown / 5e-5), atol=0.02)
+    assert len(np.unique(shown)) > 5

@@ -112,6 +112,16 @@ def test_an_absolute_arm_is_never_taken_for_a_relative_one(arm):
     assert one.session._runaway.sure
 
 
+def test_angles_that_jump_while_a_motion_begins_are_no_relative_controller(arm):
+    one = arm(lag_s=0.02)
+    one.connect()
+    one.move()
+    one.cycle(18)
+    one.q = one.q + np.array([30.0, 0, 0, 0, 0, 0])
+    one.cycle(2)
+    assert one.shared.fault()["kind"] == "implausible"
+
+
 def test_an_arm_that_does_not_follow_gets_no_set_point_any_more(arm):
     one = arm()
     one.connect()

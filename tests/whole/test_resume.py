@@ -23,7 +23,8 @@ def two_stations(plan):
     plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
     plan["steps"][0]["offsets_mm"] = [[10, 0, 0]]
     plan["steps"][1] |= {"stations": ["p1", "p2"], "views": plan["steps"][1]["views"][:3]}
-    plan["fake"] = {"draws": "pose"}
+    still = {"encoder_noise_deg": 0.0, "encoder_step_deg": 0.0}  # a mean over another number of cycles is the same
+    plan["fake"] = {"draws": "pose", "robot": still}
     plan["robot"]["model"] = "robot.yaml"
 
 

@@ -23,7 +23,7 @@ def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: 
     for axis, (value, (low, high)) in enumerate(zip(state.axis, options.limits_deg, strict=True), 1):
         if not low - 1.0 <= value <= high + 1.0:
             raise IdentityError(
-                f"{where} shows A{axis} at {value:.2f} deg, outside the plan's limits {low:g}..{high:g} deg; "
+                f"{where} shows A{axis} at {round(value, 2) + 0.0:.2f} deg, outside the plan's limits {low:g}..{high:g} deg; "
                 "jog the arm inside or correct the robot model"
             )
     check_flange(where, options, hello, state)

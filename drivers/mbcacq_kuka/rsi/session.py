@@ -3,7 +3,8 @@
 Corrections are absolute: offset of every axis (deg) from its position at RSI_ON, which is the first AIPos received. They
 advance by one set point an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. Where an answer
 was not used, or a telegram never came, the controller has held the set point before it: the motion goes on from there, from rest, so
-that the path it sees stays within the limits.
+that the path it sees stays within the limits. A telegram that was kept on its way (see punctuality) is answered with the set point
+before it: no controller takes that answer, and one that hides it in its Delay must not fall behind the set points.
 
 The first fault is kept. It brakes the arm, then ends the controller's session; where the arm does not do what it is told, the session
 is ended at once, and where the controller may have begun a new one nothing is answered any more. docs/safety.md has the argument.
@@ -25,6 +26,7 @@ from mbcacq_kuka.rsi.handshake import WAITING_CYCLES, ZERO, Handshake, Layout, S
 from mbcacq_kuka.rsi.lateness import Lateness
 from mbcacq_kuka.rsi.mode import Runaway
 from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
+from mbcacq_kuka.rsi.punctuality import Punctuality
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
 from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, Shared
 from mbcacq_kuka.rsi.standstill import Standstill
@@ -49,12 +51,13 @@ _DELAY = re.compile(rb"<Delay[\s/>][^<]*")
 
 @dataclass(frozen=True)
 class Taken:
-    """A telegram of the session: its numbers, how many cycles it is after the one before, whether it was answered while the controller
-    waited."""
+    """A telegram of the session: its numbers, how many cycles it is after the one before, whether it was answered as soon as it came, and
+    whether it came too late for that."""
 
     row: list[float]
     steps: int = 1
     in_time: bool = True
+    held_up: bool = False
 
 
 class RsiSession:
@@ -67,6 +70,7 @@ class RsiSession:
         self._composer = Composer(settings["sen_type"], settings["correction"], settings["stop_element"])
         self.counts = Counts()
         self._handshake = Handshake(self._composer, settings, self.counts)
+        self._punctuality = Punctuality(self.cycle_s)
         self._layout: Layout | None = None
         self.over = False
         self._muted = self._closing = self._relative = False
@@ -94,7 +98,14 @@ class RsiSession:
     def reply(self, data: bytes, source: Any, now: float, in_time: bool = True) -> bytes | None:
         """The answer to a datagram, or None. ``in_time``: False for one that is answered too late in any case."""
         ready = self._ready
-        if ready is not None and in_time and ready[0] in data and ready[1] in data and source == self.controller:
+        if (
+            ready is not None
+            and in_time
+            and not self._punctuality.held_up(now)
+            and ready[0] in data
+            and ready[1] in data
+            and source == self.controller
+        ):
             self._ready, self._data, self._unparsed, self.last_heard = None, data, True, now
             return ready[2]
         if self._muted or self.over:
@@ -162,7 +173,11 @@ class RsiSession:
             )
         if kind == REPEATED and silent > WAITING_CYCLES * self.cycle_s:  # a peer that waits for its answer before it goes on
             return self._compose(digits, self._sent, self._stop)
-        return self._reply_next(layout, digits, row, steps, in_time) if kind == NEXT else None
+        if kind != NEXT:
+            return None
+        held_up = self._punctuality.held_up(now)
+        self._punctuality.take(now, steps)
+        return self._reply_next(layout, digits, row, Taken(row, steps, in_time, held_up))
 
     def _shake_hands(self, data: bytes, source: Any, now: float) -> bytes | None:
         shake, failed = self._handshake, self._handshake.fault is not None
@@ -171,6 +186,8 @@ class RsiSession:
         finally:
             self._shared.note(shake.heard, source, shake.discarded)
         self.last_heard = now
+        if answer is not None:
+            self._punctuality.take(now, 1)
         if shake.fault is not None and not failed:
             self._fail(shake.fault)
         if shake.done is not None:
@@ -178,7 +195,8 @@ class RsiSession:
             self._begin(shake.done)
         return answer
 
-    def _reply_next(self, layout: Layout, digits: bytes, row: list[float], steps: int, in_time: bool) -> bytes:
+    def _reply_next(self, layout: Layout, digits: bytes, row: list[float], taken: Taken) -> bytes:
+        steps, in_time = taken.steps, taken.in_time
         if steps > 1 and set_point_moved(layout, row):
             raise SessionFault("restart", "ASPos has changed, so the RSI program was restarted during the run", muted=True)
         self._unanswered += steps - 1
@@ -191,10 +209,10 @@ class RsiSession:
             self._used, self._used_moving = self._sent, self._sent_moving
         if rejected or self._unanswered:
             self._go_on_from_rest()
-        elif in_time:
+        elif in_time and not taken.held_up:
             self._advance()
         self._unanswered = 0 if in_time else self._unanswered + 1
-        self._taken = Taken(row, steps, in_time)
+        self._taken = taken
         if self._lateness.too_many:
             self._fail(
                 SessionFault(
@@ -235,6 +253,7 @@ class RsiSession:
         layout = self._layout
         assert layout is not None  # nothing is rendered in advance before the session has begun
         self._sequence.take(self._sequence.next)
+        self._punctuality.take(self.last_heard, 1)
         self._used, self._used_moving = self._sent, self._sent_moving
         self._advance()
         try:
@@ -309,18 +328,18 @@ class RsiSession:
         self._check_plausible(measured, taken.steps)
 
     def _check_plausible(self, measured: tuple[float, ...], steps: int) -> None:
-        if not self._runaway.sure and (axis := self._runaway.check(self._used, measured)) is not None:
-            raise SessionFault(
-                "relative",
-                f"A{axis + 1} goes further than it was ever told to, as under RSI_ON(#RELATIVE), which adds each correction to the ones "
-                "before; use RSI_ON(#ABSOLUTE) in the controller's program",
-            )
         jumped = self._jump.check(measured, steps)
         if jumped is not None:
             raise SessionFault(
                 "implausible",
                 f"the controller reports that A{jumped[0] + 1} jumped by {jumped[1]:.2f} deg within {steps * self.cycle_s * 1e3:.0f} ms, "
                 "faster than it can turn; look at the arm, its resolvers and the RSI Ethernet configuration",
+            )
+        if not self._runaway.sure and (axis := self._runaway.check(self._used, measured)) is not None:
+            raise SessionFault(
+                "relative",
+                f"A{axis + 1} goes further than it was ever told to, as under RSI_ON(#RELATIVE), which adds each correction to the ones "
+                "before; use RSI_ON(#ABSOLUTE) in the controller's program",
             )
         if steps > 1:
             self._follow.skip(measured, steps - 1)

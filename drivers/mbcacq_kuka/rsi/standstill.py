@@ -8,7 +8,8 @@ from collections.abc import Sequence
 _HALF_S = 0.024  # two windows of this length, one after the other, are compared
 _SLOW_DEG_S = 0.125  # less is standing still
 _SIGMAS = 5.0  # six axes, 250 times a second: false once in some hours
-_MEMORY = 128  # cycles of noise that count
+_NOISE_S = 0.25  # set points rest for so long, which is longer than arms lag: noise is learnt
+_MEMORY = 64  # cycles of noise that count
 
 
 def noise_of(samples: Sequence[Sequence[float]]) -> list[float]:
@@ -33,7 +34,8 @@ class Standstill:
         self._variance = [v * v for v in noise_deg]
         self._slow = _SLOW_DEG_S * self._half * cycle_s
         self.mean: tuple[float, ...] = tuple(start)
-        self.cycles = 0
+        self.cycles = self._asked_to_rest = 0
+        self._learns_after = round(_NOISE_S / cycle_s)
 
     def take(self, measured: Sequence[float], commanded_to_move: bool) -> None:
         """The next cycle's joints (6,); ``commanded_to_move``: set points still change, so that a pause is no standstill."""
@@ -51,7 +53,10 @@ class Standstill:
             mean.append(new[axis] / half)
         self.mean = tuple(mean)
         self.cycles = self.cycles + 1 if still and not commanded_to_move else 0
-        if self.cycles > 2 * half:  # at rest: learn how noisy it is
+        self._asked_to_rest = 0 if commanded_to_move else self._asked_to_rest + 1
+        if self._asked_to_rest > self._learns_after:
+            # How noisy is it here? By changes from cycle to cycle, which a motion of its own hardly adds to: also of an arm that seems to
+            # move because it hums more in this posture than where it began.
             for axis, value in enumerate(measured):
                 change = value - before[axis]
                 self._variance[axis] += (0.5 * change * change - self._variance[axis]) / _MEMORY

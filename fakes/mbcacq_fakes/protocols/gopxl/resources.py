@@ -13,6 +13,12 @@ SENSOR = f"{GROUP}/sensors/sensor-0"
 PREFIX = f"scan:{ENGINE}:scanner-0:"
 STAMP, POINTS, UNIFORM = (f"{PREFIX}{key}" for key in ("stamp", "sensor-0SurfacePointCloud", "sensor-0UniformSurface"))
 EXPOSURE_LIMITS_US = (100.0, 100_000.0)
+# The vendor's samples are written for a laser line sensor; its paths lead to the same scanner.
+LASER = "LMILaserLineProfiler"
+LASER_SURFACE, LASER_PROFILE = (f"scan:{LASER}:scanner-0:{key}" for key in ("topUniformSurface", "topUniformProfile"))
+LASER_STAMP = f"scan:{LASER}:scanner-0:stamp"
+SOURCES = (STAMP, POINTS, UNIFORM, LASER_STAMP, LASER_SURFACE, LASER_PROFILE)
+TIME, SOFTWARE = 0, 3  # sources of the trigger
 
 
 class RequestRefused(Exception):
@@ -24,11 +30,17 @@ class RequestRefused(Exception):
 
 
 class Resources:
-    """State of one sensor. trigger: called for a software trigger while it runs."""
+    """State of one sensor. trigger: called for a software trigger while it runs; changed: with a path and what has changed there.
+
+    recorded: frames that were taken while ``recording``; ``position``: the next of them that is shown while ``replaying``.
+    """
 
     def __init__(self, serial: str, model: str, jobs: tuple[str, ...], trigger: Callable[[], None]) -> None:
         self.serial, self.model, self._trigger = serial, model, trigger
-        self.running = False
+        self.running = self.recording = self.replaying = False
+        self.recorded: list[Any] = []
+        self.position = 0
+        self.changed: Callable[[str, dict[str, Any]], None] = lambda path, payload: None
         self.jobs, self.loaded_job = list(jobs), jobs[0] if jobs else ""
         self.gdp_port, self.gdp_enabled = 0, False
         self.outputs: list[dict[str, Any]] = []
@@ -49,7 +61,7 @@ class Resources:
 
     def handle(self, method: str, path: str, payload: dict[str, Any], args: dict[str, Any]) -> dict[str, Any]:
         """The payload of the reply. Raises Refused."""
-        path = path.rstrip("/")
+        path = path.rstrip("/").replace(f"{ENGINES}/{LASER}", f"{ENGINES}/{ENGINE}")
         if method == "read":
             return self._read(path, args)
         if method == "update":
@@ -57,6 +69,7 @@ class Resources:
         if method == "call":
             return self._call(path, payload)
         if method in ("sub", "unSub", "unsub", "stream", "cancelStream"):
+            self._read(path, {})  # raises where there is nothing
             return {}
         raise RequestRefused(-998, f"method {method} is not known")
 
@@ -67,6 +80,9 @@ class Resources:
             "/environ/remoteController": lambda: {"remoteConnected": self.remote, "ipAddress": "192.168.1.50", "controlPort": 3640},
             "/scan/visibleSensors": lambda: {"sensors": [self._visible()]},
             "/system": lambda: {"runState": int(self.running), "quickEditEnabled": False, "autostart": False},
+            "/system/info": lambda: {"appId": "fake"},
+            "/replay/playback": lambda: {"enabled": self.replaying, "count": len(self.recorded), "index": self.position},
+            "/replay/recording": lambda: {"enabled": self.recording},
             "/system/metrics": lambda: {"appUpTime": 100, "memUsed": 1000, "memCapacity": 4000},
             "/jobs": lambda: {"loadedJob": self.loaded_job},
             "/jobs/files": lambda: children([f"/jobs/files/{name}" for name in self.jobs], [{"jobName": n} for n in self.jobs]),
@@ -99,6 +115,8 @@ class Resources:
         if path == "/controls/gocator":
             self.gdp_enabled = bool(payload.get("enabled", self.gdp_enabled))
             return {}
+        if path in ("/replay/recording", "/replay/playback"):
+            return self._switch_replay(path, bool(payload.get("enabled")))
         target = {GROUP: self.group, SENSOR: self.sensor}.get(path)
         if target is None:
             raise RequestRefused(NOT_FOUND, "not found")
@@ -111,11 +129,43 @@ class Resources:
         target.update(wanted)
         return {}
 
+    def _switch_replay(self, path: str, on: bool) -> dict[str, Any]:
+        if path == "/replay/playback":
+            self.replaying, self.position = on, 0
+            return {}
+        if on and not self.recording:
+            self.recorded.clear()
+        self.recording = on
+        return {}
+
+    def next_recorded(self) -> Any:
+        """The frame that a replay shows next, from the begin again after the last; None without one."""
+        if not self.recorded:
+            return None
+        frame = self.recorded[self.position % len(self.recorded)]
+        self.position = (self.position + 1) % len(self.recorded)
+        return frame
+
+    @property
+    def free_period_s(self) -> float | None:
+        """Time between two exposures that nobody asks for; None where the sensor waits for a trigger."""
+        trigger = self.group["triggerSettings"]
+        if not self.running or not (trigger["source"] == TIME or self.replaying):
+            return None
+        return 1.0 / max(float(trigger["frameRate"]), 0.1)
+
+    def _seek(self, payload: dict[str, Any]) -> None:
+        index = payload.get("index")
+        if not isinstance(index, int) or not 0 <= index < max(len(self.recorded), 1):
+            raise RequestRefused(PARAMETER, f"there is no recorded frame {index}")
+        self.position = index
+
     def _call(self, path: str, payload: dict[str, Any]) -> dict[str, Any]:
         calls: dict[str, Callable[[dict[str, Any]], None]] = {
             "/system/commands/start": lambda _: self._run(True),
             "/system/commands/stop": lambda _: self._run(False),
             "/jobs/commands/load": self._load,
+            "/replay/commands/seek": self._seek,
             f"{GROUP}/actions/trigger": lambda _: self._software_trigger(),
             f"{GROUP}/commands/align": lambda _: setattr(self, "align_state", 1),
             f"{GROUP}/commands/clearAlign": lambda _: setattr(self, "align_state", 0),
@@ -129,7 +179,9 @@ class Resources:
         return {}
 
     def _run(self, on: bool) -> None:
-        self.running = on
+        before, self.running = self.running, on
+        if before != on:
+            self.changed("/system", {"runState": int(on)})
 
     def _load(self, payload: dict[str, Any]) -> None:
         if self.running:
@@ -141,13 +193,13 @@ class Resources:
         self.outputs.clear()  # outputs belong to the job
 
     def _software_trigger(self) -> None:
-        if not self.running or self.group["triggerSettings"]["source"] != 3:
+        if not self.running or self.group["triggerSettings"]["source"] != SOFTWARE:
             raise RequestRefused(WRONG_STATE, "the scanner does not wait for a software trigger")
         self._trigger()
 
     def _add_output(self, payload: dict[str, Any]) -> None:
         source, number = payload.get("source"), payload.get("outputId")
-        if source not in (STAMP, POINTS, UNIFORM) or not isinstance(number, int):
+        if source not in SOURCES or not isinstance(number, int):
             raise RequestRefused(PARAMETER, f"there is no data source {source}")
         if any(o["source"] == source for o in self.outputs):
             raise RequestRefused(EXISTS, f"{source} is an output already")

@@ -25,7 +25,7 @@ from mbcacq_fakes.world.frame import ScannerFrame
 
 Source = Callable[[float], ScannerFrame]
 _GARBAGE = bytes((i * 89 + 211) % 256 for i in range(4096))
-_POLL_S, _WAITING = 0.02, 16
+_POLL_S, _WAITING, _MOST_RECORDED = 0.02, 16, 50
 _log = logging.getLogger("mbcacq.fakes.gopxl")
 
 
@@ -67,9 +67,11 @@ class FakeGoPxL:
         self.source, self.settings, self._clock = source, settings or FakeGoPxLOptions(), clock
         self.faults = GoPxLFaults()
         self.resources = Resources(str(self.settings.serial), self.settings.model, self.settings.jobs, self._ask)
+        self._watchers = control.Watchers(lambda path: self.resources.handle("read", path, {}, {}))
+        self.resources.changed = self._watchers.tell
         self.data = Publisher()
         self._asked: queue.Queue[None] = queue.Queue(_WAITING)
-        self._made, self._born = 0, time.monotonic()
+        self._made, self._born, self._next_free = 0, time.monotonic(), 0.0
         self._closing = threading.Event()
         self._lock = threading.Lock()
         self._controls: dict[socket.socket, threading.Thread] = {}
@@ -159,7 +161,7 @@ class FakeGoPxL:
     def _accept_control(self, sock: socket.socket) -> None:
         def serve() -> None:
             with sock:
-                control.serve(sock, self.resources.handle, self.faults)
+                control.serve(control.ControlClient(sock, self._watchers), self.resources.handle, self.faults)
             with self._lock:
                 self._controls.pop(sock, None)
 
@@ -179,16 +181,35 @@ class FakeGoPxL:
             try:
                 self._asked.get(timeout=_POLL_S)
             except queue.Empty:
-                continue
+                self._watchers.stream()
+                if not self._due():
+                    continue
             try:
                 self._expose()
             except Exception:
                 _log.exception("the exposure failed; no data set is sent")
 
+    def _due(self) -> bool:
+        """Whether the time trigger, or a replay, exposes now."""
+        period, now = self.resources.free_period_s, time.monotonic()
+        if period is None or now < self._next_free:
+            self._next_free = self._next_free if period is not None else 0.0
+            return False
+        self._next_free = now + period
+        return True
+
+    def _frame(self) -> ScannerFrame:
+        if self.resources.replaying and (kept := self.resources.next_recorded()) is not None:
+            return kept
+        frame = self.source(self.resources.exposure_us)
+        if self.resources.recording and len(self.resources.recorded) < _MOST_RECORDED:
+            self.resources.recorded.append(frame)
+        return frame
+
     def _expose(self) -> None:
         if self.settings.scan_time_s and self._closing.wait(self.settings.scan_time_s):
             return
-        frame = self.source(self.resources.exposure_us)
+        frame = self._frame()
         self._made += 1
         self.resources.scan_count = self._made
         self.data.wait_for_client(0.5)
@@ -201,10 +222,16 @@ class FakeGoPxL:
         time_s = frame.time_s if self._clock and frame.time_s else time.monotonic() - self._born
         index = 0 if self.faults.use("old_frame") else self._made
         parts: list[tuple[int, str, int, bytes]] = []
-        for output in sorted(self.resources.outputs, key=lambda o: (o["source"] != resources.STAMP, o["outputId"])):
+        stamps = (resources.STAMP, resources.LASER_STAMP)
+        for output in sorted(self.resources.outputs, key=lambda o: (o["source"] not in stamps, o["outputId"])):
             source, number = output["source"], output["outputId"]
             uniform = source == resources.UNIFORM
-            if source == resources.STAMP:
+            if source == resources.LASER_PROFILE:
+                parts.append((encode.UNIFORM_PROFILE, source, number, encode.profile(frame, self.resources.exposure_us)))
+            elif source == resources.LASER_SURFACE:
+                body = encode.surface(frame, True, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)
+                parts.append((encode.UNIFORM_SURFACE, source, number, body))
+            elif source in stamps:
                 parts.append((encode.STAMP, source, number, encode.stamp(index, time_s)))
             elif uniform == bool(modes["uniformSpacingEnabled"]):
                 body = encode.surface(frame, uniform, modes["intensityEnabled"], self.resources.exposure_us, s.new_form, s.volume)

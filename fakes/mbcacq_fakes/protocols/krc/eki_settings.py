@@ -51,7 +51,8 @@ class EkiSettings:
     two entries mbcacq_link_init and mbcacq_link_step for the submit interpreter. channel: text of the EKI channel's XML.
 
     Angles deg, lengths mm. tools, bases: number -> X, Y, Z, A, B, C. loads: number -> kg. dh: see KrcSettings. realtime: by the clock,
-    or as fast as the client gives signs of life. lag_s: of the arm behind its set point.
+    or as fast as the client gives signs of life. lag_s: of the arm behind its set point. encoder_noise_deg,
+    encoder_step_deg: as in KrcSettings, of $AXIS_ACT_MEAS.
     """
 
     sources: dict[str, str]
@@ -75,6 +76,8 @@ class EkiSettings:
     mode: str = "#EX"
     running: bool = True
     lag_s: float = 0.012
+    encoder_noise_deg: float = 2e-4
+    encoder_step_deg: float = 5e-5
     clock_ms: int = 1_000_000
     faults: dict[str, float] = field(default_factory=dict)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
+from mbcacq_fakes.protocols.krc.encoders import Encoders
 from mbcacq_fakes.protocols.krc.krl.values import Cells, KrlError, Struct
 from mbcacq_fakes.protocols.krc.motion import Path, Unreachable, angles, flange_for, frame, lin, ptp, tool_in_base
 
@@ -68,10 +69,12 @@ class System:
         self.tool = self.base = _struct((0.0,) * 6)
         self.load = Struct(m=-1.0, cm=_struct((0.0,) * 6))
         self.machine = Machine(self, settings)
+        self._encoders = Encoders(settings.encoder_noise_deg, settings.encoder_step_deg, seed=0)
 
     @property
     def axis_act_meas(self) -> Struct:
-        return Struct(**dict(zip(_AXES, self.machine.arm.q, strict=True)))
+        shown = self._encoders.read(self.machine.arm.q, self.rob_timer // round(TICK_S * 1e3))
+        return Struct(**dict(zip(_AXES, shown, strict=True)))
 
     @property
     def pos_act(self) -> Struct:

@@ -17,6 +17,7 @@ from math import radians
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import Control
+from mbcacq_fakes.protocols.krc.encoders import Encoders
 from mbcacq_fakes.protocols.krc.session import OPERATOR, FakeRsiSession
 from mbcacq_fakes.protocols.krc.settings import COUNTED, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
@@ -40,6 +41,7 @@ class RsiController:
         self._settings, self._state, self._control, self._socket, self._foreign = settings, state, control, sock, foreign
         self._cycle_s = settings.cycle_ms * 1e-3
         self._arm = _arm(settings, self._cycle_s)
+        self._encoders = Encoders(settings.encoder_noise_deg, settings.encoder_step_deg, settings.seed)
         self._kinematics = Kinematics(settings.dh)
         self._reader = SenReader(settings.correction, settings.stop_element)
         self._random = random.Random(settings.seed)
@@ -48,7 +50,7 @@ class RsiController:
         self._unheard = False
         self._client = tuple(settings.client)
         self._body: tuple[object, str] = (None, "")
-        self._pose: tuple[float, ...] = ()
+        self._pose: tuple[list[float], Sequence[float]] = ([], ())
         self._sources = self._element_sources()
         self._begin_session()
 
@@ -150,7 +152,7 @@ class RsiController:
         if self._counted("no_aipos"):
             return f'<Rob Type="KUKA"><Delay D="{self._session.delay}"/><IPOC>{ipoc}</IPOC></Rob>'.encode()
         key = (self._session.delay, self._session.start, self._fault_seq)
-        if moved or self._body[0] != key:
+        if moved or self._encoders.noisy or self._body[0] != key:
             self._body = (key, self._template.body([v for e in self._template.elements for v in self._values(e)]))
         if self._counted("jump"):
             shown = [
@@ -166,9 +168,9 @@ class RsiController:
         """Where the values of each element come from."""
         arm = self._arm
         return {
-            "AIPos": lambda: arm.q,
+            "AIPos": lambda: self._encoders.read(arm.q, self._cycles),
             "ASPos": lambda: self._session.start,
-            "RIst": lambda: self._kinematics.pose(arm.q),
+            "RIst": self._actual_pose,
             "RSol": lambda: self._planned_pose,
             "MACur": arm.currents,
             "GearTorque": lambda: getattr(arm, "torque", _zero()),
@@ -176,6 +178,11 @@ class RsiController:
             "EIPos": lambda: self._settings.external_deg,
             "Delay": lambda: (self._session.delay,),
         }
+
+    def _actual_pose(self) -> Sequence[float]:
+        if self._pose[0] != self._arm.q:
+            self._pose = (list(self._arm.q), self._kinematics.pose(self._arm.q))
+        return self._pose[1]
 
     def _send(self, telegram: bytes) -> None:
         sender = self._foreign if self._counted("foreign") else self._socket

@@ -48,7 +48,9 @@ class KrcSettings:
     timeout: late packets that end the session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
     beta_deg) from which RIst is computed, or none. layout: a name of PROFILES or the elements themselves.
     moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
-    lag_s: first-order lag of the arm behind a dead time of two cycles. rearm_s: pause before telegrams are offered again after a fault.
+    lag_s: first-order lag of the arm behind a dead time of two cycles. encoder_noise_deg, encoder_step_deg: how far AIPos scatters about
+    where the arm is, in any cycle, and in which steps it is read; zero for none. rearm_s: pause before telegrams are offered again after
+    a fault.
     """
 
     client: tuple[str, int] = ("127.0.0.1", 49152)
@@ -77,6 +79,8 @@ class KrcSettings:
     dh: tuple[tuple[float, ...], ...] = ()
     moving: dict[str, Any] | None = None
     lag_s: float = 0.012
+    encoder_noise_deg: float = 2e-4
+    encoder_step_deg: float = 5e-5
     rearm_s: float = 2.0
     log: bool = False
     seed: int = 0

@@ -1,0 +1,52 @@
+"""How finely the joint angles of a recording are written: a controller, or whoever exported them, may have rounded them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.model.observations import Observations
+
+STEPS_DEG = (0.1, 0.01, 0.001)  # whole degrees are postures that somebody planned; finer steps are below what any arm repeats
+_ON_GRID = 0.75  # share of the angles: means of cycles between two steps are off the grid, and by chance hardly any angle is on it
+_LEAST_ANGLES = 20
+_LEAST_DIGITS = 6  # different last digits: planned postures are often multiples of half a degree
+_SLACK = 1e-4  # of a step: what a conversion to rad and back leaves
+
+
+def joint_step(q: np.ndarray) -> float:
+    """The step (rad) to which joint angles (P, n) rad were rounded; 0 where they are finer than anybody's joints repeat.
+
+    Axes that never moved say nothing.
+    """
+    degrees = np.degrees(q[:, np.ptp(q, axis=0) > 0])
+    if degrees.size < _LEAST_ANGLES or _on_grid(degrees, 1.0):
+        return 0.0
+    step = next((step for step in STEPS_DEG if _on_grid(degrees, step)), 0.0)
+    varied = step and len(np.unique(np.rint(degrees / step) % 10)) >= _LEAST_DIGITS
+    return float(np.radians(step)) if varied else 0.0
+
+
+def _on_grid(degrees: np.ndarray, step: float) -> bool:
+    steps = degrees / step
+    return bool(np.mean(np.abs(steps - np.rint(steps)) < _SLACK) > _ON_GRID)
+
+
+def rounding_noise(step: float) -> float:
+    """Standard deviation of what rounding to a step adds: uniform within half of it to either side."""
+    return step / np.sqrt(12.0)
+
+
+def with_joint_step(obs: Observations) -> Observations:
+    """The observations, whose cell knows to what their joint angles were rounded."""
+    step = 0.0 if obs.cell.robot.of_flange_poses else joint_step(obs.q)
+    return replace(obs, cell=replace(obs.cell, joint_step=step)) if step else obs
+
+
+def rounding_sentence(step: float) -> str:
+    return (
+        f"The joint angles are rounded to {np.degrees(step):g} deg, which adds {np.degrees(rounding_noise(step)):.2g} deg of noise to "
+        "each joint; it is counted as noise. Have them written with more decimals: on a KUKA set Precision to 6 at the ETHERNET object of "
+        "the RSI context, elsewhere in the program or the table that the angles come from"
+    )

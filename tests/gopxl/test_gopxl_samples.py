@@ -1,0 +1,138 @@
+"""What the vendor's sample programs ask, in their order and by their paths, is answered by the fake sensor: free run by the time trigger,
+a recording and its replay, the paths of a laser line sensor, subscriptions and streams."""
+
+import socket
+import struct
+
+import msgpack
+import pytest
+from mbcacq_gocator.gopxl import frames, gdp
+
+SCANNER = "/scan/engines/LMILaserLineProfiler/scanners/scanner-0"
+SENSOR = f"{SCANNER}/sensors/sensor-0"
+SURFACE, PROFILE = (f"scan:LMILaserLineProfiler:scanner-0:top{kind}" for kind in ("UniformSurface", "UniformProfile"))
+
+
+class Client:
+    """Requests, and what comes between their replies."""
+
+    def __init__(self, port):
+        self.sock = socket.create_connection(("127.0.0.1", port), 30.0)
+        self.stream = self.sock.makefile("rb")
+        self.between = []
+
+    def message(self):
+        _, _, status, count = struct.unpack("<IHiI", self.stream.read(14))
+        found = msgpack.unpackb(self.stream.read(count))
+        assert status == found["status"] if "status" in found else status == 1
+        return found
+
+    def ask(self, method, path, payload=None, **args):
+        self.sock.sendall(frames.request(method, path, payload, args))
+        while (found := self.message())["type"] != "response":
+            self.between.append(found)
+        assert (found["status"], found["path"]) == (1, path)
+        return found["payload"]
+
+    def next_between(self):
+        """The next message that nobody asked for."""
+        return self.between.pop(0) if self.between else self.message()
+
+    def close(self):
+        self.stream.close()
+        self.sock.close()
+
+
+@pytest.fixture
+def client(sensor):
+    one = Client(sensor.ports.control)
+    assert one.ask("read", "/version")["apiVersion"]
+    assert one.ask("read", "/environ/info")["applicationType"] == 0
+    assert one.ask("read", "/environ/remoteController")["remoteConnected"] is False
+    yield one
+    one.close()
+
+
+def received(client, source, key):
+    """One data set of ``source``, as the samples get it: {type: message}."""
+    client.ask("update", "/controls/gocator", {"enabled": True})
+    assert not [o for o in client.ask("read", "/controls/gocator/outputs")["map"] if o["source"].endswith(key)]
+    client.ask("call", "/controls/gocator/outputs/commands/add", {"source": source, "outputId": 0, "autoShift": True})
+    found = {}
+    with socket.create_connection(("127.0.0.1", client.ask("read", "/controls/gocator")["serverPort"]), 30.0) as sock:
+        if client.ask("read", "/system")["runState"] == 0:
+            client.ask("call", "/system/commands/start", {})
+        with sock.makefile("rb") as data:
+            last = False
+            while not last:
+                size = data.read(4)
+                whole = size + data.read(struct.unpack("<I", size)[0] - 4)
+                common = gdp.parse_common(memoryview(whole))
+                found[common.source], last = whole, common.last
+    client.ask("call", "/system/commands/stop", {})
+    return found
+
+
+def test_receive_surface_gets_a_surface_in_free_run(client, sensor):
+    assert client.ask("read", "/replay/playback")["enabled"] is False
+    assert client.ask("read", SCANNER)["parameters"]["scanModeSettings"]["scanMode"] == 3
+    message = received(client, SURFACE, "UniformSurface")[SURFACE]
+    collected = gdp.GdpSet()
+    gdp.add(collected, memoryview(message), gdp.parse_common(memoryview(message)))
+    assert message[4] == 14
+    assert collected.surface.raw.size > 200
+    assert not sensor.resources.running
+
+
+def test_replay_data_records_for_a_while_and_shows_the_same_frames_again(client, sensor):
+    client.ask("update", "/replay/recording", {"enabled": True})
+    trigger = {"source": 0, "maxFrameRateEnabled": False, "frameRate": 50}
+    client.ask("update", SCANNER, {"parameters": {"triggerSettings": trigger}})
+    client.ask("call", "/system/commands/start", {})
+    while len(sensor.resources.recorded) < 2:
+        client.ask("read", "/replay/playback")
+    client.ask("call", "/system/commands/stop", {})
+    first = sensor.resources.recorded[0]
+    client.ask("update", "/replay/playback", {"enabled": True})
+    client.ask("call", "/replay/commands/seek", {"index": 0})
+    taken = len(sensor.asked)
+    message = received(client, PROFILE, "topUniformProfile")[PROFILE]
+    assert message[4] == 12  # a uniform profile
+    width = struct.unpack_from("<I", message, gdp.parse_common(memoryview(message)).body + 2)[0]
+    assert 10 < width < 60
+    assert len(sensor.asked) - taken <= 1  # one exposure may have been under way; what is shown is what was recorded
+    assert sensor.resources.recorded[0] is first
+
+
+def test_a_subscriber_hears_of_the_start_and_of_the_stop_and_then_no_more(client):
+    client.ask("sub", "/system")
+    for command, state in (("start", 1), ("stop", 0)):
+        client.ask("call", f"/system/commands/{command}", {})
+        told = client.next_between()
+        assert (told["type"], told["eventType"], told["path"]) == ("notification", "updated", "/system")
+        assert told["payload"] == {"runState": state}
+    client.ask("unSub", "/system")
+    client.ask("call", "/system/commands/start", {})
+    client.ask("call", "/system/commands/stop", {})
+    assert client.ask("read", "/system")["runState"] == 0
+    assert client.between == []
+
+
+@pytest.mark.parametrize("path", ["/system/metrics", f"{SCANNER}/metrics", f"{SENSOR}/metrics"])
+def test_metrics_are_streamed_until_the_stream_is_cancelled(client, path):
+    client.ask("stream", path)
+    came = [client.next_between() for _ in range(2)]
+    for message in came:
+        assert (message["type"], message["path"]) == ("stream", path)
+        assert message["payload"] == client.ask("read", path)
+    assert came[0]["streamId"] == came[1]["streamId"]
+    client.ask("cancelStream", path)
+
+
+def test_the_tree_is_found_by_walking_as_for_the_vendors_resources(client):
+    href = "/scan/engines"
+    for part in ("", "/scanners", "/sensors"):
+        children = client.ask("read", href + part, expandLevel=1)["_embedded"]["item"]
+        href = children[0]["_links"]["self"]["href"]
+    assert client.ask("read", href)["serialNumber"] == client.ask("read", SENSOR)["serialNumber"] == "12345"
+    assert client.ask("read", "/system/info")["appId"]
