@@ -22,7 +22,7 @@ from mbcacq.plan.growth import with_steps
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
 from mbcacq.workflow.address_space import refuse_small_address_space
-from mbcacq.workflow.dry_run import device_overrides, name_of
+from mbcacq.workflow.dry_run import MeasuredBefore, device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.investigation_page import PAGE, write_investigation_page
 from mbcacq.workflow.load import as_plan, load_observations
@@ -96,7 +96,9 @@ class CellInvestigation:
         before = resuming.new_progress() if fresh else resuming.resumed_progress(self.folder, grown, cell)
         for sentence in before.repairs:
             operator.message(sentence)
-        done = before.done | frozenset(range(self._settled))
+        settled = frozenset(range(self._settled))
+        # A fake cell measures the whole of an interrupted visit once more: it does again what it would have done.
+        done = settled if self.dry_run else before.done | settled
         if any(p.number not in done for p in poses):
             operator.progress("checking every motion between the poses")
             acquisition = plan_acquisition(grown, poses, done, before.part, cell)
@@ -106,7 +108,8 @@ class CellInvestigation:
                 operator.allow_motion(grown, [p for p in poses if p.number not in done], acquisition.sweep())
             acquisition.folder = self.folder
             operator.progress("starting the fake cell" if self.dry_run else "")
-            with device_overrides(grown, poses, self.dry_run, self.seed, operator.assume_yes) as overrides:
+            known = MeasuredBefore.of(load_observations(self.folder), done) if self.dry_run and done else None
+            with device_overrides(grown, poses, self.dry_run, self.seed, operator.assume_yes, known) as overrides:
                 acquisition.execute(overrides, operator.subscribers, live=self.live, message=operator.message, pause=operator.pause)
         self._settled = len(poses)
         operator.progress("weighing all explanations")

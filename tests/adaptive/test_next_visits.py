@@ -20,7 +20,7 @@ from mbcacq.plan import LoadedPlan, expand, load
 from mbcacq.plan.feasibility import check
 
 PLAN = Path(__file__).parents[2] / "plans" / "concealed.yaml"
-FEW = AdaptiveOptions(views_per_station=6, most=5)
+FEW = AdaptiveOptions(views_per_station=6, fewest=3, most=5)
 QUIET = Scenario(0, "none", 7, (), 1, 0.0)
 SCALE = [{"name": "joint_scale", "where": "A5", "strength": 3.0, "seed": 3}]
 

@@ -37,6 +37,10 @@ class MeasuredInformation:
         Z, E = blocks.Z.reshape(-1, blocks.Z.shape[2]), blocks.E.reshape(-1, blocks.E.shape[2])
         return MeasuredInformation(self.N + Z.T @ Z, self.B + Z.T @ E, self.products + E.T @ E)
 
+    def variance(self, J: np.ndarray) -> float:
+        """Sum of the variances of J (m, G) times the parameters of the geometry."""
+        return float(np.sum(J * np.linalg.solve(self.N, J.T).T)) if len(J) else 0.0
+
     @cached_property
     def gram(self) -> np.ndarray:
         """(K, K) of the effects beyond the geometry."""
@@ -71,6 +75,16 @@ class BackwardElimination:
         t = self._whitening(self._H[index]) @ self._e[index]
         some = t[:, :, : self.pairs]
         return index, np.swapaxes(some, 1, 2) @ some, np.sum(t * t, axis=1)
+
+    def variance(self, J: np.ndarray) -> float:
+        """Sum of the variances of J (m, G) times the parameters of the geometry."""
+        return float(np.sum(J @ self._C * J))
+
+    def variance_without(self, J: np.ndarray) -> np.ndarray:
+        """(n,) the same without each of the poses that are left."""
+        index = np.flatnonzero(self.left)
+        toward = self._whitening(self._H[index]) @ (self.blocks.Z[index] @ (self._C @ J.T))
+        return self.variance(J) + np.sum(toward * toward, axis=(1, 2))
 
     def remove(self, pose: int) -> None:
         """Leave a pose out."""
