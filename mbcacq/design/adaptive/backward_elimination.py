@@ -17,6 +17,7 @@ import numpy as np
 
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 
+SIX = 6  # parameters of the place of a station
 LEAST_LEFT = 1e-9  # of the information of a pose that the others have as well: rounding
 
 
@@ -27,6 +28,39 @@ class MeasuredInformation:
     N: np.ndarray
     B: np.ndarray
     products: np.ndarray
+
+    def of_block(self, g: int, block: slice) -> MeasuredInformation:
+        """The same information of the first g parameters and one block of six of a station alone, all other stations at their best places:
+        rows of one station say nothing about another, so their blocks are independent, given the first g.
+        """
+        N_each, B_each, products_each = self._eliminated(g)
+        own = (block.start - g) // SIX
+        keep = np.r_[np.arange(g), np.arange(block.start, block.stop)]
+        N, B = self.N[np.ix_(keep, keep)].copy(), self.B[keep].copy()
+        others = np.arange(len(N_each)) != own
+        N[:g, :g] -= N_each[others].sum(axis=0)
+        B[:g] -= B_each[others].sum(axis=0)
+        return MeasuredInformation(N, B, self.products - products_each[others].sum(axis=0))
+
+    def _eliminated(self, g: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """By how much information of the first g parameters (S, g, g), (S, g, K) and of the effects (S, K, K) is smaller with the place of
+        each station free.
+        """
+        if g not in self._by_station:
+            across = self.N[g:, :g].reshape(-1, SIX, g)
+            effects = self.B[g:].reshape(len(across), SIX, -1)
+            own = (
+                np.stack([self.N[k : k + SIX, k : k + SIX] for k in range(g, len(self.N), SIX)]) if len(across) else np.zeros((0, SIX, SIX))
+            )
+            solved = np.linalg.solve(own, np.concatenate([across, effects], axis=2))
+            toward = np.swapaxes(across, 1, 2)
+            whole = toward @ solved
+            self._by_station[g] = whole[:, :, :g], whole[:, :, g:], np.swapaxes(effects, 1, 2) @ solved[:, :, g:]
+        return self._by_station[g]
+
+    @cached_property
+    def _by_station(self) -> dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return {}
 
     @classmethod
     def nothing(cls, G: int, K: int) -> MeasuredInformation:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
+from mbcacq.design.adaptive.backward_elimination import SIX, BackwardElimination, MeasuredInformation
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
 from mbcacq.design.adaptive.places import errors_at
@@ -96,11 +96,12 @@ class VisitChoice:
         self._ahead, self._pool, self._costs, self._options = blocks.select(every[count:]), list(pool), costs, options
         self._at, self._names = {s.id: s for s in stations}, np.array([p.station for p in pool])
         self._stations = list(dict.fromkeys(self._names.tolist()))
+        self._g = linear.geometry.shape[2]
         at_places = errors_at(np.zeros((0, 3)) if places is None else places, linear)
         self._places = np.pad(at_places, ((0, 0), (0, blocks.Z.shape[2] - at_places.shape[1])))
         pairs = slice(0, self.asked.pairs)
         self._known = self.asked.information(self._before.gram[pairs, pairs])
-        self.open_pairs = tuple(_open_pairs(self._before, self._ahead, self.asked, linear.geometry.shape[2], options))
+        self.open_pairs = tuple(_open_pairs(self._before, self._ahead, self.asked, self._g, options))
 
     @property
     def futile(self) -> bool:
@@ -161,13 +162,14 @@ class VisitChoice:
             return self._stations
 
         def value(measured: MeasuredInformation) -> float:
-            gram, variance = measured.gram, measured.variance(self._places)
+            gram, variance = measured.gram, measured.variance(self._places[:, : measured.N.shape[0]])
             accuracy = -self._options.places * float(np.log(variance)) if variance else 0.0
             return float(self.asked.value(gram[: self.asked.pairs, : self.asked.pairs], np.diag(gram), self._known)) + accuracy
 
         base, rate = value(before), dict[str, float]()
         for name in self._stations:
-            after = value(before.with_poses(self._ahead.select(np.flatnonzero(self._names == name))))
+            own, ahead = self._of_one_station(before, np.flatnonzero(self._names == name))
+            after = value(own.with_poses(ahead))
             rate[name] = (after - base) / costs.seconds(self._at[name], self._options.most)
         return sorted(self._stations, key=lambda name: -rate[name])[: self._options.stations]
 
@@ -184,6 +186,15 @@ class VisitChoice:
         poses = tuple(self._pool[k] for k in index)
         return Visit(name, poses, gain, value, costs.seconds(station, len(index)), costs.moves(station)), index
 
+    def _of_one_station(self, before: MeasuredInformation, here: np.ndarray) -> tuple[MeasuredInformation, InformationBlocks]:
+        """What is known, and poses (indices) of one station, in the parameters that these poses depend on: a few times fewer than all."""
+        ahead, g = self._ahead.select(here), self._g
+        places = np.flatnonzero(np.any(ahead.Z[:, :, g:] != 0.0, axis=(0, 1)))
+        if not len(places):
+            return before, ahead
+        block = slice(g + SIX * int(places[0] // SIX), g + SIX * int(places[0] // SIX) + SIX)
+        return before.of_block(g, block), InformationBlocks(np.concatenate([ahead.Z[:, :, :g], ahead.Z[:, :, block]], axis=2), ahead.E)
+
     def _of_station(
         self, before: MeasuredInformation, here: np.ndarray, costs: VisitCosts, station: Station, most: int
     ) -> tuple[list[int], float, float]:
@@ -191,10 +202,13 @@ class VisitChoice:
         the log odds that they are expected to gain between sets, and their value.
         """
         asked, pairs = self.asked, slice(0, self.asked.pairs)
-        elimination = BackwardElimination(before, self._ahead.select(here), asked.pairs)
-        products, squares = before.gram[pairs, pairs], before.squares
+        before, ahead = self._of_one_station(before, here)
+        elimination = BackwardElimination(before, ahead, asked.pairs)
+        gram = before.gram
+        products, squares = gram[pairs, pairs], np.diag(gram)
         base, log_odds_gained = float(asked.value(products, squares, self._known)), float(asked.log_odds_gained(products, self._known))
-        J, variance = self._places, before.variance(self._places)
+        J = self._places[:, : len(before.N)]
+        variance = before.variance(J)
         best, rate = ([], 0.0, 0.0), -np.inf
         while True:
             count = int(elimination.left.sum())
