@@ -95,7 +95,8 @@ class BackwardElimination:
         self.blocks, self.pairs = blocks, pairs
         self.left = np.ones(len(blocks.Z), dtype=bool)
         whole = before.with_poses(blocks)
-        self._C = np.linalg.inv(whole.N)
+        scale = 1.0 / np.sqrt(np.diag(whole.N))  # of units as different as metres and their prior in micrometres
+        self._C = np.linalg.inv(whole.N * np.outer(scale, scale)) * np.outer(scale, scale)
         self._e = blocks.E - blocks.Z @ (self._C @ whole.B)
         self._H = blocks.Z @ self._C @ np.swapaxes(blocks.Z, 1, 2)
         gram = whole.gram

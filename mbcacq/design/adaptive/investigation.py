@@ -236,9 +236,12 @@ def effort(loaded: LoadedPlan, obs: Observations) -> tuple[int, float]:
     """Moves of artefacts, and seconds that a recording took or was planned to take."""
     from mbcacq.design.adaptive.next_plan import costs_of
 
-    costs = costs_of(loaded, None)
+    costs, moves, at = costs_of(loaded, None), 0, dict[str, str]()
     order = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(obs.time_s, kind="stable")
-    moves = int(np.sum(np.diff(obs.station[order]) != 0)) + int(obs.n_poses > 0)
+    for index in obs.station[order]:
+        station = obs.cell.stations[int(index)]
+        moves += at.get(station.artefact) != station.id
+        at[station.artefact] = station.id
     return moves, moves * costs.move_s + obs.n_poses * costs.pose_s
 
 

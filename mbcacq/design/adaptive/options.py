@@ -11,7 +11,7 @@ class AdaptiveOptions:
 
     # What a measurement takes, where a plan does not say it
     pose_s: float = 6.0  # a motion within a station, settling and a scan
-    move_by_hand_s: float = 120.0  # a person carries an artefact to another station, the arm goes home and back
+    move_by_hand_s: float = 60.0  # a person carries an artefact to another station, the arm goes home and back
     move_by_positioner_s: float = 20.0
     look_s: float = 20.0  # weighing what a visit showed and choosing the next one, the arm on its way home and back: many short visits cost
 
@@ -34,7 +34,7 @@ class AdaptiveOptions:
     repeats: float = 3.0  # times that all reachable views may be measured before separating two sets is given up as futile
     places: float = 1.0  # weight of the log by which the variance at the places that a plan names falls, against one of log odds
     near_mm: float = 250.0  # between such a place and a point that a view sees: farther away no view says anything about it
-    hidden: float = 0.1  # weight of one log(1 + information) of an effect that is not excluded, against one of log odds
+    hidden: float = 4.0  # weight of the share of the catalogue that is shown, against one of log odds
 
     # Order of a plan
     first_block: int = 24  # poses after which ``none`` is possible

@@ -77,7 +77,14 @@ class Questions:
         """(...,): expected log odds gained over what is known ``before`` (one D for each comparison), as far as they are needed, and what
         else shows. products (..., pairs, pairs), squares (..., K).
         """
-        return self.log_odds_gained(products, before) + OPTIONS.hidden * self.hidden(squares)
+        return self.log_odds_gained(products, before) + OPTIONS.hidden * self.shown(squares)
+
+    def shown(self, squares: np.ndarray) -> np.ndarray:
+        """(...,) share of the effects that could hide, each kind alike, that show at their usual size: half of one by the information that
+        shows it, and hardly more by much more, so that others get their turn.
+        """
+        information = np.maximum(squares[..., self.pairs :], 0.0)
+        return information / (information + OPTIONS.shows) @ self.weights / max(float(self.weights.sum()), 1e-12)
 
     def hidden(self, squares: np.ndarray) -> np.ndarray:
         """(...,) sum over the effects that could hide, at their usual size, of log(1 + information), each kind alike."""

@@ -150,7 +150,8 @@ class VisitChoice:
         index = np.array([k for k, p in enumerate(self._pool) if any(p.number == q.number for v in visits for q in v.poses)], dtype=int)
         after = self._before.with_poses(self._ahead.select(index)).squares if len(index) else self._before.squares
         own = slice(self.asked.pairs, None)
-        gained = self.asked.weights * np.log((1 + np.maximum(after[own], 0.0)) / (1 + np.maximum(self._before.squares[own], 0.0)))
+        a, b = np.maximum(after[own], 0.0), np.maximum(self._before.squares[own], 0.0)
+        gained = self.asked.weights * (a / (a + self._options.shows) - b / (b + self._options.shows))
         best: dict[str, float] = {}
         for name, gain in zip(self.asked.names, gained, strict=True):
             best[name] = best.get(name, 0.0) + float(gain)
@@ -187,7 +188,9 @@ class VisitChoice:
         return Visit(name, poses, gain, value, costs.seconds(station, len(index)), costs.moves(station)), index
 
     def _of_one_station(self, before: MeasuredInformation, here: np.ndarray) -> tuple[MeasuredInformation, InformationBlocks]:
-        """What is known, and poses (indices) of one station, in the parameters that these poses depend on: a few times fewer than all."""
+        """What is known, and poses (indices) of one station, in the parameters that these poses depend on: a few times fewer than all. What
+        rounding leaves of it ranks stations; poses are left out in all parameters.
+        """
         ahead, g = self._ahead.select(here), self._g
         places = np.flatnonzero(np.any(ahead.Z[:, :, g:] != 0.0, axis=(0, 1)))
         if not len(places):
@@ -202,13 +205,11 @@ class VisitChoice:
         the log odds that they are expected to gain between sets, and their value.
         """
         asked, pairs = self.asked, slice(0, self.asked.pairs)
-        before, ahead = self._of_one_station(before, here)
-        elimination = BackwardElimination(before, ahead, asked.pairs)
+        elimination = BackwardElimination(before, self._ahead.select(here), asked.pairs)
         gram = before.gram
         products, squares = gram[pairs, pairs], np.diag(gram)
         base, log_odds_gained = float(asked.value(products, squares, self._known)), float(asked.log_odds_gained(products, self._known))
-        J = self._places[:, : len(before.N)]
-        variance = before.variance(J)
+        J, variance = self._places, before.variance(self._places)
         best, rate = ([], 0.0, 0.0), -np.inf
         while True:
             count = int(elimination.left.sum())
