@@ -105,8 +105,9 @@ class VisitChoice:
 
     @property
     def futile(self) -> bool:
-        """Whether there is something to tell apart, and nothing reachable does."""
-        return bool(self.open_pairs) and all(pair.futile for pair in self.open_pairs)
+        """Whether there are sets of which none is excluded, and nothing reachable tells them apart."""
+        undecided = [pair for pair in self.open_pairs if abs(np.log(pair.odds)) < self._options.enough]
+        return bool(undecided) and all(pair.futile for pair in undecided)
 
     def sequence(self, visits: int, poses: int, refused: Callable[[PlannedPose], bool] = lambda pose: False) -> list[Visit]:
         """Visits one after the other, each chosen as if those before had been made: until what is open is expected to be decided, or so
