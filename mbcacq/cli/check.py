@@ -60,24 +60,20 @@ def command(
       mbcacq check calibrated/result.json my-cell.yaml --arm
     """
     import mbcacq
-    from mbcacq.cli.arming import ask_before_motion
-    from mbcacq.cli.progress import RunProgress
+    from mbcacq.cli.operator import operator_at_terminal
     from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.step_progress import StepProgress
-    from mbcacq.cli.stepping import KeyPause
     from mbcacq.interim_check.check import CheckSettings
     from mbcacq.interim_check.day_to_day import read_day_to_day
     from mbcacq.interim_check.options import UsualChanges
 
     end_in_order_on_signals()
     steps = StepProgress()
-    operator = mbcacq.Operator(
-        allow_motion=lambda loaded, planned, sweep: ask_before_motion(loaded, planned, sweep, arm),
-        pause=KeyPause() if step else None,
-        message=lambda sentence: echo(sentence, err=True),
-        progress=steps.begin,
-        subscribers=(RunProgress(steps.begin),),
-        assume_yes=yes,
+    operator = operator_at_terminal(
+        steps,
+        arm=arm,
+        step=step,
+        yes=yes,
         began=lambda folder: on_failure("where all poses were measured, judge them", f"mbcacq check {result} {plan} --from {folder}"),
     )
     loaded = mbcacq.load_plan(plan)

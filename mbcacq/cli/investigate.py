@@ -21,6 +21,7 @@ from mbcacq.cli.terminal import echo
 @click.option("--poses", type=click.IntRange(24, 400), default=96, show_default=True, help="Most poses, those measured already included.")
 @click.option("--moves", type=click.IntRange(1), help="Most moves of artefacts to a station.")
 @click.option("--minutes", type=click.FloatRange(1), help="Longest duration, by the times that a plan takes for its poses and moves.")
+@click.option("--limit-mm", type=click.FloatRange(0.001), help="Error of length that matters: what cannot do more need not be found.")
 @click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
 @click.option("--arm", is_flag=True, help="A real arm may move, once speed, workspace and first target of every visit are typed.")
 @click.option("--step", is_flag=True, help="Wait for a key before each pose.")
@@ -36,6 +37,7 @@ def command(
     poses: int,
     moves: int | None,
     minutes: float | None,
+    limit_mm: float | None,
     live: bool,
     arm: bool,
     step: bool,
@@ -55,25 +57,21 @@ def command(
       mbcacq investigate --from runs/2026-11-21T10-00-00_my-cell --arm
     """
     import mbcacq
-    from mbcacq.cli.arming import ask_before_motion
-    from mbcacq.cli.progress import RunProgress
+    from mbcacq.cli.operator import as_before, operator_at_terminal
     from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.step_progress import StepProgress
-    from mbcacq.cli.stepping import KeyPause
 
     end_in_order_on_signals()
     steps = StepProgress()
-    same = "".join([" --dry-run" * dry_run, f" --seed {seed}" * bool(seed), " --arm" * arm, " --step" * step, " --yes" * yes])
-    operator = mbcacq.Operator(
-        allow_motion=lambda loaded, some, sweep: ask_before_motion(loaded, some, sweep, arm),
-        pause=KeyPause() if step else None,
-        message=lambda sentence: echo(sentence, err=True),
-        progress=steps.begin,
-        subscribers=(RunProgress(steps.begin),),
-        assume_yes=yes,
+    same = as_before(dry_run=dry_run, seed=seed, arm=arm, step=step, yes=yes)
+    operator = operator_at_terminal(
+        steps,
+        arm=arm,
+        step=step,
+        yes=yes,
         began=lambda folder: on_failure("go on where it ended", f"mbcacq investigate{same} --resume {folder}"),
     )
-    budget = mbcacq.Budget(poses=poses, moves=moves, minutes=minutes)
+    budget = mbcacq.Budget(poses=poses, moves=moves, minutes=minutes, limit_mm=limit_mm)
     with steps:
         going = mbcacq.investigate(
             plan, budget, out=out, resume=resume, recording=recording, dry_run=dry_run, seed=seed, live=live, operator=operator

@@ -47,8 +47,11 @@ class RunProgress:
         match event:
             case events.RunStarted():
                 self._total, self._before = event.n_poses, event.n_poses - len(event.route) if event.route else 0
+                self._done, self._since = 0, None  # an investigation is several runs
                 if event.simulated:
                     self._console.print(f"*** {SIMULATED} ***", markup=False, soft_wrap=True)
+                if self._task is not None:
+                    self._bar.remove_task(self._task)
                 self._task = self._bar.add_task("connecting", total=event.n_poses, completed=self._before, station="-", balls="-")
                 self._bar.start()
             case events.StateChanged(state="waiting" | "paused"):

@@ -64,27 +64,23 @@ def command(
       mbcacq run next.yaml --arm --extend runs/2026-11-21T10-00-00_my-cell
     """
     import mbcacq
-    from mbcacq.cli.arming import ask_before_motion
-    from mbcacq.cli.progress import RunProgress
+    from mbcacq.cli.operator import as_before, operator_at_terminal
     from mbcacq.cli.signals import end_in_order_on_signals
     from mbcacq.cli.step_progress import StepProgress
-    from mbcacq.cli.stepping import KeyPause
 
     end_in_order_on_signals()
     if extend is not None and (resume is not None or out is not None or again):
         raise click.UsageError("--extend goes on in the folder of a finished run; leave --resume, --out and --again out")
     to_run = plan_of(resume) if plan is None else plan
-    same = "".join([" --dry-run" * dry_run, f" --seed {seed}" * bool(seed), " --arm" * arm, " --step" * step, " --yes" * yes])
+    same = as_before(dry_run=dry_run, seed=seed, arm=arm, step=step, yes=yes)
     steps = StepProgress()
-    operator = mbcacq.Operator(
-        allow_motion=lambda loaded, poses, sweep: ask_before_motion(loaded, poses, sweep, arm),
-        artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
-        pause=KeyPause() if step else None,
-        message=lambda sentence: echo(sentence, err=True),
-        progress=steps.begin,
-        subscribers=(RunProgress(steps.begin),),
-        assume_yes=yes,
+    operator = operator_at_terminal(
+        steps,
+        arm=arm,
+        step=step,
+        yes=yes,
         began=lambda folder: on_failure("go on where it ended", f"mbcacq run{same} --resume {folder}"),
+        artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
     )
     with steps:
         if extend is None:

@@ -11,16 +11,18 @@ from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.evidence_verdict import alternatives_to
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere
 from mbcacq.diagnosis.output.evidence_summary import summarized
-from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere
-from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_effects, says_too_little
-from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
+from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, elsewhere
+from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_effects, says_too_little, weights
+from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare
 from mbcacq.diagnosis.result import EvidenceSummary
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.errors import CalibrationError, ContradictionError
@@ -49,12 +51,51 @@ class InterimEvidence:
     @cached_property
     def limited(self) -> list[SizedEffect]:
         """Every candidate that was not found, at the largest size that is not excluded."""
-        return limited_effects(self.problem, self.full, elsewhere(self.problem.context))
+        return limited_effects(self.problem, self.full, self._there)
 
     @property
     def excluded(self) -> float:
         """Share of the effects of the catalogue that are excluded at their typical size."""
         return excluded_share(self.limited)
+
+    def hiding(self, limit_mm: float | None = None) -> dict[str, float]:
+        """The effects that could hide at their typical size, as ``name:where``, and the share of the catalogue that each stands for.
+
+        limit_mm: of an error of length that matters (95 % of lengths in the workspace); an effect as large as it could be that does less
+        counts as excluded.
+        """
+        out: dict[str, float] = {}
+        for weight, effect in zip(weights(self.limited), self.limited, strict=True):
+            if effect.in_typical_sizes > 1.0 and self._matters(effect, limit_mm):
+                out[effect.label] = out.get(effect.label, 0.0) + float(weight)
+        return out
+
+    def _matters(self, effect: SizedEffect, limit_mm: float | None) -> bool:
+        error = None if limit_mm is None else errors_elsewhere(self._there, effect)[1]
+        return limit_mm is None or error is None or error > limit_mm
+
+    @cached_property
+    def _there(self) -> Elsewhere:
+        return elsewhere(self.problem.context)
+
+    @cached_property
+    def further_odds(self) -> float:
+        """Posterior odds that there is one more effect of the catalogue beside the reported ones: its prior, with what the recording says
+        for or against it at every location.
+        """
+        found = self.reported
+        present = [m.candidate for m in found.members]
+        if is_long(self.problem.linear.obs):  # which is searched in part
+            larger = [h for h in self.full.evidence.hypotheses if h.labels > found.labels]
+            return sum(float(np.exp(min(h.log_posterior - found.log_posterior, 0.0))) for h in larger)
+        prior, there = SetPrior.of(self.problem.candidates, 1), {(c.name, c.where) for c in present}
+        scored = evidence_of_candidates(found.conditioned, self.problem.candidates)
+        logs = [
+            s.log_evidence + prior.log_probability(s.candidate, present)
+            for s in scored
+            if (s.candidate.name, s.candidate.where) not in there
+        ]
+        return float(np.exp(min(np.logaddexp.reduce(logs), 50.0))) if logs else 0.0
 
     @cached_property
     def verdict(self) -> str:

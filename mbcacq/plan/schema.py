@@ -9,6 +9,7 @@ from pydantic import Field
 from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Vector
 
 MOST_EXPOSURES = 1000  # of one pose: at a second each, a quarter of an hour
+MOST_PLACES = 100  # at which a plan asks for accuracy
 Noise = Annotated[float, Field(ge=0, le=10)]  # mm; what is worse tells no ball of an artefact from the next
 
 
@@ -153,11 +154,22 @@ class Workspace(Strict):
     max_mm: Vector
 
 
+class AcceptanceBox(Strict):
+    """Where the arm is to be accurate: a box along the axes of the base frame."""
+
+    min_mm: Vector
+    max_mm: Vector
+
+
 class Acceptance(Strict):
-    """Limits of the verification. A run that misses one ends with its own exit code."""
+    """Limits of the verification. A run that misses one ends with its own exit code. box, places_mm: where the arm is to be accurate, by
+    which ``investigate`` and ``diagnose --next`` choose poses as well.
+    """
 
     sphere_spacing_error_mm: float | None = Field(default=None, gt=0)
     min_balls: int = Field(default=3, ge=1)
+    box: AcceptanceBox | None = None
+    places_mm: tuple[Vector, ...] = Field(default=(), max_length=MOST_PLACES)
 
 
 class Plan(Strict):

@@ -29,6 +29,7 @@ from mbcacq.workflow.resume import measured_balls, merge_parts
 if TYPE_CHECKING:
     from mbcacq.acquisition.runner import Pause
     from mbcacq.plan.motion_preview import Swept
+    from mbcacq.recording.rrd.choice_panel import WeighedPoses
     from mbcacq.workflow.corrected_targets import CorrectedTargets
 
 
@@ -79,7 +80,7 @@ def solver_cell(loaded: LoadedPlan) -> Cell:
 class Acquisition:
     """A checked path to execute, and the folder of its recording. part: number of the recording (0, but for a resumed run); done: numbers
     of the poses to pass over; cell: which cell is driven, in words, so that a resumed run stays with it; simulated: it is a fake one;
-    corrected: the targets, where a calibrated arm steers."""
+    corrected: the targets, where a calibrated arm steers; weighed: what an investigation knows before these poses."""
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]
@@ -91,6 +92,7 @@ class Acquisition:
     cell: str = ""
     simulated: bool = False
     corrected: CorrectedTargets | None = None
+    weighed: WeighedPoses | None = None
 
     def sweep(self) -> Swept:
         """The box that the arm will sweep, and its largest speed."""
@@ -132,7 +134,11 @@ class Acquisition:
         plan_files = plan_files_text(self.loaded.files, self.cell, self.loaded.path, steered, self.loaded.grown_from)
         keep_plan(self.folder, self.loaded.text, plan_files)
         with (
-            closing(Recorder(self.folder, live=live, part=self.part, all_points=self.loaded.plan.scanner.keep_clouds == "all")) as recorder,
+            closing(
+                Recorder(
+                    self.folder, live=live, part=self.part, all_points=self.loaded.plan.scanner.keep_clouds == "all", weighed=self.weighed
+                )
+            ) as recorder,
             closing(Journal(self.folder)) as journal,
         ):
             if recorder.live_url:

@@ -2,23 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
 
 from mbcacq.acquisition.cell_devices import Overrides
 from mbcacq.devices import load_driver
+from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 
 
+@dataclass(frozen=True)
+class MeasuredBefore:
+    """What was measured in a fake cell before it is started again. time_s: the robot's clock at the last pose, None before the first one;
+    poses: how many.
+    """
+
+    time_s: float | None = None
+    poses: int = 0
+
+    @classmethod
+    def of(cls, obs: Observations, numbers: Collection[int]) -> MeasuredBefore:
+        """The poses of these numbers, as far as they are recorded."""
+        here = np.isin(obs.pose_id, list(numbers))
+        if obs.time_s is None or not here.any():
+            return cls(None, int(here.sum()))
+        return cls(float(obs.time_s[here].max()), int(here.sum()))
+
+
 @contextmanager
-def device_overrides(loaded: LoadedPlan, poses: Sequence[PlannedPose], dry_run: bool, seed: int, assume_yes: bool) -> Iterator[Overrides]:
+def device_overrides(
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], dry_run: bool, seed: int, assume_yes: bool, before: MeasuredBefore | None = None
+) -> Iterator[Overrides]:
     """Options that replace the plan's own by device: the fake cell's addresses in a dry run, while the fake cell is up; and the answer yes
-    to the prompts of a person who moves the artefacts."""
+    to the prompts of a person who moves the artefacts. before: what a run that goes on has measured in the same cell.
+    """
     yes = {"assume_yes": True} if assume_yes and loaded.plan.positioner.driver == "manual" else {}
     if not dry_run:
         yield {"positioner": yes} if yes else {}
         return
-    with load_driver("fakes", "cell")(loaded, poses, realtime=False, seed=seed, first_poses=loaded.grown_from) as fake:
+    before = before or MeasuredBefore()
+    with load_driver("fakes", "cell")(
+        loaded, poses, realtime=False, seed=seed, first_poses=loaded.grown_from, resumed_at_s=before.time_s, poses_before=before.poses
+    ) as fake:
         overrides = fake.overrides()
         yield {**overrides, "positioner": {**overrides.get("positioner", {}), **yes}} if yes else overrides
 

@@ -6,7 +6,9 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.design.adaptive.investigation import Budget, Decision, refuse_empty
@@ -17,19 +19,23 @@ from mbcacq.files.atomic_write import write_file
 from mbcacq.model import yaml12
 from mbcacq.model.json_text import damage, read_json
 from mbcacq.model.observations import Observations
-from mbcacq.plan import LoadedPlan, expand, load, refuse_errors
+from mbcacq.plan import LoadedPlan, PlannedPose, expand, load, refuse_errors
 from mbcacq.plan.growth import with_steps
+from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
 from mbcacq.workflow.address_space import refuse_small_address_space
-from mbcacq.workflow.dry_run import device_overrides, name_of
+from mbcacq.workflow.dry_run import MeasuredBefore, device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
 from mbcacq.workflow.investigation_page import PAGE, write_investigation_page
 from mbcacq.workflow.load import as_plan, load_observations
 from mbcacq.workflow.next_plan import plan_of_recording
 from mbcacq.workflow.run import Operator
 
-FORMAT, DECISIONS = "mbcacq-investigation/1", "investigation.json"
+if TYPE_CHECKING:
+    from mbcacq.recording.rrd.choice_panel import WeighedPoses
+
+FORMAT = "mbcacq-investigation/1"
 
 
 @dataclass
@@ -96,7 +102,9 @@ class CellInvestigation:
         before = resuming.new_progress() if fresh else resuming.resumed_progress(self.folder, grown, cell)
         for sentence in before.repairs:
             operator.message(sentence)
-        done = before.done | frozenset(range(self._settled))
+        settled = frozenset(range(self._settled))
+        # A fake cell measures the whole of an interrupted visit once more: it does again what it would have done.
+        done = settled if self.dry_run else before.done | settled
         if any(p.number not in done for p in poses):
             operator.progress("checking every motion between the poses")
             acquisition = plan_acquisition(grown, poses, done, before.part, cell)
@@ -105,12 +113,27 @@ class CellInvestigation:
             if not self.dry_run:
                 operator.allow_motion(grown, [p for p in poses if p.number not in done], acquisition.sweep())
             acquisition.folder = self.folder
+            acquisition.weighed = self._weighed([p for p in poses if p.number not in done])
             operator.progress("starting the fake cell" if self.dry_run else "")
-            with device_overrides(grown, poses, self.dry_run, self.seed, operator.assume_yes) as overrides:
+            known = MeasuredBefore.of(load_observations(self.folder), done) if self.dry_run and done else None
+            with device_overrides(grown, poses, self.dry_run, self.seed, operator.assume_yes, known) as overrides:
                 acquisition.execute(overrides, operator.subscribers, live=self.live, message=operator.message, pause=operator.pause)
         self._settled = len(poses)
         operator.progress("weighing all explanations")
         return load_observations(self.folder)
+
+    def _weighed(self, ahead: Sequence[PlannedPose]) -> WeighedPoses | None:
+        """What the panel of the recording shows beside the poses that come; None before the first decision."""
+        from mbcacq.recording.rrd.choice_panel import WeighedPoses
+
+        if not self.decisions:
+            return None
+        cell, last = self.loaded.cell, self.decisions[-1]
+        scanner = cell.robot.chain.flange(np.array([p.q for p in ahead])) @ cell.T_flange_scanner
+        body = self.loaded.plan.scanner.field_of_view.body_mm
+        above = np.array([0.0, 0.0, body[0][2] if body else 0.0])
+        looks = np.stack([scanner[:, :3, 3] + scanner[:, :3, :3] @ above, scanner[:, :3, 3]], axis=1)
+        return WeighedPoses(last.sets, last.hiding, looks)
 
     def _poses_settled(self, before: Sequence[Decision]) -> int:
         """Poses of the plan that are measured or were left out for good: all but those of the last decision, which may be incomplete."""
@@ -131,7 +154,7 @@ class CellInvestigation:
             "begun_with": self.loaded.text,
             "decisions": [d.to_dict() for d in self.decisions],
         }
-        write_file(self.folder / DECISIONS, json.dumps(content, indent=1) + "\n")
+        write_file(self.folder / INVESTIGATION_FILE, json.dumps(content, indent=1) + "\n")
 
 
 def _grown(grown: LoadedPlan, steps: list[dict[str, Any]]) -> LoadedPlan:
@@ -189,7 +212,9 @@ def _from_run(folder: Path) -> LoadedPlan:
 def _resumed(folder: Path, dry_run: bool, seed: int, live: bool, operator: Operator) -> CellInvestigation:
     """An interrupted investigation, with its budget and the decisions that it has made."""
     try:
-        content = read_json((folder / DECISIONS).read_text(encoding="utf-8"), "the investigation", "give the folder of an investigation")
+        content = read_json(
+            (folder / INVESTIGATION_FILE).read_text(encoding="utf-8"), "the investigation", "give the folder of an investigation"
+        )
         decisions = [Decision.from_dict(one) for one in content["decisions"]]
         budget = Budget(**content["budget"])
         loaded, begun_from_run = load(Path(content["plan"]), str(content["begun_with"])), bool(content["begun_from_run"])
@@ -197,7 +222,7 @@ def _resumed(folder: Path, dry_run: bool, seed: int, live: bool, operator: Opera
         raise ConfigError(f"{folder} holds no investigation to resume; give its folder, or --from RUN for a finished run") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(
-            f"{folder / DECISIONS} is damaged ({damage(error)}); go on with the run: mbcacq investigate --from {folder}"
+            f"{folder / INVESTIGATION_FILE} is damaged ({damage(error)}); go on with the run: mbcacq investigate --from {folder}"
         ) from error
     if begun_from_run:
         loaded = replace(loaded, grown_from=plan_of_recording(folder).grown_from or len(expand(loaded)))

@@ -21,9 +21,9 @@ from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
 from mbcacq.workflow.address_space import refuse_small_address_space
 from mbcacq.workflow.corrected_targets import CalibratedArm, CorrectedTargets, corrected_targets, to_go_on_with
-from mbcacq.workflow.dry_run import device_overrides, name_of
+from mbcacq.workflow.dry_run import MeasuredBefore, device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
-from mbcacq.workflow.load import as_plan
+from mbcacq.workflow.load import as_plan, load_observations
 
 if TYPE_CHECKING:
     from mbcacq.acquisition.runner import Pause
@@ -126,7 +126,8 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         operator.began(folder)
         operator.progress("starting the fake cell" if dry_run else "")
         try:
-            with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
+            known = MeasuredBefore.of(load_observations(folder), done) if dry_run and done else None
+            with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes, known) as overrides:
                 acquisition.execute(overrides, operator.subscribers, live=live, message=operator.message, pause=operator.pause)
         except ConnectError as error:
             raise _with_fakes_named(error, loaded, dry_run) from error

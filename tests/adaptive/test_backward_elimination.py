@@ -51,3 +51,29 @@ def test_the_poses_that_are_left_are_the_best_pair_of_a_station_that_growing_wou
     elimination.remove(int(index[np.argmin(missed[:, 0])]))
     assert int(np.argmax(alone)) == 2
     assert list(elimination) == [0, 1]
+
+
+def test_the_parameters_of_one_station_say_all_that_its_poses_do():
+    """Poses of two stations, each with six parameters of its own beside three that are shared: the other station's may be eliminated."""
+    rng, g = np.random.default_rng(3), 3
+    Z = np.zeros((8, ROWS, g + 12))
+    Z[:, :, :g] = rng.normal(size=(8, ROWS, g))
+    Z[:5, :, g : g + 6], Z[5:, :, g + 6 :] = rng.normal(size=(5, ROWS, 6)), rng.normal(size=(3, ROWS, 6))
+    data = InformationBlocks(Z, rng.normal(size=(8, ROWS, K)))
+    before = MeasuredInformation.nothing(g + 12, K).with_poses(data.select(np.arange(3, 8)))
+    ahead, block = data.select(np.arange(3)), slice(g, g + 6)
+    alone = InformationBlocks(np.concatenate([ahead.Z[:, :, :g], ahead.Z[:, :, block]], axis=2), ahead.E)
+    assert before.of_block(g, block).gram == pytest.approx(before.gram)
+    assert before.of_block(g, block).with_poses(alone).gram == pytest.approx(before.with_poses(ahead).gram)
+    J = np.pad(rng.normal(size=(2, g)), ((0, 0), (0, 12)))
+    assert before.of_block(g, block).variance(J[:, : g + 6]) == pytest.approx(before.variance(J))
+
+
+def test_the_variance_without_a_pose_is_that_of_the_poses_that_are_left(elimination):
+    J = np.random.default_rng(5).normal(size=(2, G))
+    elimination.remove(4)
+    index, without = np.flatnonzero(elimination.left), elimination.variance_without(J)
+    elimination.remove(int(index[2]))
+    left = MeasuredInformation.nothing(G, K).with_poses(blocks(1)).with_poses(blocks(2).select(np.flatnonzero(elimination.left)))
+    assert without[2] == pytest.approx(left.variance(J))
+    assert elimination.variance(J) == pytest.approx(left.variance(J))

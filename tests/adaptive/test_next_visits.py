@@ -14,13 +14,16 @@ from mbcacq.design.adaptive.first_block import first_block
 from mbcacq.design.adaptive.investigation import Budget, Decision, decisions
 from mbcacq.design.adaptive.next_plan import choose_next, next_plan_text
 from mbcacq.design.adaptive.options import AdaptiveOptions
+from mbcacq.design.adaptive.places import accepted_places, errors_at
 from mbcacq.diagnosis.interim import weigh
+from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand, load
 from mbcacq.plan.feasibility import check
+from mbcacq.plan.schema import Acceptance, AcceptanceBox
 
 PLAN = Path(__file__).parents[2] / "plans" / "concealed.yaml"
-FEW = AdaptiveOptions(views_per_station=6, most=5)
+FEW = AdaptiveOptions(views_per_station=6, fewest=3, most=5)
 QUIET = Scenario(0, "none", 7, (), 1, 0.0)
 SCALE = [{"name": "joint_scale", "where": "A5", "strength": 3.0, "seed": 3}]
 
@@ -89,3 +92,30 @@ def test_a_recording_of_a_run_is_gone_on_with(begun):
     if first.steps:
         assert next(found).poses == 24 + sum(len(step["poses_deg"]) for step in first.steps)
         assert grown_plans[0].grown_from == 24
+
+
+def test_errors_at_the_places_of_a_plan_are_of_lengths_between_them(looked):
+    """What moves all places as one rigid body is where the base is; what no view is near to says nothing."""
+    linear = looked.problem.linear
+    places = np.array([[600.0, 0.0, 150.0], [550.0, -300.0, 500.0], [560.0, -40.0, 150.0], [600.0, 40.0, 160.0]])
+    rows = errors_at(places, linear)
+    assert rows.shape == (12, linear.geometry.shape[2])
+    assert np.abs(rows.reshape(4, 3, -1).sum(axis=0)).max() < 1e-6 * np.abs(rows).max()
+    assert np.abs(rows).max() > 0.01
+    assert errors_at(np.array([[5000.0, 0.0, 0.0]]), linear).shape == (0, linear.geometry.shape[2])
+
+
+def test_a_box_stands_for_its_corners_and_its_middle():
+    box = AcceptanceBox(min_mm=(0.0, 0.0, 0.0), max_mm=(2.0, 4.0, 6.0))
+    places = accepted_places(Acceptance(box=box, places_mm=((9.0, 9.0, 9.0),)))
+    assert len(places) == 10
+    assert places[0].tolist() == [9.0, 9.0, 9.0]
+    assert sorted(map(tuple, places[1:9].tolist())) == [(x, y, z) for x in (0.0, 2.0) for y in (0.0, 4.0) for z in (0.0, 6.0)]
+    assert places[9].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_what_can_do_less_than_the_limit_of_the_user_does_not_hide(looked):
+    hiding = looked.hiding()
+    assert sum(hiding.values()) == pytest.approx(1.0 - looked.excluded)
+    assert set(looked.hiding(limit_mm=1e9)) <= {e.label for e in looked.limited if errors_elsewhere(looked._there, e)[1] is None}
+    assert set(looked.hiding(limit_mm=0.02)) <= set(hiding)

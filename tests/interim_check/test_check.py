@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from check_cells import simulated_plan
 from click.testing import CliRunner
 
-import mbcacq as library
 from mbcacq.calibration import CalibratedCell
-from mbcacq.calibration.sealed_json import digest, sealed_text
+from mbcacq.calibration.sealed_json import digest
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.cli.app import app
@@ -26,15 +26,6 @@ from mbcacq.plan import expand, load
 
 ROOT = Path(__file__).parents[2]
 NOTHING = Scenario(0, "none", 3, (), 1, 1.0)
-
-
-@pytest.fixture(scope="module")
-def learnt(tmp_path_factory):
-    loaded = load(ROOT / "plans" / "kuka.yaml")
-    observations, _ = observe(loaded, expand(loaded), NOTHING, [])
-    path = tmp_path_factory.mktemp("learnt") / "result.json"
-    path.write_text(sealed_text(library.calibrate(observations).to_dict() | {"simulated": True}))
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -207,11 +198,7 @@ def test_a_real_arm_moves_for_a_check_only_where_somebody_said_so(learnt, tmp_pa
 
 
 def test_the_command_measures_judges_and_says_as_before(learnt, tmp_path):
-    plan = yaml.safe_load((ROOT / "plans" / "quick.yaml").read_text())
-    plan["robot"] |= {"driver": "simulated", "options": {}, "model": str(ROOT / "plans" / plan["robot"]["model"])}
-    plan["scanner"] |= {"driver": "simulated", "options": {}}
-    plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
-    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(plan))
+    simulated_plan(tmp_path)
     history = tmp_path / "check.json"
     given = ["check", str(learnt), str(tmp_path / "plan.yaml"), "--history", str(history), "--json"]
     done = CliRunner().invoke(app, [*given, "--dry-run", "--poses", "6", "--out", str(tmp_path / "day"), "--seed", "3"])

@@ -33,7 +33,7 @@ def make_world(facts: CellFacts, options: FakeOptions, seed: int) -> World:
     return World(facts, deviations, _effects(options), Environment(**options.climate.model_dump()), seed, options.noise_seed)
 
 
-def make_camera(
+def make_camera(  # noqa: PLR0913 -- one argument a part of the cell
     world: World,
     arm: ArmReadout,
     options: FakeOptions,
@@ -42,16 +42,17 @@ def make_camera(
     right_exposure_us: float | None = None,
     clock_start_s: float = 0.0,
     optics: Optics | None = None,
+    poses_before: int = 0,
 ) -> Camera:
     """planned_q (P, n) rad and planned_station (P,) index: the poses of the plan, by which the operator knows what comes next. optics: of
-    the scanner; default: as a Gocator's."""
+    the scanner; default: as a Gocator's. poses_before: measured in the same cell before it was started."""
     check(options, world.facts)
     view, ball = world.facts.view, smallest_ball(world.facts)
     growth = NoiseGrowth.stated(view, options.noise_mm, options.noise_far_mm, options.noise_factor_at_60_deg)
     noise = ScannerNoise.for_centres(np.array(options.noise_mm), options.speckle_mm, ball, growth)
     scanner = FringeScanner(Grid.with_pitch(view, options.pitch_mm), noise, optics or Optics())
     operator = FakeOperator(planned_q, planned_station, world.facts.station_artefact)
-    return Camera(world, scanner, operator, arm, options, right_exposure_us, clock_start_s)
+    return Camera(world, scanner, operator, arm, options, right_exposure_us, clock_start_s, poses_before)
 
 
 def smallest_ball(facts: CellFacts) -> float:

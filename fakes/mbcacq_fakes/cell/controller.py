@@ -47,9 +47,19 @@ def normal(driver: str) -> str:
 
 
 def start_controller(
-    loaded: Any, state: ArmState, rows: tuple[tuple[float, ...], ...], given: Mapping[str, Any], *, realtime: bool, ports: str, seed: int
+    loaded: Any,
+    state: ArmState,
+    rows: tuple[tuple[float, ...], ...],
+    given: Mapping[str, Any],
+    *,
+    realtime: bool,
+    ports: str,
+    seed: int,
+    clock_ms: int = CLOCK_START_MS,
 ) -> StartedController:
-    """A running controller. rows: its nominal kinematics; given: the plan's ``fake.robot``. Raises ConfigError, ConnectError."""
+    """A running controller. rows: its nominal kinematics; given: the plan's ``fake.robot``; clock_ms: what its clock shows at first, but
+    for one that a driver's package brings. Raises ConfigError, ConnectError.
+    """
     robot, use = loaded.cell.robot, loaded.plan.robot
     check_options(use.driver, given)
     settings: dict[str, Any] = {
@@ -70,11 +80,12 @@ def start_controller(
                 f"there is no fake controller for the driver '{use.driver}', only a simulated arm inside a dry run: "
                 f"mbcacq run {loaded.path} --dry-run"
             )
-        return StartedController(_Nothing(), {"state": state, "clock_start_s": CLOCK_START_MS * 1e-3, "clock": SimulatedClock()}, SIMULATED)
+        return StartedController(_Nothing(), {"state": state, "clock_start_s": clock_ms * 1e-3, "clock": SimulatedClock()}, SIMULATED)
     if "moving" in given:
         from mbcacq_fakes.dynamics.online import description
 
         given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
+    given = {("clock_ms" if kind == EKI else "ipoc"): clock_ms, **given}
     krc, address = (_eki if kind == EKI else _rsi)(loaded, state, settings, given, ports, seed)
     if not realtime and ports == "free" and "silence_s" not in use.options:
         address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent
@@ -126,7 +137,7 @@ def _rsi(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
     if speed is not None:
         settings["acceleration_deg_s2"] = tuple(np.degrees(speed / FASTEST_START_S if acceleration is None else acceleration).tolist())
     try:
-        krc = FakeKrc(state, **{**settings, "client": client, "ipoc": CLOCK_START_MS, "seed": seed, **same, **given})
+        krc = FakeKrc(state, **{**settings, "client": client, "seed": seed, **same, **given})
     except (TypeError, ValueError) as error:
         raise ConfigError(f"fake.robot: {error}; correct the plan") from error
     krc.start()
@@ -154,7 +165,6 @@ def _eki(loaded: Any, state: ArmState, settings: dict[str, Any], given: Mapping[
         "bases": {base: tuple(options.get("base_frame") or (0.0,) * 6)},
         "override": options.get("override") or 100,
         "loads": {tool: float(options.get("load_kg") or facts["load_kg"])},
-        "clock_ms": CLOCK_START_MS,
     }
     _can_listen(host, port)
     try:

@@ -16,7 +16,17 @@ import numpy as np
 from mbcacq.devices import signals_deferred
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq_fakes.cell.build_world import check, make_world
-from mbcacq_fakes.cell.controller import CLOCK_START_MS, SIMULATED, Controller, StartedController, check_options, normal, start_controller
+from mbcacq_fakes.cell.controller import (
+    CLOCK_START_MS,
+    OWN,
+    SIMULATED,
+    Controller,
+    StartedController,
+    check_options,
+    kind_of,
+    normal,
+    start_controller,
+)
 from mbcacq_fakes.cell.faults import CellFaults
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, POSITIONERS, SCANNERS, scanner_address
 from mbcacq_fakes.protocols.krc.arm_state import MOST_AXES, ArmState
@@ -33,7 +43,9 @@ class FakeCell:
     realtime: the controller's 4 ms by the clock; else lock-step, as fast as the client answers. ports: 'free' takes free ports on
     127.0.0.1, which ``overrides()`` gives to the drivers; 'plan' listens where the plan's drivers will look. Everything the
     world draws follows from ``seed``. first_poses: how many of the poses the plan of the run had at first, where it has grown since: the
-    cell stays the one that it was made for. The plan's ``fake:`` section says which effects are injected (docs/fakes.md).
+    cell stays the one that it was made for. resumed_at_s: what the robot's clock showed at the last pose of a run that goes on: time and
+    warmth of the cell go on from there; poses_before: how many poses were measured, whose draws are not drawn again. The plan's
+    ``fake:`` section says which effects are injected (docs/fakes.md).
     """
 
     def __init__(
@@ -45,6 +57,8 @@ class FakeCell:
         seed: int = 0,
         ports: Literal["free", "plan"] = "free",
         first_poses: int | None = None,
+        resumed_at_s: float | None = None,
+        poses_before: int = 0,
     ) -> None:
         plan = loaded.plan
         self._scanner = normal(plan.scanner.driver) if normal(plan.scanner.driver) in (*SCANNERS, FOLDER) else NEUTRAL
@@ -57,6 +71,8 @@ class FakeCell:
             raise ConfigError(f"the fake cell plays arms of up to {MOST_AXES} axes, this one has {loaded.cell.robot.n}")
         self._loaded, self._plan, self._realtime, self._ports = loaded, plan, realtime, ports
         self._options = fake_options.parse(fake_options.of_scanner(plan.scanner, plan.fake))
+        self._elapsed_s = 0.0 if resumed_at_s is None else max(resumed_at_s - CLOCK_START_MS * 1e-3, 0.0)
+        self._poses_before = poses_before
         self._seed = seed if self._options.seed is None else self._options.seed
         self._planned_q = np.array([p.q for p in poses], dtype=float).reshape(-1, loaded.cell.robot.n)
         pace_s = PACE_S * self._options.climate.time_scale
@@ -184,7 +200,9 @@ class FakeCell:
             "state": self._state.name,
             "planned_q": self._planned_q,
             "planned_station": self._planned_station,
-            "clock_start_s": CLOCK_START_MS * 1e-3,
+            # The clock of a fake that a driver's package brings begins where it always does; the world's goes on all the same.
+            "clock_start_s": CLOCK_START_MS * 1e-3 - (self._elapsed_s if kind_of(plan.robot.driver) == OWN else 0.0),
+            "poses_before": self._poses_before,
             "exposure_us": plan.scanner.exposure_us,
             "model": plan.scanner.model,
             "ports": self._ports,
@@ -206,6 +224,7 @@ class FakeCell:
             realtime=self._realtime,
             ports=self._ports,
             seed=self._seed,
+            clock_ms=CLOCK_START_MS + 4 * round(250 * self._elapsed_s),  # cycles of 4 ms
         )
         self._krc = started.controller
         return started

@@ -48,6 +48,7 @@ class Servers:
             job["exposure_us"],
             job["clock_start_s"],
             Optics.above(world.facts.view) if job["scanner_driver"] in (NEUTRAL, FOLDER) else None,
+            job["poses_before"],
         )
         self._sensor: Any = None
         self.addresses: dict[str, dict[str, Any]] = {"scanner": self._start_scanner(options)}

@@ -16,6 +16,7 @@ from mbcacq_fakes.world.surfaces import Surfaces
 from mbcacq_fakes.world.world import SCAN, World
 
 BY_POSE = 1_000_000  # draws of poses, apart from those of arrivals
+DRAWS_OF_A_POSE = 1_000  # more than a pose has exposures and arrivals
 
 
 class ArmReadout(Protocol):
@@ -28,7 +29,8 @@ class Camera:
     """Callable as the ``source`` of a scanner server.
 
     Several exposures at one standstill share the arm's rest position; each has its own scanner noise. clock_start_s: what the
-    robot's clock showed when the cell was switched on.
+    robot's clock showed when the cell was switched on. poses_before: how many poses were measured in the same cell before it was started
+    again, whose draws of noise are not drawn once more.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class Camera:
         options: FakeOptions,
         right_exposure_us: float | None = None,
         clock_start_s: float = 0.0,
+        poses_before: int = 0,
     ) -> None:
         self.world, self.scanner, self.operator = world, scanner, operator
         self._arm, self._options, self._clock_start = arm, options, clock_start_s
@@ -47,6 +50,7 @@ class Camera:
         self._mishaps = list(options.mishaps)
         self._right_exposure, self._frames = right_exposure_us, 0
         self._arrivals, self._here = -1, 0
+        self._drawn = DRAWS_OF_A_POSE * poses_before
         self._surfaces: Surfaces | None = None  # of the exposure before
 
     def __call__(self, exposure_us: float = 0.0) -> ScannerFrame:
@@ -70,7 +74,7 @@ class Camera:
         self._here += 1
         self._frames += 1
         if self._options.draws == "course":
-            return (self._frames - 1,)
+            return (self._drawn + self._frames - 1,)
         return BY_POSE + self.operator.pose_for(np.array(reading.q)), self._here
 
     def follow(self, stand: Callable[[], int | None]) -> None:
@@ -81,7 +85,7 @@ class Camera:
         q = np.array(reading.q)
         stand = self._stand()
         station = self.operator.station_for(q) if stand is None else stand
-        arrival = reading.arrivals if self._options.draws == "course" else BY_POSE + self.operator.pose_for(q)
+        arrival = self._drawn + reading.arrivals if self._options.draws == "course" else BY_POSE + self.operator.pose_for(q)
         return self.world.moments(
             q[None],
             np.array(reading.qd)[None],

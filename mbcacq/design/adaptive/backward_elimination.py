@@ -17,6 +17,7 @@ import numpy as np
 
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 
+SIX = 6  # parameters of the place of a station
 LEAST_LEFT = 1e-9  # of the information of a pose that the others have as well: rounding
 
 
@@ -28,6 +29,39 @@ class MeasuredInformation:
     B: np.ndarray
     products: np.ndarray
 
+    def of_block(self, g: int, block: slice) -> MeasuredInformation:
+        """The same information of the first g parameters and one block of six of a station alone, all other stations at their best places:
+        rows of one station say nothing about another, so their blocks are independent, given the first g.
+        """
+        N_each, B_each, products_each = self._eliminated(g)
+        own = (block.start - g) // SIX
+        keep = np.r_[np.arange(g), np.arange(block.start, block.stop)]
+        N, B = self.N[np.ix_(keep, keep)].copy(), self.B[keep].copy()
+        others = np.arange(len(N_each)) != own
+        N[:g, :g] -= N_each[others].sum(axis=0)
+        B[:g] -= B_each[others].sum(axis=0)
+        return MeasuredInformation(N, B, self.products - products_each[others].sum(axis=0))
+
+    def _eliminated(self, g: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """By how much information of the first g parameters (S, g, g), (S, g, K) and of the effects (S, K, K) is smaller with the place of
+        each station free.
+        """
+        if g not in self._by_station:
+            across = self.N[g:, :g].reshape(-1, SIX, g)
+            effects = self.B[g:].reshape(len(across), SIX, -1)
+            own = (
+                np.stack([self.N[k : k + SIX, k : k + SIX] for k in range(g, len(self.N), SIX)]) if len(across) else np.zeros((0, SIX, SIX))
+            )
+            solved = np.linalg.solve(own, np.concatenate([across, effects], axis=2))
+            toward = np.swapaxes(across, 1, 2)
+            whole = toward @ solved
+            self._by_station[g] = whole[:, :, :g], whole[:, :, g:], np.swapaxes(effects, 1, 2) @ solved[:, :, g:]
+        return self._by_station[g]
+
+    @cached_property
+    def _by_station(self) -> dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        return {}
+
     @classmethod
     def nothing(cls, G: int, K: int) -> MeasuredInformation:
         return cls(np.eye(G), np.zeros((G, K)), np.zeros((K, K)))
@@ -36,6 +70,10 @@ class MeasuredInformation:
         """The same with the poses of the blocks measured as well."""
         Z, E = blocks.Z.reshape(-1, blocks.Z.shape[2]), blocks.E.reshape(-1, blocks.E.shape[2])
         return MeasuredInformation(self.N + Z.T @ Z, self.B + Z.T @ E, self.products + E.T @ E)
+
+    def variance(self, J: np.ndarray) -> float:
+        """Sum of the variances of J (m, G) times the parameters of the geometry."""
+        return float(np.sum(J * np.linalg.solve(self.N, J.T).T)) if len(J) else 0.0
 
     @cached_property
     def gram(self) -> np.ndarray:
@@ -57,7 +95,8 @@ class BackwardElimination:
         self.blocks, self.pairs = blocks, pairs
         self.left = np.ones(len(blocks.Z), dtype=bool)
         whole = before.with_poses(blocks)
-        self._C = np.linalg.inv(whole.N)
+        scale = 1.0 / np.sqrt(np.diag(whole.N))  # of units as different as metres and their prior in micrometres
+        self._C = np.linalg.inv(whole.N * np.outer(scale, scale)) * np.outer(scale, scale)
         self._e = blocks.E - blocks.Z @ (self._C @ whole.B)
         self._H = blocks.Z @ self._C @ np.swapaxes(blocks.Z, 1, 2)
         gram = whole.gram
@@ -71,6 +110,16 @@ class BackwardElimination:
         t = self._whitening(self._H[index]) @ self._e[index]
         some = t[:, :, : self.pairs]
         return index, np.swapaxes(some, 1, 2) @ some, np.sum(t * t, axis=1)
+
+    def variance(self, J: np.ndarray) -> float:
+        """Sum of the variances of J (m, G) times the parameters of the geometry."""
+        return float(np.sum(J @ self._C * J))
+
+    def variance_without(self, J: np.ndarray) -> np.ndarray:
+        """(n,) the same without each of the poses that are left."""
+        index = np.flatnonzero(self.left)
+        toward = self._whitening(self._H[index]) @ (self.blocks.Z[index] @ (self._C @ J.T))
+        return self.variance(J) + np.sum(toward * toward, axis=(1, 2))
 
     def remove(self, pose: int) -> None:
         """Leave a pose out."""

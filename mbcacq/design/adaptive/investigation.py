@@ -13,27 +13,33 @@ from typing import Any
 import numpy as np
 
 from mbcacq.design.adaptive.first_block import first_block
-from mbcacq.design.adaptive.next_plan import NextPoses, choose_next, pair_in_words, set_in_words, steps_of
+from mbcacq.design.adaptive.next_plan import MOST_NAMED, NextPoses, choose_next, pair_in_words, set_in_words, steps_of
 from mbcacq.design.adaptive.options import OPTIONS
+from mbcacq.design.adaptive.pool import reachable_views
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
+from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
-from mbcacq.plan import LoadedPlan, load
+from mbcacq.plan import LoadedPlan, PlannedPose, load
 from mbcacq.plan.growth import with_steps
 from mbcacq.plan.schema import Taught
 
+LARGEST = 1e6  # usual sizes: JSON has no infinity, and what the geometry absorbs has no limit
 Steps = list[dict[str, Any]]
 Measure = Callable[[LoadedPlan], Observations]  # a plan, of which the first poses may be measured already -> all that is measured
 
 
 @dataclass(frozen=True)
 class Budget:
-    """At most so many poses, moves of artefacts and minutes; None for any number."""
+    """At most so many poses, moves of artefacts and minutes; None for any number. limit_mm: error of length that matters (of 95 % of
+    lengths in the workspace): what cannot do more than that need not be found; None: effects of usual size.
+    """
 
     poses: int = 96
     moves: int | None = None
     minutes: float | None = None
+    limit_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,9 @@ class Decision:
     """One look and what follows from it.
 
     number: 0, 1 ..; poses, moves, seconds: measured and needed until then. verdict, log_e_value: of the evidence; sets: those that are not
-    excluded, in words, with their odds against the first. excluded: share of the effects of the catalogue that are excluded at usual size.
+    excluded, in words, with their odds against the first. excluded: share of the effects of the catalogue that are excluded at the size
+    that matters; further: odds of a further effect beside the most probable set; hiding: the effects that could hide, each as large as it
+    is not excluded, in usual sizes.
     reasons: what is asked of the next visit. steps: that visit as steps of a plan; none at the end. end: why the investigation ended, ''
     while it goes on.
     """
@@ -57,16 +65,20 @@ class Decision:
     reasons: tuple[str, ...]
     steps: Steps = field(default_factory=list)
     end: str = ""
+    further: float = 0.0
+    hiding: tuple[tuple[str, float], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content."""
-        return {**vars(self), "sets": [list(one) for one in self.sets], "reasons": list(self.reasons)}
+        lists = {"sets": [list(one) for one in self.sets], "hiding": [list(one) for one in self.hiding]}
+        return {**vars(self), **lists, "reasons": list(self.reasons)}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Decision:
         """The decision that such content holds. Raises KeyError or TypeError where it is damaged."""
         sets = tuple((str(name), float(odds)) for name, odds in content["sets"])
-        return cls(**{**content, "sets": sets, "reasons": tuple(content["reasons"])})
+        hiding = tuple((str(name), float(size)) for name, size in content["hiding"])
+        return cls(**{**content, "sets": sets, "hiding": hiding, "reasons": tuple(content["reasons"])})
 
     @property
     def sentence(self) -> str:
@@ -101,9 +113,10 @@ def decisions(
             return
         grown = _with_visit(grown, decision)
     obs = measured if measured is not None and not before else measure(grown)
-    number = len(before)
+    number, views = len(before), list[PlannedPose]()
     while True:
-        decision = _decided(number, grown, weigh(_used(obs)), budget, seed)
+        views = views or reachable_views(loaded, seed)
+        decision = _decided(number, grown, weigh(_used(obs)), budget, views)
         yield decision
         if decision.end:
             return
@@ -121,29 +134,50 @@ def _used(obs: Observations) -> Observations:
     return obs if obs.phase is None else obs.select(obs.phase != "verification")
 
 
-def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budget, seed: int) -> Decision:
+def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budget, views: Sequence[PlannedPose]) -> Decision:
     obs = look.problem.linear.obs
     moves, seconds = effort(grown, obs)
-    made = Decision(number, obs.n_poses, moves, seconds, look.verdict, look.full.evidence.log_e_value, _sets(look), look.excluded, ())
-    if sure(look):
-        return replace(made, end=_known(look))
+    hiding = look.hiding(budget.limit_mm)
+    sizes = {e.label: e.in_typical_sizes for e in look.limited}
+    made = Decision(
+        number,
+        obs.n_poses,
+        moves,
+        seconds,
+        look.verdict,
+        look.full.evidence.log_e_value,
+        _sets(look),
+        1.0 - sum(hiding.values()),
+        (),
+        further=look.further_odds,
+        hiding=tuple((label, min(sizes[label], LARGEST)) for label in sorted(hiding, key=lambda one: -hiding[one])),
+    )
+    known = sure(look)
+    if known and made.excluded >= OPTIONS.excluded:
+        return replace(made, end=_known(look, made))
     left, moves_left = budget.poses - obs.n_poses, None if budget.moves is None else budget.moves - moves
     if left < OPTIONS.fewest or (budget.minutes is not None and seconds > 60 * budget.minutes):
-        return replace(made, end=f"the budget is spent; {_open(look)}")
-    chosen = choose_next(look, grown, visits=1, poses=left, moves=moves_left, seed=seed + number)
+        return replace(made, end=f"the budget is spent; {_open(look, made)}")
+    chosen = choose_next(look, grown, visits=1, poses=left, moves=moves_left, views=views)
+    beyond = sum(share for label, share in hiding.items() if label not in chosen.shown)
+    if known and made.excluded + beyond >= OPTIONS.excluded:
+        return replace(made, end=f"{_known(look, made)}, and no view that can be taken shows most of them")
     if not chosen.visits:
-        return replace(made, reasons=tuple(chosen.reasons), end=_futile(chosen, look))
+        return replace(made, reasons=tuple(chosen.reasons), end=_futile(chosen, look, made))
     return replace(made, reasons=tuple(chosen.reasons), steps=steps_of(grown, chosen.visits, _visits(grown) + 1))
 
 
 def sure(look: InterimEvidence) -> bool:
-    """Whether what a diagnosis would say can be stood for: nothing, or effects of which each shows by enough information; and little of the
-    catalogue could still hide behind it."""
-    if look.verdict == "cannot_tell" or look.excluded < OPTIONS.excluded:
+    """Whether what a diagnosis would say can be stood for: nothing; or effects of which each shows by enough information, with no further
+    one probable beside them.
+    """
+    if look.verdict == "cannot_tell":
         return False
     fit = look.full.evidence
     if look.verdict == "none" or not fit.significant:
         return look.verdict == "none" and look.problem.linear.obs.n_poses >= OPTIONS.first_block
+    if look.further_odds > OPTIONS.further:
+        return False
     return all(lost >= OPTIONS.sure for lost in _lost_without(look.reported, fit.hypotheses))
 
 
@@ -165,24 +199,33 @@ def _sets(look: InterimEvidence) -> tuple[tuple[str, float], ...]:
     return tuple(dict(reversed(words)).items())[::-1] if len(dict(words)) < len(words) else tuple(words)
 
 
-def _known(look: InterimEvidence) -> str:
+def _known(look: InterimEvidence, made: Decision) -> str:
     if look.verdict == "none":
-        return f"nothing is concealed; {look.excluded:.0%} of the effects of the catalogue are excluded at usual size"
-    found, left = set_in_words(sorted(look.reported.labels)), 1 - look.excluded
-    return f"known: {found}; {left:.0%} of the other effects of the catalogue could still hide at usual size"
+        return f"nothing is concealed; {made.excluded:.0%} of the effects of the catalogue are excluded"
+    found, left = set_in_words(sorted(look.reported.labels)), 1 - made.excluded
+    return f"known: {found}; {left:.0%} of the other effects of the catalogue could still hide{_named(made)}"
 
 
-def _open(look: InterimEvidence) -> str:
+def _open(look: InterimEvidence, made: Decision) -> str:
     others = [set_in_words(sorted(h.labels)) for h in look.alternatives]
     if not look.full.evidence.significant:
-        return f"no effect is shown, {look.excluded:.0%} of the effects of the catalogue are excluded at usual size"
+        return f"no effect is shown, {made.excluded:.0%} of the effects of the catalogue are excluded{_named(made)}"
+    if look.verdict == "explained":
+        odds = odds_in_words(made.further)
+        return f"{_known(look, made)}; that there is a further effect has {odds}"
     return f"left open: {' or '.join(dict.fromkeys([set_in_words(sorted(look.reported.labels)), *others]))}"
 
 
-def _futile(chosen: NextPoses, look: InterimEvidence) -> str:
+def _named(made: Decision) -> str:
+    """The effects that stand for the largest shares of what could hide."""
+    named = ", ".join(effect_in_words(label) for label, _ in made.hiding[:MOST_NAMED])
+    return f", such as {named}" if named else ""
+
+
+def _futile(chosen: NextPoses, look: InterimEvidence, made: Decision) -> str:
     if chosen.futile and chosen.open_pairs:
         return "; ".join(pair_in_words(pair) for pair in chosen.open_pairs)
-    return f"nothing that can be reached would decide more; {_open(look)}"
+    return f"nothing that can be reached would decide more; {_open(look, made)}"
 
 
 def _visits(grown: LoadedPlan) -> int:
@@ -193,9 +236,12 @@ def effort(loaded: LoadedPlan, obs: Observations) -> tuple[int, float]:
     """Moves of artefacts, and seconds that a recording took or was planned to take."""
     from mbcacq.design.adaptive.next_plan import costs_of
 
-    costs = costs_of(loaded, None)
+    costs, moves, at = costs_of(loaded, None), 0, dict[str, str]()
     order = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(obs.time_s, kind="stable")
-    moves = int(np.sum(np.diff(obs.station[order]) != 0)) + int(obs.n_poses > 0)
+    for index in obs.station[order]:
+        station = obs.cell.stations[int(index)]
+        moves += at.get(station.artefact) != station.id
+        at[station.artefact] = station.id
     return moves, moves * costs.move_s + obs.n_poses * costs.pose_s
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
-from mbcacq.design.adaptive.pool import reachable_pool, routed, shortest_order
+from mbcacq.design.adaptive.places import accepted_places
+from mbcacq.design.adaptive.pool import not_measured, reachable_views, routed, shortest_order
 from mbcacq.design.adaptive.questions import differ_by_direction, differ_in_time
 from mbcacq.design.adaptive.visit_choice import OpenPair, Visit, VisitChoice, VisitCosts
 from mbcacq.diagnosis.interim import InterimEvidence
@@ -32,13 +33,14 @@ class NextPoses:
     """The visits that decide most of what a recording leaves open, in their order; none where nothing reachable would.
 
     open_pairs: sets of effects that are not told apart. futile: whether nothing that can be reached tells them apart. hidden: effects, as
-    ``name:where``, that could still hide and that the visits show.
+    ``name:where``, that could still hide and that the visits show; shown: those that all that can be reached would show.
     """
 
     visits: tuple[Visit, ...]
     open_pairs: tuple[OpenPair, ...]
     futile: bool
     hidden: tuple[str, ...] = ()
+    shown: frozenset[str] = frozenset()
 
     @property
     def poses(self) -> list[PlannedPose]:
@@ -91,7 +93,8 @@ def costs_of(loaded: LoadedPlan, measured: Observations | None, options: Adaptiv
             station = measured.cell.stations[measured.station[k]]
             at[station.artefact] = station.id
     pose_s = options.pose_s + plan.exposures * plan.scanner.scan_time_s
-    return VisitCosts(pose_s, options.move_by_hand_s if plan.positioner.driver == "manual" else options.move_by_positioner_s, at)
+    by_hand = plan.positioner.driver == "manual"
+    return VisitCosts(pose_s, options.move_by_hand_s if by_hand else options.move_by_positioner_s, at, options.look_s)
 
 
 def choose_next(
@@ -100,23 +103,24 @@ def choose_next(
     visits: int = 3,
     poses: int = 24,
     moves: int | None = None,
-    seed: int = 0,
+    views: Sequence[PlannedPose] | None = None,
     options: AdaptiveOptions = OPTIONS,
 ) -> NextPoses:
     """The next visits of stations of a plan after a look: poses that can be reached, seen and routed.
 
-    visits, poses: at most so many; moves: of artefacts, at most so many; None for any number. seed: of the random views.
+    visits, poses: at most so many; moves: of artefacts, at most so many; None for any number. views: to choose from; default all of the
+    plan's own and random ones.
     """
     measured = look.problem.linear.obs
-    pool = reachable_pool(loaded, measured, differ_in_time(look), seed, options)
+    pool = not_measured(reachable_views(loaded, 0, options) if views is None else views, measured, differ_in_time(look))
     costs = costs_of(loaded, measured, options)
     if moves is not None and moves < 1:
         pool = [p for p in pool if costs.at.get(p.artefact) == p.station]
     if not pool:
         return NextPoses((), (), True)
-    choice = VisitChoice(look, pool, loaded.cell.stations, costs, options)
+    choice = VisitChoice(look, pool, loaded.cell.stations, costs, options, accepted_places(loaded.plan.accept))
     if choice.futile:
-        return NextPoses((), choice.open_pairs, True)
+        return NextPoses((), choice.open_pairs, True, (), choice.shown)
     most = visits if moves is None else max(min(visits, moves), 1)
     both_ways = differ_by_direction(look)
     count = poses // 2 + 1 if both_ways else poses
@@ -124,11 +128,11 @@ def choose_next(
         replace(v, poses=_approached(shortest_order(loaded, v.poses), both_ways))
         for v in choice.sequence(most, count, lambda pose: not routed(loaded, pose))
     ]
-    return NextPoses(tuple(_feasible(loaded, found)), choice.open_pairs, False, tuple(choice.hidden(found)))
+    return NextPoses(tuple(_feasible(loaded, found)), choice.open_pairs, False, tuple(choice.hidden(found)), choice.shown)
 
 
 def _approached(poses: list[PlannedPose], both_ways: bool) -> tuple[PlannedPose, ...]:
-    """MeasuredInformation forwards, and then backwards, so that every pose but the last is approached from two others."""
+    """Measured forwards, and then backwards, so that every pose but the last is approached from two others."""
     return tuple([*poses, *reversed(poses[:-1])] if both_ways else poses)
 
 

@@ -18,18 +18,19 @@ from mbcacq.plan.routing import router_of
 SAME = 1e-3  # rad, below which two postures are one
 
 
-def reachable_pool(
-    loaded: LoadedPlan, measured: Observations | None = None, again: bool = False, seed: int = 0, options: AdaptiveOptions = OPTIONS
-) -> list[PlannedPose]:
-    """Poses of the plan that were not measured yet, and random views of all its stations that can be taken: within limits, seen, nothing
-    near. again: also the postures of the plan that were measured, for what changes with time.
+def reachable_views(loaded: LoadedPlan, seed: int = 0, options: AdaptiveOptions = OPTIONS) -> list[PlannedPose]:
+    """Poses of the plan, those that judge left out, and random views of all its stations that can be taken: within limits, seen, nothing
+    near. They depend on the cell alone, not on what was measured.
     """
     planned = [p for p in expand_reachable(loaded)[0] if p.phase != "verification"]
     views = DesignOptions(views_per_station=options.views_per_station)
     stations = list(dict.fromkeys(s.id for s in loaded.cell.stations))
-    drawn = [c.pose for c in candidates(loaded, stations, options.steepest_deg, seed, views)]
-    every = [replace(p, phase="position") for p in planned] + drawn
-    new = [p for p in every if again or not _was_measured(p, measured)]
+    return [*planned, *(c.pose for c in candidates(loaded, stations, options.steepest_deg, seed, views))]
+
+
+def not_measured(views: Sequence[PlannedPose], measured: Observations, again: bool = False) -> list[PlannedPose]:
+    """The views that were not measured yet, as poses to choose from; again: the others too, for what changes with time."""
+    new = [p for p in views if again or not _was_measured(p, measured)]
     return [replace(p, number=k, phase="position") for k, p in enumerate(new)]
 
 
@@ -53,9 +54,7 @@ def shortest_order(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> list[Pla
     return out
 
 
-def _was_measured(pose: PlannedPose, measured: Observations | None) -> bool:
-    if measured is None:
-        return False
+def _was_measured(pose: PlannedPose, measured: Observations) -> bool:
     ids = [s.id for s in measured.cell.stations]
     if pose.station not in ids:
         return False

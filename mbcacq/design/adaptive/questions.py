@@ -77,7 +77,14 @@ class Questions:
         """(...,): expected log odds gained over what is known ``before`` (one D for each comparison), as far as they are needed, and what
         else shows. products (..., pairs, pairs), squares (..., K).
         """
-        return self.log_odds_gained(products, before) + OPTIONS.hidden * self.hidden(squares)
+        return self.log_odds_gained(products, before) + OPTIONS.hidden * self.shown(squares)
+
+    def shown(self, squares: np.ndarray) -> np.ndarray:
+        """(...,) share of the effects that could hide, each kind alike, that show at their usual size: half of one by the information that
+        shows it, and hardly more by much more, so that others get their turn.
+        """
+        information = np.maximum(squares[..., self.pairs :], 0.0)
+        return information / (information + OPTIONS.shows) @ self.weights / max(float(self.weights.sum()), 1e-12)
 
     def hidden(self, squares: np.ndarray) -> np.ndarray:
         """(...,) sum over the effects that could hide, at their usual size, of log(1 + information), each kind alike."""
@@ -121,13 +128,14 @@ def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: boo
 
 
 def surviving(look: InterimEvidence) -> list[Hypothesis]:
-    """The sets that the evidence leaves, the reported one first; without any other the most probable that are neither part nor extension of
-    it. Where it is open whether there is an effect, the empty set and the most probable ones.
+    """The sets that the evidence leaves, the reported one first; without any other those that are neither part nor extension of it and
+    against which a decision has little to spare. Where it is open whether there is an effect, the empty set and the most probable ones.
     """
     fit = look.full.evidence
     if fit.significant:
-        others = look.alternatives or [h for h in fit.hypotheses if h.members and not nested(h, look.reported)]
-        return [look.reported, *others[: OPTIONS.rivals]]
+        least = look.reported.log_posterior - OPTIONS.enough - OPTIONS.spare
+        near = [h for h in fit.hypotheses if h.members and h.log_posterior > least and not nested(h, look.reported)]
+        return [look.reported, *(look.alternatives or near)[: OPTIONS.rivals]]
     if not fit.undecided:
         return []
     return [fit.none, *[h for h in fit.hypotheses if h.members][: OPTIONS.rivals]]
@@ -152,8 +160,10 @@ def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell]
     logs = np.array([h.log_posterior for h in found])
     probability = np.exp(logs - np.logaddexp.reduce(logs))
     sets, columns, truth, model, start = [], [], [], [], 0
+    noise_mm = float(np.mean(look.full.noise.point))
     for h, p in zip(found, probability, strict=True):
         moved, own = _of_set(h, linear)
+        own = _largest_combinations(own / noise_mm) * noise_mm
         sets.append(SetToTell(tuple(dict.fromkeys(m.label for m in h.members)), float(p), float(h.log_posterior - logs[0])))
         columns += [moved[:, :, None], own]
         truth.append(start)
@@ -181,6 +191,17 @@ def _of_set(h: Hypothesis, linear: LinearProblem) -> tuple[np.ndarray, np.ndarra
         moved = moved + columns @ values
         own.append(columns * (member.size * candidate.typical if candidate is member.candidate else candidate.typical))
     return moved, np.concatenate(own, axis=2)
+
+
+def _largest_combinations(X: np.ndarray) -> np.ndarray:
+    """(M, R, at most OPTIONS.columns) of columns (M, R, k) for coefficients with priors of one: the orthogonal combinations, with the same
+    prior, that displace most.
+    """
+    if X.shape[2] <= OPTIONS.columns:
+        return X
+    rows = X.reshape(-1, X.shape[2])
+    _, vectors = np.linalg.eigh(rows.T @ rows)
+    return X @ vectors[:, -OPTIONS.columns :]
 
 
 def _smooth(member: Member, linear: LinearProblem, displaced: np.ndarray) -> tuple[Candidate, np.ndarray, np.ndarray]:

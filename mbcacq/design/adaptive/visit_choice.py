@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
+from mbcacq.design.adaptive.backward_elimination import SIX, BackwardElimination, MeasuredInformation
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
+from mbcacq.design.adaptive.places import errors_at
 from mbcacq.design.adaptive.planned_observations import continued
 from mbcacq.design.adaptive.questions import Questions, needed, questions
 from mbcacq.diagnosis.interim import InterimEvidence
@@ -20,15 +22,22 @@ from mbcacq.plan import PlannedPose
 
 @dataclass(frozen=True)
 class VisitCosts:
-    """Seconds: of a pose, of moving an artefact; at: the station at which each artefact stands now, by artefact."""
+    """Seconds: of a pose, of moving an artefact, of a look and a choice after a visit; at: the station at which each artefact stands now,
+    by artefact.
+    """
 
     pose_s: float
     move_s: float
     at: Mapping[str, str]
+    look_s: float = 0.0
 
     def moves(self, station: Station) -> int:
         """1 where the artefact of a station stands elsewhere."""
         return int(self.at.get(station.artefact) != station.id)
+
+    def seconds(self, station: Station, poses: int) -> float:
+        """Of a visit with so many poses."""
+        return self.look_s + self.moves(station) * self.move_s + poses * self.pose_s
 
 
 @dataclass(frozen=True)
@@ -64,7 +73,9 @@ class OpenPair:
 
 
 class VisitChoice:
-    """The choice among the poses of a pool, which can be taken, after a look. stations: of the cell, with planned places."""
+    """The choice among the poses of a pool, which can be taken, after a look. stations: of the cell, with planned places. places (m, 3) mm:
+    at which the arm is to be accurate.
+    """
 
     def __init__(
         self,
@@ -73,6 +84,7 @@ class VisitChoice:
         stations: Sequence[Station],
         costs: VisitCosts,
         options: AdaptiveOptions = OPTIONS,
+        places: np.ndarray | None = None,
     ):
         linear = _linearised(look, pool, stations)
         self.asked = questions(look, linear)
@@ -83,65 +95,109 @@ class VisitChoice:
         self._before = MeasuredInformation.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(blocks.select(every[:count]))
         self._ahead, self._pool, self._costs, self._options = blocks.select(every[count:]), list(pool), costs, options
         self._at, self._names = {s.id: s for s in stations}, np.array([p.station for p in pool])
+        self._stations = list(dict.fromkeys(self._names.tolist()))
+        self._g = linear.geometry.shape[2]
+        at_places = errors_at(np.zeros((0, 3)) if places is None else places, linear)
+        self._places = np.pad(at_places, ((0, 0), (0, blocks.Z.shape[2] - at_places.shape[1])))
         pairs = slice(0, self.asked.pairs)
         self._known = self.asked.information(self._before.gram[pairs, pairs])
-        self.open_pairs = tuple(_open_pairs(self._before, self._ahead, self.asked, linear.geometry.shape[2], options))
+        self.open_pairs = tuple(_open_pairs(self._before, self._ahead, self.asked, self._g, options))
 
     @property
     def futile(self) -> bool:
-        """Whether there is something to tell apart, and nothing reachable does."""
-        return bool(self.open_pairs) and all(pair.futile for pair in self.open_pairs)
-
-    def ranked(self, most: int | None = None) -> list[Visit]:
-        """The best visit of each station, with at most so many poses, most value per second first."""
-        return self._ranked(self._before, self._costs, np.ones(len(self._pool), dtype=bool), most or self._options.most)[0]
+        """Whether there are sets of which none is excluded, and nothing reachable tells them apart."""
+        undecided = [pair for pair in self.open_pairs if abs(np.log(pair.odds)) < self._options.enough]
+        return bool(undecided) and all(pair.futile for pair in undecided)
 
     def sequence(self, visits: int, poses: int, refused: Callable[[PlannedPose], bool] = lambda pose: False) -> list[Visit]:
         """Visits one after the other, each chosen as if those before had been made: until what is open is expected to be decided, or so
         many visits or poses are reached. refused: of a pose that was chosen, whether it cannot be measured after all.
         """
         before, costs, free, out = self._before, self._costs, np.ones(len(self._pool), dtype=bool), list[Visit]()
+        best_of: dict[str, tuple[Visit, list[int]] | None] = {}
+        shortlist = self._shortlist(before, costs)
         while len(out) < visits and (left := poses - sum(len(v.poses) for v in out)) >= self._options.fewest:
-            ranked, chosen = self._ranked(before, costs, free, min(self._options.most, left))
-            if not ranked:
+            for name in shortlist:
+                if name not in best_of:
+                    best_of[name] = self._best_at(name, before, costs, free, min(self._options.most, left))
+            best, index = max(filter(None, best_of.values()), key=lambda one: one[0].value / one[0].seconds, default=(None, []))
+            if best is None:
                 break
-            best, index = ranked[0], chosen[ranked[0].station]
             bad = [k for k in index if refused(self._pool[k])]
             free[bad or index] = False
             if bad:
+                del best_of[best.station]
                 continue
             if out and (best.gain < self._options.least_gain if self.open_pairs else best.value < self._options.least_gain):
                 break
             out.append(best)
             before = before.with_poses(self._ahead.select(np.array(index)))
             costs = replace(costs, at={**costs.at, self._at[best.station].artefact: best.station})
+            best_of.clear()
+            shortlist = self._shortlist(before, costs) if len(out) < visits else []
         return out
+
+    @cached_property
+    def shown(self) -> frozenset[str]:
+        """Effects that could still hide, as ``name:where``, and that all poses of the pool together would show at usual size."""
+        after = self._before.with_poses(self._ahead).squares[self.asked.pairs :]
+        of: dict[str, list[float]] = {}
+        for name, information in zip(self.asked.names, after, strict=True):
+            of.setdefault(name, []).append(float(information))
+        return frozenset(name for name, each in of.items() if np.median(each) >= self._options.shows)
 
     def hidden(self, visits: Sequence[Visit]) -> list[str]:
         """Effects, as ``name:where``, that could still hide, those that the visits show best first."""
         index = np.array([k for k, p in enumerate(self._pool) if any(p.number == q.number for v in visits for q in v.poses)], dtype=int)
         after = self._before.with_poses(self._ahead.select(index)).squares if len(index) else self._before.squares
         own = slice(self.asked.pairs, None)
-        gained = self.asked.weights * np.log((1 + np.maximum(after[own], 0.0)) / (1 + np.maximum(self._before.squares[own], 0.0)))
+        a, b = np.maximum(after[own], 0.0), np.maximum(self._before.squares[own], 0.0)
+        gained = self.asked.weights * (a / (a + self._options.shows) - b / (b + self._options.shows))
         best: dict[str, float] = {}
         for name, gain in zip(self.asked.names, gained, strict=True):
             best[name] = best.get(name, 0.0) + float(gain)
         return [name for name, gain in sorted(best.items(), key=lambda one: -one[1]) if gain > 0]
 
-    def _ranked(
-        self, before: MeasuredInformation, costs: VisitCosts, free: np.ndarray, most: int
-    ) -> tuple[list[Visit], dict[str, list[int]]]:
-        visits, indices = [], {}
-        for name in dict.fromkeys(self._names[free].tolist()):
-            here = np.flatnonzero((self._names == name) & free)
-            if len(here) < self._options.fewest:
-                continue
-            chosen, gain, value = self._of_station(before, here, costs, self._at[name], most)
-            moves, index = costs.moves(self._at[name]), [int(here[k]) for k in chosen]
-            seconds = moves * costs.move_s + len(chosen) * costs.pose_s
-            visits.append(Visit(name, tuple(self._pool[k] for k in index), gain, value, seconds, moves))
-            indices[name] = index
-        return sorted(visits, key=lambda v: -v.value / v.seconds), indices
+    def _shortlist(self, before: MeasuredInformation, costs: VisitCosts) -> list[str]:
+        """The stations of which all views together are worth most per second of a whole visit."""
+        if len(self._stations) <= self._options.stations:
+            return self._stations
+
+        def value(measured: MeasuredInformation) -> float:
+            gram, variance = measured.gram, measured.variance(self._places[:, : measured.N.shape[0]])
+            accuracy = -self._options.places * float(np.log(variance)) if variance else 0.0
+            return float(self.asked.value(gram[: self.asked.pairs, : self.asked.pairs], np.diag(gram), self._known)) + accuracy
+
+        base, rate = value(before), dict[str, float]()
+        for name in self._stations:
+            own, ahead = self._of_one_station(before, np.flatnonzero(self._names == name))
+            after = value(own.with_poses(ahead))
+            rate[name] = (after - base) / costs.seconds(self._at[name], self._options.most)
+        return sorted(self._stations, key=lambda name: -rate[name])[: self._options.stations]
+
+    def _best_at(
+        self, name: str, before: MeasuredInformation, costs: VisitCosts, free: np.ndarray, most: int
+    ) -> tuple[Visit, list[int]] | None:
+        """The best visit of a station, with the indices of its poses; None where too few poses are left."""
+        here = np.flatnonzero((self._names == name) & free)
+        if len(here) < self._options.fewest:
+            return None
+        station = self._at[name]
+        chosen, gain, value = self._of_station(before, here, costs, station, most)
+        index = [int(here[k]) for k in chosen]
+        poses = tuple(self._pool[k] for k in index)
+        return Visit(name, poses, gain, value, costs.seconds(station, len(index)), costs.moves(station)), index
+
+    def _of_one_station(self, before: MeasuredInformation, here: np.ndarray) -> tuple[MeasuredInformation, InformationBlocks]:
+        """What is known, and poses (indices) of one station, in the parameters that these poses depend on: a few times fewer than all. What
+        rounding leaves of it ranks stations; poses are left out in all parameters.
+        """
+        ahead, g = self._ahead.select(here), self._g
+        places = np.flatnonzero(np.any(ahead.Z[:, :, g:] != 0.0, axis=(0, 1)))
+        if not len(places):
+            return before, ahead
+        block = slice(g + SIX * int(places[0] // SIX), g + SIX * int(places[0] // SIX) + SIX)
+        return before.of_block(g, block), InformationBlocks(np.concatenate([ahead.Z[:, :, :g], ahead.Z[:, :, block]], axis=2), ahead.E)
 
     def _of_station(
         self, before: MeasuredInformation, here: np.ndarray, costs: VisitCosts, station: Station, most: int
@@ -151,13 +207,17 @@ class VisitChoice:
         """
         asked, pairs = self.asked, slice(0, self.asked.pairs)
         elimination = BackwardElimination(before, self._ahead.select(here), asked.pairs)
-        products, squares = before.gram[pairs, pairs], before.squares
+        gram = before.gram
+        products, squares = gram[pairs, pairs], np.diag(gram)
         base, log_odds_gained = float(asked.value(products, squares, self._known)), float(asked.log_odds_gained(products, self._known))
+        J, variance = self._places, before.variance(self._places)
         best, rate = ([], 0.0, 0.0), -np.inf
         while True:
             count = int(elimination.left.sum())
             value = float(asked.value(elimination.products, elimination.squares, self._known)) - base
-            seconds = costs.moves(station) * costs.move_s + count * costs.pose_s
+            if variance:
+                value += self._options.places * float(np.log(variance / elimination.variance(J)))
+            seconds = costs.seconds(station, count)
             if count <= most and value / seconds > rate:
                 rate = value / seconds
                 best = list(elimination), float(asked.log_odds_gained(elimination.products, self._known)) - log_odds_gained, value
@@ -165,7 +225,9 @@ class VisitChoice:
                 return best
             index, products, missed = elimination.missed()
             left = asked.value(elimination.products - products, elimination.squares - missed, self._known)
-            for k in np.argsort(-left, kind="stable")[: 1 + int(count > 2 * most)]:
+            if variance:
+                left = left - self._options.places * np.log(elimination.variance_without(J))
+            for k in np.argsort(-left, kind="stable")[: max((count - most) // 3, 1)]:
                 elimination.remove(int(index[k]))
 
 

@@ -75,13 +75,24 @@ class EvidenceSearch:
         return self.ranked()
 
     def climbed(self, best: Hypothesis, candidates: list[Candidate]) -> Hypothesis:
-        """The most probable set that is reached from one by further effects."""
-        beam = [best]
+        """The most probable set that is reached from one by further effects.
+
+        Two effects may be hardly more probable than none where each is taken alone, and far more so together: the elasticity of two joints
+        that share their load, say. So a beam whose best set is not excluded goes on by one more effect.
+        """
+        beam, ahead = [best], False
         while len(beam[0].members) < OPTIONS.most_effects:
             beam = self.grown(beam, candidates)
-            if not beam or beam[0].log_posterior <= best.log_posterior and best.members:
+            if not beam:
                 break
+            if beam[0].log_posterior <= best.log_posterior and best.members:
+                near = beam[0].log_posterior > best.log_posterior + np.log(OPTIONS.undecided)
+                if ahead or not near or self.narrow or self.staged:
+                    break
+                ahead = True
+                continue
             best = beam[0] = self.enriched(self.relieved(self.polished(beam[0])))
+            ahead = False
         return best
 
     def ranked(self) -> list[Hypothesis]:

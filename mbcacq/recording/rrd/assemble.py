@@ -19,12 +19,12 @@ RESTART_S = 60.0  # clocks that differ by more over a pause were restarted
 def assemble(cell_yaml: str, name: str, rows: Sequence[Row]) -> Observations:
     """rows: those of ``layout.OBSERVATION`` in the order recorded; each says to which part of a resumed run it belongs."""
     cell = parse_cell(cell_yaml, f"{name} (its cell description)")
-    shift = _clock_shifts(rows)
     latest: dict[int, Row] = {}
     for row in rows:
         latest.pop(int(row["pose"][0]), None)
         latest[int(row["pose"][0])] = row
     found = list(latest.values())
+    shift = _clock_shifts(found, bool(cell.simulated))
     count = np.array([len(row["ball"]) for row in found])
     ball = np.concatenate([row["ball"] for row in found]).astype(np.int64)
     sensors, extra = _sensors(found)
@@ -49,8 +49,10 @@ def assemble(cell_yaml: str, name: str, rows: Sequence[Row]) -> Observations:
     )
 
 
-def _clock_shifts(rows: Sequence[Row]) -> dict[int, float]:
-    """What to add to the controller's clock, by part: nothing where it went on over the pause, else what the computer's clock says."""
+def _clock_shifts(rows: Sequence[Row], simulated: bool) -> dict[int, float]:
+    """What to add to the controller's clock, by part: nothing where it went on over the pause, else what the computer's clock says. The
+    clock of a fake cell that goes on stands still in the pause.
+    """
     before = rows[0]
     shifts = {int(before["part"][0]): 0.0}
     for row in rows:
@@ -59,7 +61,7 @@ def _clock_shifts(rows: Sequence[Row]) -> dict[int, float]:
             robot = float(row["robot_time_s"][0] - before["robot_time_s"][0])
             host = float(row["time_s"][0] - before["time_s"][0])
             earlier = shifts[int(before["part"][0])]
-            shifts[part] = earlier + host - robot if robot < 0 or abs(host - robot) > RESTART_S else earlier
+            shifts[part] = earlier + host - robot if robot < 0 or not simulated and abs(host - robot) > RESTART_S else earlier
         before = row
     return shifts
 

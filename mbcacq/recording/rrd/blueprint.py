@@ -39,6 +39,7 @@ class Enlarged:
     lengths: bool = False  # whether lengths were verified
     responses: tuple[str, ...] = ()  # titles of the charts of the diagnosis
     compared: bool = True  # whether there is a state before the calibration
+    investigated: bool = False  # whether the cell chose its poses itself
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,11 @@ def blueprint(
     """The tabs; that of the calibration without its curves until there are some, that of the diagnosis only where there is one. live:
     follow what comes. balls: how many the cell has."""
     diagnosis = (_diagnosis,) if enlarged.diagnosis is not None else ()
+    investigation = (_investigation,) if enlarged.investigated else ()
     return rrb.Blueprint(
         rrb.Tabs(
             _cell(viewpoint, enlarged, balls),
-            *(build(viewpoint, enlarged) for build in (_motion, _spheres, _calibration, *diagnosis)),
+            *(build(viewpoint, enlarged) for build in (_motion, _spheres, *investigation, _calibration, *diagnosis)),
             active_tab=0,
             name="mbcacq",
         ),
@@ -112,6 +114,14 @@ def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
         ),
         row_shares=[23, 6],
         name="Motion",
+    )
+
+
+def _investigation(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
+    return rrb.Vertical(
+        _curves("Explanations: log10 of their odds against the first, before each visit", [f"{layout.ODDS}/**"], whole=True),
+        _curves("Effects that could hide: largest size not excluded, in usual ones", [f"{layout.COULD_HIDE}/**"], whole=True),
+        name="Investigation",
     )
 
 

@@ -46,6 +46,12 @@ BALL_POINTS, BALL_RMS, BALL_FORM, BALL_SIZE = (  # Scalars, one value a ball of 
     "spheres/radius_error_um",
 )
 
+INVESTIGATION_FILE = "investigation.json"  # decisions of a run whose poses were chosen one visit after the other
+
+# An investigation: once a visit, before it is measured.
+ODDS, COULD_HIDE = "investigation/odds", "investigation/could_hide"  # .../NAME: Scalars, log10 against the first set; usual sizes
+NEXT = "world/next"  # LineStrips3D from the scanner to what it will look at, of the poses to come
+
 # The scene.
 WORLD = "world"
 ROBOT = "world/robot"  # world/robot/linkI: Transform3D T_base_link

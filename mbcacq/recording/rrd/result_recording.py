@@ -66,7 +66,9 @@ def log_result(
         known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
         shown = known[observations.station[observations.pose]]
         verified = judgement is not None and len(judgement.error) > 0
-        scale = replace(_scales(observations, after, errors, shown), lengths=verified, compared=before is not None)
+        investigated = (run / layout.INVESTIGATION_FILE).exists()
+        panels = {"lengths": verified, "compared": before is not None, "investigated": investigated}
+        scale = replace(_scales(observations, after, errors, shown), **panels)
         stream.save(rerun_path(partial))
         send_default_blueprint(stream, for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
         _log_static(stream, scale)

@@ -19,7 +19,8 @@ from mbcacq.errors import Aborted, ConfigError, MbcacqError, RecordingError
 from mbcacq.model.cell import SIMULATED, Cell
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.rrd import layout, rows, scene
-from mbcacq.recording.rrd.blueprint import blueprint, for_cell
+from mbcacq.recording.rrd.blueprint import Enlarged, blueprint, for_cell
+from mbcacq.recording.rrd.choice_panel import WeighedPoses, log_choice
 from mbcacq.recording.rrd.cycles import CycleWriter
 from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.drawing import Drawing
@@ -40,11 +41,20 @@ class Recorder:
 
     folder: the run folder, which exists. part: 0 for a new run, else how many recordings the folder holds already (a resumed
     run goes into a file of its own with the same recording id). live: serve a viewer on 127.0.0.1 as well, see ``live_url``.
-    all_points: keep whole clouds, not only the points of the balls with a thinned rest.
+    all_points: keep whole clouds, not only the points of the balls with a thinned rest. weighed: of an investigation, what is known before.
     Raises RecordingError if the file cannot be made or the disk fills; what was written until then stays readable.
     """
 
-    def __init__(self, folder: Path | str, *, live: bool = False, part: int = 0, port: int = 9876, all_points: bool = True) -> None:
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        live: bool = False,
+        part: int = 0,
+        port: int = 9876,
+        all_points: bool = True,
+        weighed: WeighedPoses | None = None,
+    ) -> None:
         folder = Path(folder)
         self.path, self._part = folder / layout.part_name(part), part
         try:
@@ -65,7 +75,7 @@ class Recorder:
         self._sink = Sink(self.path, self.recording_id, live=live, port=port, blueprint=blueprint(live=live))
         self._rec = self._sink.stream
         self._cycles = CycleWriter(self._rec, live=live)
-        self._all_points = all_points
+        self._all_points, self._weighed = all_points, weighed
         self._held: events.ScanTaken | None = None  # a cloud whose balls are not known yet
         self._lock = threading.RLock()
         self._offset = 0.0  # of this part's clock to the run's
@@ -158,12 +168,15 @@ class Recorder:
         rec.log(layout.RUN, about, static=True)
         if event.simulated:
             self._say(event.time_s, SIMULATED, "WARN")
-        shown = for_cell(self._cell, event.plan_yaml, live=bool(self.live_url))
+        panels = Enlarged(investigated=self._weighed is not None)
+        shown = for_cell(self._cell, event.plan_yaml, panels, live=bool(self.live_url))
         send_default_blueprint(rec, shown)
         self._draw_from_urdf(event.urdf, self._cell, event.time_s)
         scene.log_static(rec, self._cell, event.plan_yaml, links=self._cycles.urdf is None)
         self._log_arm(self._cell, scene.home(event.plan_yaml, self._cell.robot.n))
         self._drawing.start(self._cell, event)
+        if self._weighed is not None:
+            log_choice(rec, self._weighed)
         self._sink.flush()
 
     def _say(self, time_s: float, text: str, level: str) -> None:

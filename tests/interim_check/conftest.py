@@ -1,0 +1,22 @@
+"""One calibrated cell serves all tests of checks."""
+
+from pathlib import Path
+
+import pytest
+
+import mbcacq
+from mbcacq.calibration.sealed_json import sealed_text
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.plan import expand, load
+
+PLAN = Path(__file__).parents[2] / "plans" / "kuka.yaml"
+
+
+@pytest.fixture(scope="session")
+def learnt(tmp_path_factory):
+    loaded = load(PLAN)
+    observations, _ = observe(loaded, expand(loaded), Scenario(0, "none", 3, (), 1, 1.0), [])
+    path = tmp_path_factory.mktemp("learnt") / "result.json"
+    path.write_text(sealed_text(mbcacq.calibrate(observations).to_dict() | {"simulated": True}))
+    return path
