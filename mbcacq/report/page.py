@@ -17,6 +17,7 @@ from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity, readable
 
 HERE = Path(__file__).parent
+PAGE_SCRIPT, SCENE_SCRIPT = HERE / "page.js", HERE / "scene.js"
 WHOLE_WIDTH, HALF_WIDTH, THIRD_WIDTH = 680.0, 330.0, 215.0  # px of CSS, on A4 with the margins of the page
 PAPER_HEIGHT, CORRELATION_HEIGHT = 0.8, 0.72  # over that on the screen
 WHOLE_WIDTH_FIGURES = ("pose", "joints", "states", "correlation", "evidence_map")
@@ -105,7 +106,8 @@ def _template(name: str, **values: Any) -> str:
         "curve_title": curve_title,
         "quantity": quantity,
     }
-    kept = {key: Markup((HERE / file).read_text(encoding="utf-8")) for key, file in (("css", "page.css"), ("js", "page.js"))}
+    scripts = "\n".join(path.read_text(encoding="utf-8") for path in (PAGE_SCRIPT, SCENE_SCRIPT))
+    kept = {"css": Markup((HERE / "page.css").read_text(encoding="utf-8")), "js": Markup(scripts)}
     return environment.get_template(name).render(plotly=Markup(get_plotlyjs()), **kept, **values)
 
 
