@@ -30,7 +30,7 @@ def render(content: Content, *, paper: bool = False) -> str:
     from mbcacq.report.charts.spacing_svg import spacing_picture
 
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
-    stages = "" if content.earlier is None or content.spacing is None else Markup(_stages(content.earlier, content.spacing))
+    stages = "" if content.earlier is None or content.spacing is None else Markup(stages_of(content.earlier, content.spacing))
     figures = report_figures(content) | ({} if content.diagnosis is None else diagnosis_figures(content.diagnosis))
     return _template(
         "page.html.j2",
@@ -48,8 +48,8 @@ def render(content: Content, *, paper: bool = False) -> str:
     )
 
 
-def _stages(geometry: Spacing, with_effects: Spacing) -> str:
-    """The bar before calibration, after geometry, and after effects."""
+def stages_of(geometry: Spacing, with_effects: Spacing) -> str:
+    """SVG of the bar before calibration, after geometry, and after effects."""
     from mbcacq.report.charts.stages_svg import stages_picture
 
     stages = {"before": with_effects.before, "after geometry": geometry.after, "after effects": with_effects.after}

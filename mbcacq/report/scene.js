@@ -4,8 +4,7 @@
 const turningView = (canvas, data) => {
   const context = canvas.getContext("2d"), poses = data.poses || [], boxes = data.boxes || [];
   const colour = (name, usual) => getComputedStyle(canvas).getPropertyValue(name).trim() || usual;
-  const near = boxes.flat().filter((p) => p.every((v) => Math.abs(v) < 4000));  // a floor may be as large as the world
-  const all = data.groups.flatMap((g) => g.points).concat(data.arm, near, poses.flatMap((pose) => pose.arm));
+  const all = data.groups.flatMap((g) => g.points).concat(data.arm, boxes.flat(), poses.flatMap((pose) => pose.arm));
   let shown = 0;
   const low = [0, 1, 2].map((k) => Math.min(0, ...all.map((p) => p[k])));
   const high = [0, 1, 2].map((k) => Math.max(0, ...all.map((p) => p[k])));
@@ -47,7 +46,7 @@ const turningView = (canvas, data) => {
       for (const k of [0, 4]) line([c[k], c[k + 1], c[k + 2], c[k + 3], c[k]], shade, thick);
       for (const k of [0, 1, 2, 3]) line([c[k], c[k + 4]], shade, thick);
     };
-    boxes.filter((c) => c.every((p) => near.includes(p))).forEach((c) => frame(c, colour("--scene-box", "#b08d57"), 1));
+    boxes.forEach((c) => frame(c, colour("--scene-box", "#b08d57"), 1));
     const arm = pose ? pose.arm : data.arm;
     if (arm.length) line(arm, colour("--scene-arm", "#b9bec4"), 14), line(arm, colour("--scene-bone", "#6b7178"), 3);
     if (pose) {

@@ -14,7 +14,8 @@ from werkzeug.exceptions import HTTPException
 from mbcacq.errors import MbcacqError
 from mbcacq.recording.run_folder.stop import stop_run
 from mbcacq.report.charts.spacing_svg import spacing_picture
-from mbcacq.report.page import SCENE_SCRIPT
+from mbcacq.report.content import Content
+from mbcacq.report.page import SCENE_SCRIPT, stages_of
 from mbcacq.serve.guard import REPORT, Guard
 from mbcacq.serve.live import log_of, progress_of
 from mbcacq.serve.overview import Overviews
@@ -48,8 +49,7 @@ class Pages:
 
     def run(self, key: str) -> str:
         row = self.row(_one(find_runs(self.root), key))
-        content = row.overview.content
-        picture = "" if content is None or content.spacing is None else Markup(spacing_picture(content.spacing))
+        picture = _picture(row.overview.content)
         return render_template(
             "run.html.j2", row=row, log=log_of(row.found.folder), picture=picture, token=self.guard.token, asked="asked" in request.args
         )
@@ -149,6 +149,15 @@ def _one(found: RunList, key: str, fleet: bool = False) -> Found:
     if one is None:
         abort(404, "There is no such run or fleet in the folder that is served; it may have been moved or removed.")
     return one
+
+
+def _picture(content: Content | None) -> str:
+    """The bar before and after calibration, and after effects where the run has them."""
+    if content is None or content.spacing is None:
+        return ""
+    if content.earlier is not None:
+        return Markup(stages_of(content.earlier, content.spacing))
+    return Markup(spacing_picture(content.spacing))
 
 
 def _is_plain_file(path: Path) -> bool:

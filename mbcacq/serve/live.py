@@ -18,7 +18,9 @@ LOG_LINES = 200
 class Progress:
     """state: 'running'; 'uncertain' (a process left its name, and this system cannot say whether it still runs); 'ended' (all poses were
     measured); 'stopped' (ended early, ``reason`` says why); 'broken off' (the journal just ends); 'none' (nothing was run here).
-    command, pid: of who runs it. done, total: poses. left_s: None where it is not known. what: in words, what it is at."""
+    command, pid: of who runs it. done, total: poses. left_s: None where it is not known. what: in words, what it is at. simulated: no
+    real arm moves.
+    """
 
     state: str
     command: str = ""
@@ -29,6 +31,7 @@ class Progress:
     left_s: float | None = None
     what: str = ""
     reason: str = ""
+    simulated: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -43,7 +46,7 @@ def progress_of(folder: Path) -> Progress:
     planned = call[0].get("n_poses") if call else None
     total = planned if isinstance(planned, int) else 0
     ends = [entry for entry in call if entry.get("event") == "run_stopped"]
-    counted = {"done": len(measured), "total": max(total, len(measured))}
+    counted = {"done": len(measured), "total": max(total, len(measured)), "simulated": bool(call and call[0].get("simulated"))}
     owner = lock_owner(folder)
     held = owner is not None and holds_lock(owner.pid, folder)
     if owner is not None and held is not False:

@@ -22,8 +22,7 @@ MOST_BYTES = 64 << 20  # of one of these files; a result has a few
 @dataclass(frozen=True)
 class Overview:
     """content: of the report, None where the run has no result. damaged: what is wrong with a file of it, or ''. best: the result that the
-    content is about, {} for none. started: date and time of the recording, as text. cause: level, headline and sentence of the diagnosis.
-    """
+    content is about, {} for none. started: date and time of the recording, as text. simulated: the result is of simulated data."""
 
     content: Content | None = None
     damaged: str = ""

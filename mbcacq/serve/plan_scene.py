@@ -19,6 +19,7 @@ from mbcacq.report.charts.style import PHASES
 
 MOST_BYTES = 4 << 20  # of a plan
 NOT_SEEN = "#8a929a"
+LARGEST_BOX = 2000.0  # mm; a floor or a wall would only frame the scene, and make the arm small
 
 
 class PlanScenes:
@@ -67,10 +68,11 @@ def plan_scene(loaded: LoadedPlan) -> dict[str, Any]:
     points = [xyz for station in centres.values() for xyz in station]
     phases = list(dict.fromkeys(pose.phase for pose in poses))
     home = cell.robot.chain.frames(np.radians([loaded.plan.robot.home_deg]))[0]
+    boxes = [(np.array(o.min_mm, float), np.array(o.max_mm, float)) for o in loaded.plan.obstacles]
     return {
         "groups": [{"name": "balls at all stations, as planned", "colour": NOT_SEEN, "points": _rounded(points)}],
         "arm": _rounded(home[:, :3, 3]),
-        "boxes": [_rounded(_corners(np.array(o.min_mm, float), np.array(o.max_mm, float))) for o in loaded.plan.obstacles],
+        "boxes": [_rounded(_corners(low, high)) for low, high in boxes if np.max(high - low) <= LARGEST_BOX],
         "poses": [_pose(loaded, pose, len(poses), field, centres, PHASES[phases.index(pose.phase) % len(PHASES)]) for pose in poses],
         "unreachable": len(lacking),
     }

@@ -45,7 +45,7 @@ def serve(root: Path, port: int = PORT, began: Callable[[str], None] = lambda ad
     """
     try:
         import flask  # noqa: F401  (asked for before a port is opened)
-        from waitress import create_server
+        from waitress.server import create_server
     except ImportError as error:
         raise ConfigError(f"{MISSING} ({error})") from None
     from mbcacq.serve.application import create_application

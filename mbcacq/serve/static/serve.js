@@ -1,7 +1,8 @@
 "use strict";
 // A run that goes on: its figures and log are read every second; when its state changes, the page is loaded again.
 (() => {
-  const live = document.getElementById("live");
+  const live = document.getElementById("live"), log = document.getElementById("log");
+  log.scrollTop = log.scrollHeight;
   if (!live) return;
   const set = (id, text) => { document.getElementById(id).textContent = text; };
   const inWords = (s) => (s < 100 ? `${Math.round(s)} s` : `${Math.round(s / 60)} min`);
@@ -9,7 +10,7 @@
     set("count", `${now.done} of ${now.total || "?"} poses`);
     set("left", now.left_s === null ? "" : `, about ${inWords(now.left_s)} left`);
     set("what", now.what);
-    const bar = document.getElementById("bar"), log = document.getElementById("log");
+    const bar = document.getElementById("bar");
     bar.max = now.total || 1;
     bar.value = now.done;
     const atEnd = log.scrollTop + log.clientHeight >= log.scrollHeight - 4;
@@ -31,8 +32,6 @@
     }
     setTimeout(next, 1000);
   };
-  const log = document.getElementById("log");
-  log.scrollTop = log.scrollHeight;
   setTimeout(next, 1000);
 })();
 
