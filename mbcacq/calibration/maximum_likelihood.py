@@ -9,15 +9,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.causes import misdescribed
+from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
-from mbcacq.calibration.rivals import plain_least_squares, rivalry
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.calibration.with_discrepancy import noise_beyond_sheet, with_discrepancy
+from mbcacq.calibration.with_effects import refitted
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
@@ -34,7 +36,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     options = options or CalibrationOptions()
     try:
         with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
-            return _with_copies_said(_calibrate(observations, options), observations)
+            return replace(_with_copies_said(_calibrate(observations, options), observations), fit=calibrate)
     except ContradictionError as error:
         cause = misdescribed(observations)
         raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
@@ -43,6 +45,13 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
             f"the measured centres contradict each other so much that no cell fits them ({error}); look for values "
             "that are not millimetres, and for poses or balls taken for others"
         ) from error
+
+
+def calibrate_with_effects(
+    observations: Observations, options: CalibrationOptions | None, model: EffectModel, *, hold: bool = False
+) -> Calibration:
+    """The cell with effects; see ``mbcacq.calibration.with_effects.refitted``."""
+    return refitted(observations, options, model, calibrate, hold=hold)
 
 
 def _with_copies_said(result: Calibration, observations: Observations) -> Calibration:
@@ -105,7 +114,7 @@ def _hand_eye_alone(result: Calibration, fitted: Adjustment) -> Calibration:
 
 
 def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
-    """With smooth errors of the joints where the evidence asks for them; a simpler one where that predicts better; and a warning where the
+    """With smooth errors of the joints where the evidence asks for them; a simpler one where it predicts better; and a warning where the
     joints' noise is beyond the data sheet."""
     refuse_unusable(_collected(obs, options, fitted))
     fault = fault_while_recording(fitted) if options.discrepancy else ""
@@ -136,21 +145,29 @@ def _with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adj
 def _unless_it_loses(
     obs: Observations, options: CalibrationOptions, result: Calibration, fitted: Adjustment
 ) -> tuple[Calibration, Adjustment]:
-    """The calibration, or the rival that predicts held-out poses better."""
+    """The calibration, or the competing method that predicts held-out poses better."""
     own, lenient = "the weighted adjustment", replace(options, refuse=False)
+
+    shared: dict[int, Adjustment] = {}
+
+    def linked(some: Observations) -> Adjustment:
+        if id(some) not in shared:  # three of the methods begin with it
+            shared[id(some)] = with_random_links(adjust_recording(some, lenient), lenient)
+        return shared[id(some)]
+
     fits: dict[str, Callable[[Observations], tuple[Calibration, Adjustment]]] = {
-        own: lambda some: _with_discrepancy(some, lenient, with_random_links(adjust_recording(some, lenient), lenient)),
-        "geometry alone": lambda some: _by(some, lenient, with_random_links(adjust_recording(some, lenient), lenient)),
-        "plain least squares": lambda some: _by(some, lenient, plain_least_squares(adjust_recording(some, lenient))),
+        own: lambda some: _with_discrepancy(some, lenient, linked(some)),
+        "the adjustment without smooth errors": lambda some: _by(some, lenient, linked(some)),
+        "plain least squares": lambda some: _by(some, lenient, plain_least_squares(linked(some))),
         "the nominal arm": lambda some: _of_nominal_arm(some, lenient),
     }
-    found = rivalry(obs, own, {name: lambda some, fit=fit: fit(some)[0] for name, fit in fits.items()})
+    found = compared_on_held_out(obs, own, {name: lambda some, fit=fit: fit(some)[0] for name, fit in fits.items()})
     if found is None:
         return result, fitted
     if found.chosen != own:
         result, fitted = fits[found.chosen](obs)
         result = _warned(replace(result, options=replace(result.options, refuse=options.refuse)), found.sentence(own))
-    return replace(result, extra={**result.extra, "rivals": found.to_dict()}), fitted
+    return replace(result, extra={**result.extra, "competing_methods": found.to_dict()}), fitted
 
 
 def _by(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> tuple[Calibration, Adjustment]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.maximum_likelihood import refuse_unusable
+from mbcacq.calibration.maximum_likelihood import calibrate, refuse_unusable
 from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_of_other_arm
@@ -181,7 +181,7 @@ def _as_held(layout: ParameterLayout, whole: Calibration) -> ParameterLayout:
 
 def shares(whole: Calibration, parts: Sequence[Adjustment], options: CalibrationOptions) -> tuple[Calibration, ...]:
     """The share of each recording in a calibration of all. parts: each recording by itself, as it was fitted alone."""
-    return tuple(_share(whole, parts, r, options) for r in range(len(parts)))
+    return tuple(replace(_share(whole, parts, r, options), fit=calibrate) for r in range(len(parts)))
 
 
 def _share(whole: Calibration, parts: Sequence[Adjustment], r: int, options: CalibrationOptions) -> Calibration:

@@ -7,7 +7,7 @@ import pytest
 from cells import scanner_cell
 
 from mbcacq.calibration import CalibrationOptions, calibrate, maximum_likelihood
-from mbcacq.calibration.rivals import Rivalry, plain_least_squares, rivalry
+from mbcacq.calibration.competing_methods import HeldOutComparison, compared_on_held_out, plain_least_squares
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.adjustment import adjust
@@ -31,7 +31,7 @@ def moved(state, mm):
 
 def test_the_truth_beats_a_cell_that_is_off(shaky):
     fits = {"own": lambda some: moved(shaky.truth, 3.0), "truth": lambda some: shaky.truth}
-    found = rivalry(shaky.observations, "own", fits)
+    found = compared_on_held_out(shaky.observations, "own", fits)
     assert found.chosen == "truth"
     assert found.pooled("own") > found.pooled("truth")
     assert "better in 5 of 5 blocks" in found.sentence("own")
@@ -39,7 +39,7 @@ def test_the_truth_beats_a_cell_that_is_off(shaky):
 
 def test_what_blocks_do_not_tell_apart_stays_as_it_is(shaky):
     fits = {"own": lambda some: moved(shaky.truth, 0.001), "truth": lambda some: shaky.truth}
-    assert rivalry(shaky.observations, "own", fits).chosen == "own"
+    assert compared_on_held_out(shaky.observations, "own", fits).chosen == "own"
 
 
 def test_the_poses_of_a_block_take_no_part_in_what_predicts_it(shaky):
@@ -49,32 +49,32 @@ def test_the_poses_of_a_block_take_no_part_in_what_predicts_it(shaky):
         seen.append(some)
         return shaky.truth
 
-    rivalry(shaky.observations, "own", {"own": fit})
+    compared_on_held_out(shaky.observations, "own", {"own": fit})
     left_out = [set(shaky.observations.pose_id) - set(some.pose_id) for some in seen]
     assert set().union(*left_out) == set(shaky.observations.pose_id)
     assert sum(map(len, left_out)) == shaky.observations.n_poses
     assert len(left_out) == 5
 
 
-def test_a_rival_that_the_rest_does_not_determine_is_left_out(shaky):
+def test_a_method_that_the_rest_does_not_determine_is_left_out(shaky):
     def refused(some):
         raise CalibrationError("nothing is determined")
 
-    found = rivalry(shaky.observations, "own", {"own": lambda some: shaky.truth, "other": refused})
+    found = compared_on_held_out(shaky.observations, "own", {"own": lambda some: shaky.truth, "other": refused})
     assert list(found.rms_mm) == ["own"]
-    assert rivalry(shaky.observations, "own", {"own": refused, "other": lambda some: shaky.truth}) is None
+    assert compared_on_held_out(shaky.observations, "own", {"own": refused, "other": lambda some: shaky.truth}) is None
 
 
 def test_two_places_that_nothing_else_knows_are_too_few_blocks():
     obs = scanner_cell(np.random.default_rng(1), stations=2, per_station=1).observations
-    assert rivalry(obs, "own", {"own": lambda some: None}) is None
+    assert compared_on_held_out(obs, "own", {"own": lambda some: None}) is None
 
 
 def test_an_accident_that_nobody_predicts_judges_nobody(shaky):
     xyz = shaky.observations.xyz.copy()
     xyz[5] += 400.0
     obs = replace(shaky.observations, xyz=xyz)
-    found = rivalry(obs, "own", {"own": lambda some: moved(shaky.truth, 3.0), "truth": lambda some: shaky.truth})
+    found = compared_on_held_out(obs, "own", {"own": lambda some: moved(shaky.truth, 3.0), "truth": lambda some: shaky.truth})
     assert found.chosen == "truth"
 
 
@@ -96,14 +96,14 @@ def test_plain_least_squares_is_where_the_sum_of_squares_is_least(shaky):
         assert abs(there[1] - there[0]) < 0.02 * (there[0] + there[1] - 2 * least)  # the vertex is within 1 % of the step
 
 
-@pytest.mark.parametrize("chosen", ["plain least squares", "the nominal arm", "geometry alone"])
-def test_the_better_rival_is_what_is_published_and_said(shaky, monkeypatch, chosen):
+@pytest.mark.parametrize("chosen", ["plain least squares", "the nominal arm", "the adjustment without smooth errors"])
+def test_the_better_method_is_what_is_published_and_said(shaky, monkeypatch, chosen):
     names = ("the weighted adjustment", chosen)
-    decided = Rivalry({name: np.full(5, rms) for name, rms in zip(names, (2.0, 1.0), strict=True)}, chosen)
-    monkeypatch.setattr(maximum_likelihood, "rivalry", lambda *given: decided)
+    decided = HeldOutComparison({name: np.full(5, rms) for name, rms in zip(names, (2.0, 1.0), strict=True)}, chosen)
+    monkeypatch.setattr(maximum_likelihood, "compared_on_held_out", lambda *given: decided)
     found = calibrate(shaky.observations, CalibrationOptions(refuse=False))
     assert f"{chosen} predicts held-out poses better (1.000 mm rms against 2.000 mm" in found.extra["warnings"][0]
-    assert found.extra["rivals"]["chosen"] == chosen
+    assert found.extra["competing_methods"]["chosen"] == chosen
     nominal = np.array_equal(found.state.chain.rows, shaky.observations.cell.robot.chain.rows)
     assert nominal == (chosen == "the nominal arm")
     assert found.options.kinematics != nominal
@@ -111,4 +111,4 @@ def test_the_better_rival_is_what_is_published_and_said(shaky, monkeypatch, chos
 
 def test_an_arm_as_its_data_sheet_has_it_is_compared_with_nothing():
     obs = scanner_cell(np.random.default_rng(4), stations=6, per_station=6).observations
-    assert "rivals" not in calibrate(obs).extra
+    assert "competing_methods" not in calibrate(obs).extra

@@ -26,12 +26,12 @@ BLOCKS = 5
 LEAST_BLOCKS = 3  # fewer say nothing of their scatter
 POSES = 250  # that compete of a longer recording: a block of 50 poses tells 10 % of an rms
 POSES_OF_A_STATION = 3  # fewer say little more than where the station is
-GROSS = 10.0  # medians of the best rival, beyond which a centre is an accident that judges nobody
-BEYOND = 2.0  # standard errors by which a rival must predict better: blocks lie near the poses that are fitted, and favour what fits there
+GROSS = 10.0  # medians of the best method, beyond which a centre is an accident that judges nobody
+BEYOND = 2.0  # standard errors by which a method must predict better: blocks lie near fitted poses, and favour what fits there
 
 
 @dataclass(frozen=True)
-class Rivalry:
+class HeldOutComparison:
     """What calibrations of one recording predict of its held-out blocks.
 
     Attributes
@@ -63,7 +63,7 @@ class Rivalry:
         )
 
 
-def rivalry(obs: Observations, own: str, fits: Mapping[str, Callable[[Observations], Calibrated]]) -> Rivalry | None:
+def compared_on_held_out(obs: Observations, own: str, fits: Mapping[str, Callable[[Observations], Calibrated]]) -> HeldOutComparison | None:
     """Calibrations compared on blocks of poses that take no part in them.
 
     Parameters
@@ -77,26 +77,30 @@ def rivalry(obs: Observations, own: str, fits: Mapping[str, Callable[[Observatio
 
     Returns
     -------
-    Rivalry or None
+    HeldOutComparison or None
         None where the recording has too few blocks that can be predicted, or where ``own`` cannot be made without one.
     """
     obs = thin(obs, POSES) if obs.n_poses > POSES else obs
     masks, by_station = _blocks(obs)
     if len(masks) < LEAST_BLOCKS:
         return None
-    distances: dict[str, list[np.ndarray]] = {}
-    for name, fit in fits.items():
-        try:
-            distances[name] = [_distances(obs.select(mask), fit(obs.select(~mask)), by_station) for mask in masks]
-        except (CalibrationError, np.linalg.LinAlgError):
-            if name == own:
-                return None
+    distances: dict[str, list[np.ndarray]] = {name: [] for name in fits}
+    parts = [(obs.select(~mask), obs.select(mask)) for mask in masks]
+    for rest, held in parts:
+        for name in list(distances):
+            try:
+                distances[name].append(_distances(held, fits[name](rest), by_station))
+            except (CalibrationError, np.linalg.LinAlgError):
+                if name == own:
+                    return None
+                del distances[name]
     rms = _rms_without_gross(distances)
-    return Rivalry(rms, _chosen(rms, own))
+    return HeldOutComparison(rms, _chosen(rms, own))
 
 
 def plain_least_squares(alone: Adjustment) -> Adjustment:
-    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected.
+    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected. Where the links have sizes, those
+    stay as they are: without them the error where nothing was measured has no bound.
 
     Parameters
     ----------
