@@ -225,7 +225,7 @@ def test_a_folder_that_is_missing_and_libraries_that_are(runs, monkeypatch):
     outcome = CliRunner().invoke(app, ["serve", str(runs / "nowhere"), "--port", "0"])
     assert outcome.exit_code == 2
     assert "cannot be read as a folder of runs" in outcome.output
-    monkeypatch.setitem(sys.modules, "waitress", None)
+    monkeypatch.setitem(sys.modules, "waitress.server", None)
     outcome = CliRunner().invoke(app, ["serve", str(runs)])
     assert outcome.exit_code == 2
     assert "pip install 'mbcacq[serve]'" in outcome.output
