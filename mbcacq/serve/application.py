@@ -20,7 +20,7 @@ from mbcacq.serve.guard import REPORT, Guard
 from mbcacq.serve.live import log_of, progress_of
 from mbcacq.serve.overview import Overviews
 from mbcacq.serve.plan_scene import PlanScenes
-from mbcacq.serve.run_list import FLEET_PAGE, Found, RunList, find_runs
+from mbcacq.serve.run_list import FLEET_PAGE, ListedFolder, RunList, find_runs
 from mbcacq.serve.run_row import RunRow
 from mbcacq.serve.side_by_side import MOST_RUNS, changes, figures_of
 
@@ -94,7 +94,7 @@ class Pages:
             abort(404, "There is no such file.")
         return send_file(_plain_file(folder / name), as_attachment=True, download_name=name)
 
-    def row(self, found: Found) -> RunRow:
+    def row(self, found: ListedFolder) -> RunRow:
         files = tuple(name for name in (REPORT_PAGE, *DOWNLOADS) if _is_plain_file(found.folder / name))
         return RunRow(found, self.overviews.of(found.folder), progress_of(found.folder), files)
 
@@ -144,7 +144,7 @@ def minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
-def _one(found: RunList, key: str, fleet: bool = False) -> Found:
+def _one(found: RunList, key: str, fleet: bool = False) -> ListedFolder:
     one = (found.fleets if fleet else found.runs).get(key)
     if one is None:
         abort(404, "There is no such run or fleet in the folder that is served; it may have been moved or removed.")

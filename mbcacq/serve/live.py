@@ -15,7 +15,7 @@ LOG_LINES = 200
 
 
 @dataclass(frozen=True)
-class Progress:
+class LiveProgress:
     """state: 'running'; 'uncertain' (a process left its name, and this system cannot say whether it still runs); 'ended' (all poses were
     measured); 'stopped' (ended early, ``reason`` says why); 'broken off' (the journal just ends); 'none' (nothing was run here).
     command, pid: of who runs it. done, total: poses. left_s: None where it is not known. what: in words, what it is at. simulated: no
@@ -37,7 +37,7 @@ class Progress:
         return asdict(self)
 
 
-def progress_of(folder: Path) -> Progress:
+def progress_of(folder: Path) -> LiveProgress:
     """How far the run of a folder is."""
     entries = read_last_lines(folder / layout.JOURNAL_FILE, JOURNAL_BYTES)
     starts = [k for k, entry in enumerate(entries) if entry.get("event") == "run_started"]
@@ -52,11 +52,11 @@ def progress_of(folder: Path) -> Progress:
     if owner is not None and held is not False:
         state = "uncertain" if held is None else "running"
         at = {"left_s": None if ends else _left_s(call, total - len(measured)), "what": _what(owner.command, call, bool(ends))}
-        return Progress(state, owner.command, owner.pid, bool(held), **counted, **at)
+        return LiveProgress(state, owner.command, owner.pid, bool(held), **counted, **at)
     if not ends:
-        return Progress("broken off" if call else "none", **counted)
+        return LiveProgress("broken off" if call else "none", **counted)
     status, reason = str(ends[-1].get("exit_status", "")), str(ends[-1].get("reason", ""))
-    return Progress("ended" if status == "success" else "stopped", **counted, reason=reason)
+    return LiveProgress("ended" if status == "success" else "stopped", **counted, reason=reason)
 
 
 def log_of(folder: Path) -> list[tuple[str, str, str]]:

@@ -19,7 +19,7 @@ RUN_FILES = (layout.JOURNAL_FILE, "result.json", "diagnosis.json", PLAN)
 
 
 @dataclass(frozen=True)
-class Found:
+class ListedFolder:
     """key: stands for the folder in addresses; name: of the folder, below the one that is served, as text that can be shown."""
 
     key: str
@@ -31,8 +31,8 @@ class Found:
 class RunList:
     """runs, fleets: by key, in the order of their names, the last first. left_out: there are more folders than were looked into."""
 
-    runs: dict[str, Found] = field(default_factory=dict)
-    fleets: dict[str, Found] = field(default_factory=dict)
+    runs: dict[str, ListedFolder] = field(default_factory=dict)
+    fleets: dict[str, ListedFolder] = field(default_factory=dict)
     left_out: bool = False
 
 
@@ -73,8 +73,8 @@ def _folders(folder: Path, depth: int) -> Iterator[tuple[Path, set[str]]]:
             yield from _folders(Path(path), depth - 1)
 
 
-def _found(root: Path, folder: Path) -> Found:
+def _found(root: Path, folder: Path) -> ListedFolder:
     below = os.path.relpath(folder, root)
     name = folder.absolute().name if below == os.curdir else below
     raw = os.fsencode(name)
-    return Found(hashlib.sha256(raw).hexdigest()[:16], raw.decode("utf-8", "replace"), folder)
+    return ListedFolder(hashlib.sha256(raw).hexdigest()[:16], raw.decode("utf-8", "replace"), folder)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mbcacq.serve.live import Progress
+from mbcacq.serve.live import LiveProgress
 from mbcacq.serve.overview import Overview
-from mbcacq.serve.run_list import Found
+from mbcacq.serve.run_list import ListedFolder
 
 
 @dataclass(frozen=True)
 class RunRow:
     """files: names of those that its page links to."""
 
-    found: Found
+    found: ListedFolder
     overview: Overview
-    progress: Progress
+    progress: LiveProgress
     files: tuple[str, ...] = ()
