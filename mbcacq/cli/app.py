@@ -37,6 +37,7 @@ COMMANDS = {
     "challenge": "inject effects into the fake cell, diagnose without knowing them, score",
     "report": "write the report of a run: one HTML page",
     "view": "open a recording in the rerun viewer",
+    "serve": "show runs, reports and a run that goes on in a browser, on this computer only",
     "export": "write results or observations in the formats of other programs",
     "apply": "bring a scan taken at a pose into the base frame",
     "recover": "make a torn recording readable",

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbcacq.report.sources.run_folder import read_run_identity, read_run_info
+from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identity, read_run_info
 
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
@@ -17,6 +17,7 @@ __all__ = [
     "content_of",
     "judged",
     "pdf_from_result",
+    "read_kept_findings",
     "read_run_identity",
     "read_run_info",
     "report_from_result",

@@ -17,6 +17,7 @@ from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity, readable
 
 HERE = Path(__file__).parent
+PAGE_SCRIPT, SCENE_SCRIPT = HERE / "page.js", HERE / "scene.js"
 WHOLE_WIDTH, HALF_WIDTH, THIRD_WIDTH = 680.0, 330.0, 215.0  # px of CSS, on A4 with the margins of the page
 PAPER_HEIGHT, CORRELATION_HEIGHT = 0.8, 0.72  # over that on the screen
 WHOLE_WIDTH_FIGURES = ("pose", "joints", "states", "correlation", "evidence_map")
@@ -29,7 +30,7 @@ def render(content: Content, *, paper: bool = False) -> str:
     from mbcacq.report.charts.spacing_svg import spacing_picture
 
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
-    stages = "" if content.earlier is None or content.spacing is None else Markup(_stages(content.earlier, content.spacing))
+    stages = "" if content.earlier is None or content.spacing is None else Markup(stages_of(content.earlier, content.spacing))
     figures = report_figures(content) | ({} if content.diagnosis is None else diagnosis_figures(content.diagnosis))
     return _template(
         "page.html.j2",
@@ -47,8 +48,8 @@ def render(content: Content, *, paper: bool = False) -> str:
     )
 
 
-def _stages(geometry: Spacing, with_effects: Spacing) -> str:
-    """The bar before calibration, after geometry, and after effects."""
+def stages_of(geometry: Spacing, with_effects: Spacing) -> str:
+    """SVG of the bar before calibration, after geometry, and after effects."""
     from mbcacq.report.charts.stages_svg import stages_picture
 
     stages = {"before": with_effects.before, "after geometry": geometry.after, "after effects": with_effects.after}
@@ -105,7 +106,8 @@ def _template(name: str, **values: Any) -> str:
         "curve_title": curve_title,
         "quantity": quantity,
     }
-    kept = {key: Markup((HERE / file).read_text(encoding="utf-8")) for key, file in (("css", "page.css"), ("js", "page.js"))}
+    scripts = "\n".join(path.read_text(encoding="utf-8") for path in (PAGE_SCRIPT, SCENE_SCRIPT))
+    kept = {"css": Markup((HERE / "page.css").read_text(encoding="utf-8")), "js": Markup(scripts)}
     return environment.get_template(name).render(plotly=Markup(get_plotlyjs()), **kept, **values)
 
 

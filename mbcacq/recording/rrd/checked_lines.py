@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import zlib
 from dataclasses import dataclass
@@ -30,8 +31,24 @@ def checked_line(entry: dict[str, Any]) -> bytes:
 
 def read_lines(path: Path) -> Lines:
     """The lines of a file. Lines without a checksum, of an earlier version, count before the first that has one. Raises OSError."""
+    return _lines(path.read_bytes())
+
+
+def read_last_lines(path: Path, most_bytes: int) -> list[dict[str, Any]]:
+    """The intact ones of the last whole lines of a file that grows, at most so many bytes of it; none where there is no such file."""
+    try:
+        with path.open("rb") as file:
+            begin = max(0, file.seek(0, os.SEEK_END) - most_bytes)
+            file.seek(begin)
+            data = file.read(most_bytes)
+    except OSError:
+        return []
+    return _lines(data.partition(b"\n")[2] if begin else data).entries
+
+
+def _lines(data: bytes) -> Lines:
     entries, damaged, checked = [], [], False
-    for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
+    for number, line in enumerate(data.split(b"\n"), 1):
         entry = _entry(line)
         if entry is None:
             damaged += [number] if line.strip() else []

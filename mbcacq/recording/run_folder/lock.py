@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -14,6 +15,7 @@ from filelock import FileLock, Timeout
 from mbcacq.errors import RecordingError
 
 LOCK_FILE, OWNER_FILE = ".run.lock", ".run.lock.json"
+MOST_BYTES = 4096  # of the name of an owner
 READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
@@ -45,8 +47,54 @@ def write_lock(folder: Path | str, command: str) -> Iterator[None]:
 
 
 def _owner(folder: Path) -> str:
+    owner = lock_owner(folder)
+    return "another process" if owner is None else f"process {owner.pid} (mbcacq {owner.command})"
+
+
+@dataclass(frozen=True)
+class LockOwner:
+    """Process that wrote its name beside the lock of a folder, and its command: 'run', 'run --resume', 'report'. A killed process leaves
+    its name behind: whether it still holds the lock, ``holds_lock`` says."""
+
+    pid: int
+    command: str
+
+
+def lock_owner(folder: Path | str) -> LockOwner | None:
+    """Whose name stands beside the lock of a folder; None where nobody's does."""
     try:
-        owner = json.loads((folder / OWNER_FILE).read_text(encoding="utf-8"))
-        return f"process {int(owner['pid'])} (mbcacq {owner['command']})"
-    except (OSError, ValueError, KeyError, TypeError):
-        return "another process"
+        with (Path(folder) / OWNER_FILE).open("rb") as file:
+            owner = json.loads(file.read(MOST_BYTES))
+        found = LockOwner(int(owner["pid"]), str(owner["command"]))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError):
+        return None
+    return found if 0 < found.pid < 1 << 31 else None
+
+
+def holds_lock(pid: int, folder: Path | str) -> bool | None:
+    """Whether a process holds the lock of a folder, by what the Linux kernel says of its open files; the lock itself is not touched.
+
+    None where that cannot be known: on another system, or of another user's process.
+    """
+    process = Path("/proc") / str(pid)
+    if not Path("/proc/self/fdinfo").is_dir():
+        return None
+    try:
+        lock = (Path(folder) / LOCK_FILE).stat()
+        numbers = [entry.name for entry in (process / "fd").iterdir()]
+    except PermissionError:
+        return None
+    except OSError:
+        return False
+    return any(_is_locked(process, number, lock) for number in numbers)
+
+
+def _is_locked(process: Path, number: str, lock: os.stat_result) -> bool:
+    """Whether an open file of a process is the lock file, and locked by it."""
+    try:
+        if not os.path.samestat((process / "fd" / number).stat(), lock):
+            return False
+        lines = (process / "fdinfo" / number).read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:  # closed meanwhile
+        return False
+    return any(line.startswith("lock:") and "WRITE" in line for line in lines)

@@ -55,13 +55,24 @@ def read_run_info(folder: str | Path) -> dict[str, Any]:
     info["identity"] = identities(folder)
     if (devices := devices_of(folder)) is not None:
         info["devices"] = devices
-    diagnosis = _kept(folder / "diagnosis.json", "mbcacq diagnose", DIAGNOSIS_FORMAT)
-    if diagnosis is not None:
-        info |= {"diagnosis": diagnosis, "pictures": _kept(folder / "diagnosis-pictures.json", "mbcacq diagnose", PICTURES_FORMAT)}
+    info |= read_kept_findings(folder)
+    if "diagnosis" in info:
+        info["pictures"] = _kept(folder / "diagnosis-pictures.json", "mbcacq diagnose", PICTURES_FORMAT)
+    return info
+
+
+def read_kept_findings(folder: Path) -> dict[str, Any]:
+    """'diagnosis' and 'with_effects' (the result of the cell with its effects), where the folder of a run keeps them.
+
+    Raises RecordingError where one cannot be read, ConfigError where it is damaged or a newer version wrote it.
+    """
+    found = {}
+    if (diagnosis := _kept(folder / "diagnosis.json", "mbcacq diagnose", DIAGNOSIS_FORMAT)) is not None:
+        found["diagnosis"] = diagnosis
     better = folder / WITH_EFFECTS / "result.json"
     if (result := _kept(better, "mbcacq diagnose --calibrate", RESULT_FORMAT)) is not None:
-        info["with_effects"] = unsealed(result, better)
-    return info
+        found["with_effects"] = unsealed(result, better)
+    return found
 
 
 def identities(folder: Path) -> dict[str, str]:

@@ -1,0 +1,79 @@
+"""What a list and a page say of a run: the words and figures of page one of its report, or what is wrong with its files."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbcacq.errors import MbcacqError
+from mbcacq.exports.result_json import load_result
+from mbcacq.report import content_of, read_kept_findings, read_run_identity
+
+if TYPE_CHECKING:
+    from mbcacq.report.content import Content
+
+FILES = ("result.json", "diagnosis.json", "with-effects/result.json", "journal.jsonl")
+MOST_BYTES = 64 << 20  # of one of these files; a result has a few
+
+
+@dataclass(frozen=True)
+class Overview:
+    """content: of the report, None where the run has no result. damaged: what is wrong with a file of it, or ''. best: the result that the
+    content is about, {} for none. started: date and time of the recording, as text. simulated: the result is of simulated data."""
+
+    content: Content | None = None
+    damaged: str = ""
+    best: Mapping[str, Any] = field(default_factory=dict)
+    started: str = ""
+    simulated: bool = False
+
+
+class Overviews:
+    """The overview of each run, read again where one of its files has changed. For several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: dict[Path, tuple[object, Overview]] = {}
+
+    def of(self, folder: Path) -> Overview:
+        stamp = tuple(_stamp(folder / name) for name in FILES)
+        with self._lock:
+            kept = self._kept.get(folder)
+        if kept is not None and kept[0] == stamp:
+            return kept[1]
+        read = read_overview(folder)
+        with self._lock:
+            self._kept[folder] = (stamp, read)
+        return read
+
+
+def read_overview(folder: Path) -> Overview:
+    """The overview of a run. Damaged files are said, not raised; nothing is written."""
+    identity = read_run_identity(folder)
+    started = str(identity.get("started", ""))[:16].replace("T", " ")
+    content: Content | None = None
+    best: Mapping[str, Any] = {}
+    try:
+        for name in FILES:
+            if (folder / name).is_file() and (folder / name).stat().st_size > MOST_BYTES:
+                return Overview(damaged=f"{name} is larger than {MOST_BYTES >> 20} MB, as none of its kind is", started=started)
+        if (folder / "result.json").exists():
+            geometry = load_result(folder / "result.json")
+            found = read_kept_findings(folder)
+            content = content_of(geometry, None, {**identity, **found, "folder": str(folder), "name": folder.name})
+            best = found.get("with_effects", geometry)
+    except (MbcacqError, OSError, LookupError, TypeError, ValueError, RecursionError) as error:
+        said = str(error) if isinstance(error, MbcacqError) else "a file of it is damaged; write it anew with mbcacq report"
+        return Overview(damaged=said, started=started)
+    return Overview(content, "", best, started, bool(best.get("simulated")))
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size

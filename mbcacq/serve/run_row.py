@@ -1,0 +1,19 @@
+"""A run as a list and a page have it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbcacq.serve.live import LiveProgress
+from mbcacq.serve.overview import Overview
+from mbcacq.serve.run_list import ListedFolder
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """files: names of those that its page links to."""
+
+    found: ListedFolder
+    overview: Overview
+    progress: LiveProgress
+    files: tuple[str, ...] = ()
