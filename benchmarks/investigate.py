@@ -2,6 +2,7 @@
 
     python benchmarks/investigate.py cells --count 20        # cells with an effect of the catalogue, and one of four with nothing
     python benchmarks/investigate.py looks --count 20        # clean cells, a look after every eight poses: largest e-value of each
+    python benchmarks/investigate.py kills --count 20        # kill -9 after a random pose, then resumed: is all as undisturbed?
 
 Nothing that is measured once is measured anew: a block adds its poses to those of the blocks before.
 """
@@ -10,11 +11,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
+import subprocess
+import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "adaptive"))
+import simulated_cell
+
+import mbcacq
 from mbcacq.challenge.run import with_observable_locations
 from mbcacq.challenge.scenarios import NONE, Scenario, catalogued, draw
 from mbcacq.challenge.simulated_cells import observe
@@ -92,13 +101,40 @@ def looks(loaded: LoadedPlan, scenario: Scenario) -> float:
     return float(largest)
 
 
+def resumed_after_kill(plan: Path, folder: Path, poses: int, whole: tuple[list[Decision], Observations]) -> dict:
+    """Whether an investigation that was killed after so many poses, and resumed, decided and measured what the undisturbed one did."""
+    killed = subprocess.run([sys.executable, simulated_cell.__file__, str(plan), str(folder), str(poses)], capture_output=True, check=False)
+    resumed = list(mbcacq.investigate(None, resume=folder, dry_run=True))
+    again, (decided, obs) = mbcacq.load_observations(folder), whole
+    same = [np.array_equal(getattr(again, name), getattr(obs, name)) for name in ("pose_id", "ball", "xyz", "time_s", "direction")]
+    return {
+        "killed_after": poses,
+        "killed": killed.returncode == -signal.SIGKILL,
+        "decisions": [(d.verdict, d.sets, d.steps, d.end) for d in resumed] == [(d.verdict, d.sets, d.steps, d.end) for d in decided],
+        "observations": all(same),
+    }
+
+
+def kills(count: int, seed: int) -> None:
+    """Random moments, at the poses of the first block and of the visit."""
+    with tempfile.TemporaryDirectory() as made:
+        plan = simulated_cell.simulated_plan(Path(made), "concealed.yaml")
+        decided = list(mbcacq.investigate(plan, simulated_cell.BUDGET, out=Path(made) / "whole", dry_run=True))
+        whole = decided, mbcacq.load_observations(Path(made) / "whole")
+        for k, poses in enumerate(np.random.default_rng(seed).integers(1, whole[1].n_poses + 1, count).tolist()):
+            print(json.dumps(resumed_after_kill(plan, Path(made) / f"killed{k}", poses, whole)), flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["cells", "looks"])
+    parser.add_argument("what", choices=["cells", "looks", "kills"])
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=42)
     given = parser.parse_args()
     loaded = load(PLAN)
+    if given.what == "kills":
+        kills(given.count, given.seed)
+        return
     if given.what == "looks":
         for scenario in draw(given.seed, given.count, [NONE]):
             print(json.dumps({"seed": scenario.seed, "largest_log_e_value": looks(loaded, scenario)}), flush=True)

@@ -66,7 +66,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
     # That nothing was found says little where little could have been.
     too_little = says_too_little(limited, setup.linear.obs.n_poses) if fit.verdict == "none" else None
     verdict = fit.verdict if too_little is None else "cannot_tell"
-    advice = separating(setup.context, there, fit.pairs) if too_little is None else revealing(there, limited)
+    advice = separating(setup.context, fit.pairs) if too_little is None else revealing(setup.context, limited)
     reported = with_significance(fit.effects, setup, full)
     evidence = summarized(setup, full.evidence)
     effects, mismatch = with_classes(reported, fit.mismatch, classes(full.geometry_only.linear.obs, fit.not_separable))

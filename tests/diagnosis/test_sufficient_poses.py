@@ -55,3 +55,5 @@ def test_twelve_poses_cannot_tell_and_say_how_many_could(few):
     assert int(enough) > 12
     (advice,) = found.advice
     assert "could not have been seen" in advice.reason
+    measured = np.degrees(few.q)  # nothing else is known to be within reach
+    assert all(np.abs(measured - np.array(q)).max(axis=1).min() < 1e-3 for q in advice.poses_deg)

@@ -18,6 +18,7 @@ from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import reachable_views
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
+from mbcacq.effects import catalogue
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
@@ -159,12 +160,17 @@ def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budg
     if left < OPTIONS.fewest or (budget.minutes is not None and seconds > 60 * budget.minutes):
         return replace(made, end=f"the budget is spent; {_open(look, made)}")
     chosen = choose_next(look, grown, visits=1, poses=left, moves=moves_left, views=views)
-    beyond = sum(share for label, share in hiding.items() if label not in chosen.shown)
+    beyond = sum(share for label, share in hiding.items() if label not in chosen.shown and not _acts_in_time(label))
     if known and made.excluded + beyond >= OPTIONS.excluded:
         return replace(made, end=f"{_known(look, made)}, and no view that can be taken shows most of them")
     if not chosen.visits:
         return replace(made, reasons=tuple(chosen.reasons), end=_futile(chosen, look, made))
     return replace(made, reasons=tuple(chosen.reasons), steps=steps_of(grown, chosen.visits, _visits(grown) + 1))
+
+
+def _acts_in_time(label: str) -> bool:
+    """Whether an effect, as ``name:where``, shows by waiting: views are compared as if all were taken at one moment."""
+    return catalogue.declaration(label.partition(":")[0]).acts_in_time
 
 
 def sure(look: InterimEvidence) -> bool:
@@ -201,7 +207,7 @@ def _sets(look: InterimEvidence) -> tuple[tuple[str, float], ...]:
 
 def _known(look: InterimEvidence, made: Decision) -> str:
     if look.verdict == "none":
-        return f"nothing is concealed; {made.excluded:.0%} of the effects of the catalogue are excluded"
+        return f"no effect: {made.excluded:.0%} of the effects of the catalogue are excluded{_named(made, ', not')}"
     found, left = set_in_words(sorted(look.reported.labels)), 1 - made.excluded
     return f"known: {found}; {left:.0%} of the other effects of the catalogue could still hide{_named(made)}"
 
@@ -216,10 +222,10 @@ def _open(look: InterimEvidence, made: Decision) -> str:
     return f"left open: {' or '.join(dict.fromkeys([set_in_words(sorted(look.reported.labels)), *others]))}"
 
 
-def _named(made: Decision) -> str:
+def _named(made: Decision, such_as: str = ", such as") -> str:
     """The effects that stand for the largest shares of what could hide."""
     named = ", ".join(effect_in_words(label) for label, _ in made.hiding[:MOST_NAMED])
-    return f", such as {named}" if named else ""
+    return f"{such_as} {named}" if named else ""
 
 
 def _futile(chosen: NextPoses, look: InterimEvidence, made: Decision) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class AdaptiveOptions:
-    """Times in s. ``benchmarks/investigate.py`` tries all of it together; its table has not been made yet."""
+    """Times in s. ``benchmarks/investigate.md`` tries all of it together."""
 
     # What a measurement takes, where a plan does not say it
     pose_s: float = 6.0  # a motion within a station, settling and a scan

@@ -1,4 +1,4 @@
-"""What to measure next: poses within the joint limits at which alternatives differ most, or what could not have been seen would show."""
+"""What to measure next: measured postures at which alternatives differ most, or at which what could not have been seen would show."""
 
 from __future__ import annotations
 
@@ -65,18 +65,28 @@ def elsewhere(context: Context) -> Elsewhere:
     q = rng.uniform(low, high, (8 * TRIED, robot.n))
     height = robot.chain.frames(obs.q)[:, -1, 2, 3].min()
     q = q[robot.chain.frames(q)[:, -1, 2, 3] > height][:TRIED]
-    count = len(q)
-    pose = np.arange(count)
+    direction = None if obs.direction is None else rng.choice([-1.0, 1.0], q.shape)
+    return _at(context, q, np.full(len(q), obs.station[0]), direction, np.zeros(len(q), int))
+
+
+def as_measured(context: Context) -> Elsewhere:
+    """The cell at the postures of the recording, which can be taken once more, one ball in the middle of the field each."""
+    obs = context.obs
+    return _at(context, obs.q, obs.station, obs.direction, obs.recording)
+
+
+def _at(context: Context, q: np.ndarray, station: np.ndarray, direction: np.ndarray | None, recording: np.ndarray | None) -> Elsewhere:
+    obs, count = context.obs, len(q)
     blank = Observations(
         obs.cell,
-        pose,
-        np.full(count, obs.station[0]),
+        np.arange(count),
+        station,
         q,
-        pose,
+        np.arange(count),
         np.full(count, obs.ball[0]),
         np.zeros((count, 3)),
-        direction=None if obs.direction is None else rng.choice([-1.0, 1.0], q.shape),
-        recording=None if obs.recording is None else np.zeros(count, int),
+        direction=direction,
+        recording=None if obs.recording is None else recording,
     )
     if obs.rotation is not None:
         blank = replace(blank, rotation=np.tile(np.eye(3), (count, 1, 1)))
@@ -84,9 +94,11 @@ def elsewhere(context: Context) -> Elsewhere:
     return Elsewhere(there, LinearProblem.of(blank, context.state))
 
 
-def separating(context: Context, there: Elsewhere, pairs: Sequence[tuple[SizedEffect, SizedEffect]]) -> list[Advice]:
-    """One piece of advice for each pair of effects that the recording cannot tell apart, where there is one."""
-    out = []
+def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]]) -> list[Advice]:
+    """One piece of advice for each pair of effects that the recording cannot tell apart, where there is one: measured postures, for nothing
+    is known of the cell that says which others can be taken. With its plan, ``mbcacq diagnose --next`` chooses among all views.
+    """
+    out, there = [], as_measured(context)
     for pair in pairs:
         names = [e.candidate.name for e in pair]
         if any(catalogue.declaration(name).acts_in_time for name in names):
@@ -98,22 +110,23 @@ def separating(context: Context, there: Elsewhere, pairs: Sequence[tuple[SizedEf
             chosen = spread(a - b)
             apart = float(np.linalg.norm((a - b)[chosen], axis=1).mean())
             both = " and ".join(f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in pair)
-            reason = f"{both} differ by {apart:.3f} mm at these poses, on one station"
+            reason = f"{both} differ by {apart:.3f} mm at these poses: measure them again, and others like them"
             out.append(Advice(reason, _in_degrees(there.context.obs.q[chosen])))
     return out
 
 
-def revealing(there: Elsewhere, limited: Sequence[SizedEffect]) -> list[Advice]:
-    """Poses that show the effect, of those that are not excluded at their typical size, that does most at such a size. limited: each as
-    large as the recording does not exclude it.
+def revealing(context: Context, limited: Sequence[SizedEffect]) -> list[Advice]:
+    """Measured postures that show the effect, of those that are not excluded at their typical size, that does most at such a size. limited:
+    each as large as the recording does not exclude it.
     """
+    there = as_measured(context)
     typical = [replace(e, coefficients=e.candidate.typical) for e in limited if e.in_typical_sizes > 1.0]
     each = [(e, moved) for e in typical if (moved := there.displacement(e)) is not None]
     if not each:
         return []
     hidden, moved = max(each, key=lambda item: np.linalg.norm(item[1], axis=1).max())
     name = f"{hidden.candidate.name} at {'+'.join(hidden.candidate.where)}"
-    reason = f"{name} of usual size could not have been seen: measure these poses on one station, or a long bar end by end"
+    reason = f"{name} of usual size could not have been seen: measure these poses again, and others like them, or a long bar end by end"
     return [Advice(reason, _in_degrees(there.context.obs.q[spread(moved)]))]
 
 
