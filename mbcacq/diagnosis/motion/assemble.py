@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
 from mbcacq.diagnosis.motion.fit import FitStep, FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import MotionOptions
 from mbcacq.diagnosis.motion.residual_structure import residual_structure
@@ -26,6 +27,7 @@ from mbcacq.diagnosis.motion.result import (
     MotionStep,
     UnmodelledMotionEffect,
 )
+from mbcacq.diagnosis.result import TOGETHER
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals
 
@@ -131,7 +133,7 @@ def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Moti
         effect.p_value,
         share,
         table.share(gain, at),
-        tuple(MotionAlternative(a.name, a.where, a.gain * share) for a in effect.alternatives),
+        tuple(MotionAlternative(a.name, a.where, a.odds) for a in effect.alternatives),
         tuple(_step(fit, step, at) for step in effect.steps),
         tuple(effect.notes),
     )
@@ -163,7 +165,15 @@ def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
 
 
 def _not_separable(fit: MotionFit) -> list[MotionNotSeparable]:
-    return [MotionNotSeparable((f"{u.name}:{'+'.join(u.where)}", u.other), u.correlation) for u in fit.undetermined]
+    """Sets that the evidence does not exclude in favour of the reported one."""
+    if fit.sets is None or not fit.sets.significant:
+        return []
+    reported = reported_hypothesis(fit.sets)
+    out = []
+    for other in undecided(fit.sets, reported):
+        ours, theirs = (TOGETHER.join(sorted(labels)) for labels in (reported.labels - other.labels, other.labels - reported.labels))
+        out.append(MotionNotSeparable((ours, theirs), float("nan"), float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))))
+    return out
 
 
 def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSeparable, ...], options: MotionOptions) -> list[MotionAdvice]:
