@@ -48,9 +48,12 @@ class NormalSystem(Protocol):
     everything else alone, with the log prior of the noise.
     """
 
-    A: np.ndarray
-    a: np.ndarray
-    log_likelihood: float
+    @property
+    def A(self) -> np.ndarray: ...
+    @property
+    def a(self) -> np.ndarray: ...
+    @property
+    def log_likelihood(self) -> float: ...
 
     def score(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradient and information of the log posterior by the noise, with the effects in place; weight (k,): prior weight of each."""

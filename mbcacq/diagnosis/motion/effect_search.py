@@ -20,6 +20,8 @@ from mbcacq.effects import catalogue
 # n/2 log(1 + 2 L / n): with ten samples still 13, which no prior of a set outweighs.
 BEYOND_DOUBT = 60.0
 
+ODDS_OF_COMMON = 0.5  # that what every arm has is large enough to show, beforehand
+
 Forms = tuple[MotionTerm, ...]  # a candidate at all values of its hyper-parameter
 
 
@@ -36,13 +38,20 @@ def term_of(variant: Variant, prior: np.ndarray, information: np.ndarray) -> Mot
 
 @dataclass(frozen=True)
 class MotionPrior(SetPrior):
-    """Prior probabilities of sets. What every arm has (friction, elastic joints, drives that lag) is as likely to show as not."""
+    """Prior probabilities of sets. What every arm has (friction, elastic joints, drives that lag) is half as likely to show as not."""
 
     def log_probability(self, candidate: Any, present: Sequence[Any]) -> float:
-        own = candidate.variant.candidate
-        if catalogue.declaration(own.name).every_arm and not own.extends:
-            return float(np.log(0.5))
-        return super().log_probability(candidate, present)
+        return float(np.log(ODDS_OF_COMMON)) if is_common(candidate) else super().log_probability(candidate, present)
+
+
+def is_common(term: MotionTerm) -> bool:
+    """Whether every arm has the effect."""
+    return catalogue.declaration(term.name).every_arm and not term.variant.candidate.extends
+
+
+def log_prior_mass(candidates: Sequence[Forms]) -> float:
+    """Log of the most that the priors of all sets can add up to, by which an e-value is divided: the common effects in any number."""
+    return len({forms[0].variant.candidate.location for forms in candidates if is_common(forms[0])}) * float(np.log1p(ODDS_OF_COMMON))
 
 
 @dataclass(kw_only=True)
@@ -63,6 +72,9 @@ class MotionSearch(EvidenceSearch):
         return self.pruned(self.settled(best) if self.settle else best)
 
     def climbed_to_the_best(self, best: Hypothesis) -> Hypothesis:
+        """The set itself; where alternatives are asked for, larger sets count in the e-value."""
+        if self.alternatives:
+            self.grown([best], self.candidates)
         return best
 
     def looked_at(self, members: Sequence[Member], best: Hypothesis) -> Hypothesis:

@@ -15,7 +15,7 @@ from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets,
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, estimated
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
-from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, term_of
+from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, term_of
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect, Variant
@@ -96,7 +96,7 @@ class EffectSelection:
         members = tuple(Member(t, None, self._mass.get(t.form, 0.0), t.sizes) for t in mine)
         there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
         ranked = search.run(start, there)
-        return RankedSets(tuple(ranked), search.known[()], log_e_value(ranked), LEAST_LOG_E_VALUE)
+        return RankedSets(tuple(ranked), search.known[()], log_e_value(ranked) - log_prior_mass(terms), LEAST_LOG_E_VALUE)
 
     def _grown(self, best: Hypothesis) -> Hypothesis:
         """The set with the further effect that makes it more probable by most, each with the colour of the residual that it would leave.
