@@ -1,12 +1,12 @@
 """What is not known, held apart from noise: hand-eye alone, contradictions, arms that err beyond their geometry, recordings of real arms.
 
-    python benchmarks/error_model.py [--arms 200] [--strikes 20] [--cells 12] [--data FOLDER ..]
+    python benchmarks/error_model.py [--arms 200] [--seeds 100] [--strikes 20] [--links 60] [--cells 12] [--data FOLDER ..]
 
 Hand-eye: arms of three classes (KR 10 with 0.15 mm and 0.03 deg, iiwa 7 with the same, KR 10 with three times as much), one and four
 places. The normalised error squared (NEES) is d' inv(C) d / 6 of the hand-eye transform. Strikes: a place, a mount, a joint or one pose is
-off from a random pose on, sizes log-uniform from 0.1 to 5 mm. Arms: the errors are written here as plain formulas and applied to the
-joints; judged at new places, without noise of the judging, a rigid motion of everything aside. Data: observation sets, each in five blocks
-of the order of measuring.
+off from a random pose on, sizes log-uniform from 0.1 to 5 mm. Links: ordinary arms in few poses, judged all
+over the workspace. Arms: the errors are written here as plain formulas and applied to the joints; judged at new places, without noise
+of the judging, a rigid motion of everything aside. Data: observation sets, each in five blocks of the order of measuring.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
 from cells import iiwa, kr10, measure, random_errors, scanner_cell  # noqa: E402
+from mbcacq_fakes.cell import computed_run  # noqa: E402
 
 from mbcacq import load_observations
 from mbcacq.calibration import CalibrationOptions, calibrate
-from mbcacq.calibration.cross_validation import prediction_error  # noqa: E402
+from mbcacq.calibration.held_out_poses import prediction_error  # noqa: E402
+from mbcacq.calibration.uncertainty import point_columns, to_base  # noqa: E402
 from mbcacq.errors import CalibrationError, MbcacqError  # noqa: E402
 from mbcacq.estimation import forward_model, parameters  # noqa: E402
 from mbcacq.estimation.linearization import Lineariser  # noqa: E402
@@ -34,6 +36,9 @@ from mbcacq.estimation.parameters import Estimate  # noqa: E402
 from mbcacq.estimation.phases import select_phases  # noqa: E402
 from mbcacq.estimation.solver import Weights, solve  # noqa: E402
 from mbcacq.geometry import se3  # noqa: E402
+from mbcacq.model.observations import Observations  # noqa: E402
+from mbcacq.plan import expand, load  # noqa: E402
+from mbcacq.workflow.acquire import solver_cell  # noqa: E402
 
 NOISE, JOINT = (0.005, 0.005, 0.009), 8e-6
 ALONE = CalibrationOptions(kinematics=False)
@@ -75,6 +80,29 @@ def hand_eye(arms: int) -> None:
                 f"| {rejected / seen:.2%} | {warned / len(rows):.1%} |",
                 flush=True,
             )
+
+
+def measurable_hand_eye(chain, truth) -> np.ndarray:
+    """T_flange_scanner of a fake cell behind the nominal last link: what the true last link adds is part of it for every calibration."""
+    still = np.zeros((1, chain.n))
+    nominal, true = (se3.inverse(c.frames(still)[0, -2]) @ c.frames(still)[0, -1] for c in (chain, chain.with_errors(truth["errors"])))
+    return se3.inverse(nominal) @ true @ truth["T_flange_scanner"]
+
+
+def shipped_plan(name: str, seeds: int) -> None:
+    """The fake cell of a plan, hand-eye alone: its arm has the link errors that the paper found."""
+    loaded = load(f"plans/{name}.yaml")
+    poses, z = expand(loaded), []
+    for seed in range(seeds):
+        got = computed_run.observe(loaded.cell, poses, [], seed)
+        numbers, phase = np.array([p.number for p in poses]), np.array([p.phase for p in poses])
+        obs = Observations(solver_cell(loaded), numbers, got.station, got.q, got.pose, got.ball, got.xyz, phase=phase)
+        found = calibrate(obs, ALONE)
+        off = se3.inverse(found.state.T_flange_scanner) @ measurable_hand_eye(loaded.cell.robot.chain, got.truth)
+        index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
+        z.append(np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])]) / np.sqrt(np.diag(found.covariance)[index]))
+    size = np.abs(z)
+    print(f"plans/{name}.yaml, {seeds} seeds: {np.mean(size <= 3):.1%} of the six within 3 sigma, at most {size.max():.1f}", flush=True)
 
 
 def struck(kind: str, mm: float, seed: int):
@@ -216,6 +244,48 @@ def arms(cells: int) -> None:
         print(f"| {name} | {m[0]:.0f} | {m[1]:.0f} | {m[2]:.1f} | {m[3]:.1f} | {m[4]:.1f} |", flush=True)
 
 
+def workspace_errors(found, truth, postures: int = 100) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (K,) mm of the coordinates of points all over the workspace, a rigid motion of everything aside; and their stated sigma."""
+    obs, rng = found.observations, np.random.default_rng(5)
+    low, high = found.state.chain.drawn_between(obs.cell.robot.limits)
+    q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
+    xyz = np.tile(obs.xyz.mean(axis=0), (postures, 1))
+    points = to_base(found, q, xyz)
+    off = points - se3.apply(truth.chain.frames(q)[:, -1] @ truth.T_flange_scanner, xyz)
+    rigid = np.concatenate([np.tile(np.eye(3), (postures, 1, 1)), -1e-3 * se3.skew(points)], axis=2).reshape(-1, 6)
+    rest = np.eye(3 * postures) - rigid @ np.linalg.pinv(rigid)
+    A = rest @ point_columns(found, q, xyz).reshape(3 * postures, -1)
+    return rest @ off.ravel(), np.sqrt(np.einsum("kg,gh,kh->k", A, found.covariance, A))
+
+
+def links(arms: int) -> None:
+    """Ordinary arms in few poses: the nominal arm, links free, and links of a common size."""
+    print("| poses | joints repeat within | nominal, um | free links, um | calibrate, um | median | within 2 sigma: free | calibrate |")
+    print("|---|---|---|---|---|---|---|---|")
+    methods = (
+        CalibrationOptions(kinematics=False, refuse=False),
+        CalibrationOptions(discrepancy=False, random_links=False, refuse=False),
+        CalibrationOptions(refuse=False),
+    )
+    for places, each in ((5, 5), (8, 8), (16, 12)):
+        for joint in (8e-6, 8e-5, 4e-4):
+            size, within = np.zeros((arms, 3)), np.zeros((arms, 3))
+            for seed in range(arms):
+                rng = np.random.default_rng([11, seed, places])
+                errors = ordinary_errors(kr10(), rng)
+                cell = scanner_cell(rng, stations=places, per_station=each, errors=errors, joint_rad=joint)
+                for k, method in enumerate(methods):
+                    off, sigma = workspace_errors(calibrate(cell.observations, method), cell.truth)
+                    size[seed, k], within[seed, k] = np.sqrt(3 * np.mean(off**2)), np.mean(np.abs(off) < 2 * sigma)
+            rms, share = 1e3 * np.sqrt(np.mean(size**2, axis=0)), within.mean(axis=0)
+            middle = 1e3 * np.median(size, axis=0)
+            print(
+                f"| {places * each} | {1e6 * joint:.0f} urad | {rms[0]:.0f} | {rms[1]:.0f} | {rms[2]:.0f} "
+                f"| {middle[1]:.0f} / {middle[2]:.0f} | {share[1]:.1%} | {share[2]:.1%} |",
+                flush=True,
+            )
+
+
 def least_squares(obs):
     """The geometry by plain least squares of the centres, every one of the same weight."""
     first = calibrate(obs, CalibrationOptions(discrepancy=False, refuse=False))
@@ -260,14 +330,21 @@ def recordings(folders: list[Path], most: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arms", type=int, default=200)
+    parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--strikes", type=int, default=20)
+    parser.add_argument("--links", type=int, default=60)
     parser.add_argument("--cells", type=int, default=12)
     parser.add_argument("--data", type=Path, nargs="*", default=[])
     parser.add_argument("--poses", type=int, default=300, help="of each recording, at most")
     given = parser.parse_args()
     if given.arms:
         hand_eye(given.arms)
-    strikes(given.strikes)
+    if given.seeds:
+        shipped_plan("quick", given.seeds)
+    if given.strikes:
+        strikes(given.strikes)
+    if given.links:
+        links(given.links)
     if given.cells:
         arms(given.cells)
     recordings(given.data, given.poses)

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 import mbcacq
+from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
-from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.model.observations import Observations
 

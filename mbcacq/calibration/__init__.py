@@ -1,11 +1,10 @@
 """From observations to a calibrated cell, and how far to trust it."""
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.maximum_likelihood import calibrate, calibrate_with_effects
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.result_io import state_from_dict
 from mbcacq.calibration.verification import Verification, verify
-from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.estimation.options import CalibrationOptions, Noise
 
 __all__ = [

@@ -26,8 +26,8 @@ CORRELATED = 0.95
 @dataclass(frozen=True)
 class Parameter:
     """value: as the model uses it (hand-eye rotation: rotation vector of the change since the first guess). error: value minus nominal.
-    status: 'free', 'prior' (free within a certificate or a prior), 'marginal' (the nominal value stays; std says by how much it may be off,
-    which every other uncertainty takes into account) or 'held' (reason says why; std is None)."""
+    status: 'free', 'prior' (free within a certificate, or within the common size of such errors), 'marginal' (the nominal value stays; std
+    says by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None)."""
 
     name: str
     value: float
@@ -198,7 +198,7 @@ class CalibrationFit:
                 free = bool(block.free[i])
                 if not free and name not in block.why:
                     continue
-                status = _status(block, i)
+                status = _status(block, i, self.options.kinematics)
                 out.append(
                     Parameter(
                         name, float(value[i]), float(error[i]), block.units[i], next(std) if free else None, status, block.why.get(name, "")
@@ -217,10 +217,10 @@ class CalibrationFit:
         return np.sqrt(np.diag(C)).tolist()
 
 
-def _status(block: ParameterBlock, i: int) -> str:
+def _status(block: ParameterBlock, i: int, identified: bool) -> str:
     if not block.free[i]:
         return "held"
-    if block.name == "chain" and block.group is not None:
+    if block.name == "chain" and block.group is not None and not identified:
         return "marginal"
     return "prior" if np.isfinite(block.sigma[i]) else "free"
 

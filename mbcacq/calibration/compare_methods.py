@@ -11,7 +11,7 @@ import numpy as np
 
 from mbcacq.calibration import notebook
 from mbcacq.calibration.calibrated import Calibrated
-from mbcacq.calibration.cross_validation import about_best_station, prediction_error
+from mbcacq.calibration.held_out_poses import about_best_station, prediction_error
 from mbcacq.calibration.methods import COMPARED_METHODS
 from mbcacq.calibration.verification import verify
 from mbcacq.errors import CalibrationError

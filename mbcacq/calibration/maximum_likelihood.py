@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.causes import misdescribed
+from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
@@ -15,11 +17,14 @@ from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
-from mbcacq.calibration.with_discrepancy import with_discrepancy
+from mbcacq.calibration.with_discrepancy import noise_beyond_sheet, with_discrepancy
+from mbcacq.calibration.with_effects import refitted
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import copies, select_phases, without_copies
+from mbcacq.estimation.random_links import with_random_links
 from mbcacq.model.observations import Observations
 
 
@@ -31,7 +36,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     options = options or CalibrationOptions()
     try:
         with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
-            return _with_copies_said(_calibrate(observations, options), observations)
+            return replace(_with_copies_said(_calibrate(observations, options), observations), fit=calibrate)
     except ContradictionError as error:
         cause = misdescribed(observations)
         raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
@@ -42,13 +47,21 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
         ) from error
 
 
+def calibrate_with_effects(
+    observations: Observations, options: CalibrationOptions | None, model: EffectModel, *, hold: bool = False
+) -> Calibration:
+    """The cell with effects; see ``mbcacq.calibration.with_effects.refitted``."""
+    return refitted(observations, options, model, calibrate, hold=hold)
+
+
 def _with_copies_said(result: Calibration, observations: Observations) -> Calibration:
     twice = observations.pose_id[copies(observations)]
     if not len(twice):
         return result
     some = ", ".join(map(str, twice[:5])) + (", .." if len(twice) > 5 else "")
-    said = f"{len(twice)} poses are exact copies of earlier ones ({some}) and are counted once; measure again instead of copying"
-    return replace(result, extra={**result.extra, "warnings": [*result.extra.get("warnings", ()), said]})
+    return _warned(
+        result, f"{len(twice)} poses are exact copies of earlier ones ({some}) and are counted once; measure again instead of copying"
+    )
 
 
 def _calibrate(observations: Observations, options: CalibrationOptions) -> Calibration:
@@ -64,6 +77,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     refuse_insufficient(obs, options)
     fitted = _adjusted(obs, options)
     if options.kinematics:
+        fitted = with_random_links(fitted, options)
         return _arm_and_hand_eye(obs, options, fitted)
     result = _collected(obs, options, fitted)
     return _hand_eye_alone(result, fitted) if options.discrepancy else result
@@ -100,23 +114,75 @@ def _hand_eye_alone(result: Calibration, fitted: Adjustment) -> Calibration:
 
 
 def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
-    """With smooth errors of the joints where the evidence asks for them, and a warning where their noise is beyond the data sheet."""
-    result = _collected(obs, options, fitted)
-    refuse_unusable(result)
+    """With smooth errors of the joints where the evidence asks for them; a simpler one where it predicts better; and a warning where the
+    joints' noise is beyond the data sheet."""
+    refuse_unusable(_collected(obs, options, fitted))
     fault = fault_while_recording(fitted) if options.discrepancy else ""
     # What happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
-    found = with_discrepancy(obs, options, fitted) if options.discrepancy and not options.terms and not fault else None
-    if found is not None:
-        fitted = found.adjustment
-        result = _collected(obs, found.options, fitted)
-        extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
-        result = replace(result, options=options, effects=with_estimates(found.model, result), extra=extra)
+    if not options.discrepancy or options.terms or fault:
+        result = _collected(obs, options, fitted)
+    else:
+        result, fitted = _with_discrepancy(obs, options, fitted)
+        if noise_beyond_sheet(fitted):
+            result, fitted = _unless_it_loses(obs, options, result, fitted)
     result = _with_joint_noise_check(result, fitted)
     check = result.extra.get("joint_noise_check")
     if not fault or (check and check["pose"] is not None):
         return result
-    warnings = [f"Something changed while the recording was made: {fault}", *result.extra.get("warnings", ())]
-    return replace(result, extra={**result.extra, "warnings": warnings})
+    return _warned(result, f"Something changed while the recording was made: {fault}", first=True)
+
+
+def _with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> tuple[Calibration, Adjustment]:
+    """The calibration with smooth errors of the joints; as it is alone where the evidence does not ask for them."""
+    found = with_discrepancy(obs, options, alone)
+    if found is None:
+        return _collected(obs, options, alone), alone
+    result = _collected(obs, found.options, found.adjustment)
+    extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
+    return replace(result, options=options, effects=with_estimates(found.model, result), extra=extra), found.adjustment
+
+
+def _unless_it_loses(
+    obs: Observations, options: CalibrationOptions, result: Calibration, fitted: Adjustment
+) -> tuple[Calibration, Adjustment]:
+    """The calibration, or the competing method that predicts held-out poses better."""
+    own, lenient = "the weighted adjustment", replace(options, refuse=False)
+
+    shared: dict[int, Adjustment] = {}
+
+    def linked(some: Observations) -> Adjustment:
+        if id(some) not in shared:  # three of the methods begin with it
+            shared[id(some)] = with_random_links(adjust_recording(some, lenient), lenient)
+        return shared[id(some)]
+
+    fits: dict[str, Callable[[Observations], tuple[Calibration, Adjustment]]] = {
+        own: lambda some: _with_discrepancy(some, lenient, linked(some)),
+        "the adjustment without smooth errors": lambda some: _by(some, lenient, linked(some)),
+        "plain least squares": lambda some: _by(some, lenient, plain_least_squares(linked(some))),
+        "the nominal arm": lambda some: _of_nominal_arm(some, lenient),
+    }
+    found = compared_on_held_out(obs, own, {name: lambda some, fit=fit: fit(some)[0] for name, fit in fits.items()})
+    if found is None:
+        return result, fitted
+    if found.chosen != own:
+        result, fitted = fits[found.chosen](obs)
+        result = _warned(replace(result, options=replace(result.options, refuse=options.refuse)), found.sentence(own))
+    return replace(result, extra={**result.extra, "competing_methods": found.to_dict()}), fitted
+
+
+def _by(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> tuple[Calibration, Adjustment]:
+    return _collected(obs, options, fitted), fitted
+
+
+def _of_nominal_arm(obs: Observations, options: CalibrationOptions) -> tuple[Calibration, Adjustment]:
+    options = replace(options, kinematics=False)
+    fitted = adjust_recording(obs, options)
+    return with_nominal_arm(_collected(obs, options, fitted), fitted.lineariser), fitted
+
+
+def _warned(result: Calibration, sentence: str, first: bool = False) -> Calibration:
+    before = result.extra.get("warnings", ())
+    return replace(result, extra={**result.extra, "warnings": [sentence, *before] if first else [*before, sentence]})
 
 
 def refuse_unusable(result: Calibration) -> None:
@@ -128,4 +194,4 @@ def _with_joint_noise_check(result: Calibration, fitted: Adjustment) -> Calibrat
     found = joint_noise_check(fitted.lineariser, fitted.solution, fitted.noise, result.covariance)
     if found is None:
         return result
-    return replace(result, extra={**result.extra, "joint_noise_check": found, "warnings": [joint_noise_sentence(found)]})
+    return _warned(replace(result, extra={**result.extra, "joint_noise_check": found}), joint_noise_sentence(found))

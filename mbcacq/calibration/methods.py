@@ -141,7 +141,7 @@ def maximum_likelihood(obs: Observations) -> Calibrated:
 
 def geometry_alone(obs: Observations) -> CellState:
     """All parameters by maximum likelihood; whatever else the arm does counts as noise."""
-    return calibrate(obs, CalibrationOptions(discrepancy=False)).state
+    return calibrate(obs, CalibrationOptions(discrepancy=False, random_links=False)).state
 
 
 COMPARED_METHODS: dict[str, Callable[[Observations], CellState | Calibrated]] = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,14 +11,11 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.calibration_fit import CalibrationFit, Parameter, Rejected
 from mbcacq.calibration.cell_methods import CalibratedCellMethods
 from mbcacq.calibration.sealed_json import sealed_text
+from mbcacq.calibration.with_effects import Fit, refitted
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 
 __all__ = ["Calibration", "Parameter", "Rejected"]
-
-
-# How a calibration is made anew with effects; ``with_effects`` enters it, which stands above and is imported with this package.
-REFIT: list[Callable[[Calibration, EffectModel, bool], Calibration]] = []
 
 
 class HasModel(Protocol):
@@ -31,7 +27,10 @@ class HasModel(Protocol):
 
 @dataclass(frozen=True, repr=False)
 class Calibration(CalibrationFit, CalibratedCellMethods):
-    """Result of ``mbcacq.calibrate``; its fields are those of ``mbcacq.calibration.calibration_fit.CalibrationFit``."""
+    """Result of ``mbcacq.calibrate``; its fields are those of ``mbcacq.calibration.calibration_fit.CalibrationFit``, and ``fit``, which
+    calibrates observations under any options as it was made itself."""
+
+    fit: Fit[Calibration] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json, format 'mbcacq-result/1'; see ``mbcacq.calibration.result_io``."""
@@ -48,7 +47,9 @@ class Calibration(CalibrationFit, CalibratedCellMethods):
         model = found if isinstance(found, EffectModel) else found.model
         if not model:
             raise ConfigError("this diagnosis found no effects that a calibration could take")
-        return REFIT[0](self, model, hold)
+        if self.fit is None:
+            raise ConfigError("this calibration does not know how it was made; call mbcacq.calibrate with effects")
+        return refitted(self.observations, self.options, model, self.fit, hold=hold)
 
     @staticmethod
     def from_json(source: str | Path) -> CalibratedCell:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.maximum_likelihood import refuse_unusable
+from mbcacq.calibration.maximum_likelihood import calibrate, refuse_unusable
 from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_of_other_arm
@@ -21,6 +21,7 @@ from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.meta_analysis import random_effect
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import HAND_EYE, Estimate, ParameterLayout, build
+from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.several_recordings import JointProblem, joint_problem
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.estimation.terms import PER_POSE, Term
@@ -110,6 +111,7 @@ def _fitted(problem: JointProblem, options: CalibrationOptions) -> Calibration:
     obs = problem.observations
     options = replace(options, start=problem.start)
     fitted = adjust(obs, options)
+    fitted = with_random_links(fitted, options) if options.kinematics else fitted
     result = Calibration.adjusted(obs, options, fitted)
     return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
 
@@ -179,7 +181,7 @@ def _as_held(layout: ParameterLayout, whole: Calibration) -> ParameterLayout:
 
 def shares(whole: Calibration, parts: Sequence[Adjustment], options: CalibrationOptions) -> tuple[Calibration, ...]:
     """The share of each recording in a calibration of all. parts: each recording by itself, as it was fitted alone."""
-    return tuple(_share(whole, parts, r, options) for r in range(len(parts)))
+    return tuple(replace(_share(whole, parts, r, options), fit=calibrate) for r in range(len(parts)))
 
 
 def _share(whole: Calibration, parts: Sequence[Adjustment], r: int, options: CalibrationOptions) -> Calibration:

@@ -265,7 +265,7 @@ class _Trial:
         if self.place == "known":
             return None
         try:
-            own = calibrate(self.obs, CalibrationOptions(refuse=False, discrepancy=False, phases=_all_phases(self.obs)))
+            own = calibrate(self.obs, CalibrationOptions(refuse=False, discrepancy=False, random_links=False, phases=_all_phases(self.obs)))
         except CalibrationError:
             return None
         return self.figures(_PlacedFit.of(own), used)

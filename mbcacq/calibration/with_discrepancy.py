@@ -22,6 +22,7 @@ from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups
+from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
@@ -29,7 +30,7 @@ LEAST_GAIN = 5.0  # log evidence over geometry alone: odds of 150 to 1 for all g
 LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no point by a micrometre
 LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
-EXCESS = 1.2  # of the joints' noise over the data sheet's, above which further kinds of groups are tried
+EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the model lacks something: further kinds of groups are tried
 FURTHER: tuple[Callable[[Covariates], list[EffectTerm]], ...] = (discrepancy.couplings, discrepancy.pairs)
 
 
@@ -68,7 +69,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     best = _Groups.none(problem, prior, alone.noise)
     allowed = variance_components.first_noise(obs.cell)
     for kind in (discrepancy.own_errors, *FURTHER):
-        if kind is not discrepancy.own_errors and np.median(best.noise.joint / allowed.joint) < EXCESS:
+        if kind is not discrepancy.own_errors and _excess(best.noise, allowed) < EXCESS:
             break
         tried = _Groups.first(best, kind(here), here, learnt)
         if tried is None:
@@ -85,9 +86,18 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
         return None
     built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
     chosen = replace(options, terms=(*options.terms, *built))
-    final = adjust(obs, chosen, replace(alone, noise=best.noise))
+    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
     model = EffectModel(obs.cell.robot, best.terms, learnt, obs.cell.measurement)
     return WithDiscrepancy(final, chosen, model, best.evidence - best.alone)
+
+
+def noise_beyond_sheet(fitted: Adjustment) -> bool:
+    """Whether the joints of an adjusted arm repeat worse than its data sheet, or arms of its class, allow."""
+    return _excess(fitted.noise, variance_components.first_noise(fitted.lineariser.obs.cell)) > EXCESS
+
+
+def _excess(noise: Noise, allowed: Noise) -> float:
+    return float(np.median(noise.joint / allowed.joint))
 
 
 @dataclass(frozen=True)

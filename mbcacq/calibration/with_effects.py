@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mbcacq.calibration.calibration_fit import CalibrationFit
 from mbcacq.calibration.estimates import with_estimates
-from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.calibration.result import REFIT, Calibration
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
 from mbcacq.effects.common_pattern import LEAST_JOINTS, CommonPattern, OwnErrors, find_common_pattern
@@ -49,17 +49,18 @@ class GroupSizeOptions:
 
 
 OPTIONS = GroupSizeOptions()
-Fit = Callable[[Observations, CalibrationOptions], Calibration]
+Fitted = TypeVar("Fitted", bound=CalibrationFit)
+Fit = Callable[[Observations, CalibrationOptions], Fitted]
 
 
-def calibrate_with_effects(
-    observations: Observations, options: CalibrationOptions | None, model: EffectModel, *, hold: bool = False
-) -> Calibration:
+def refitted(
+    observations: Observations, options: CalibrationOptions | None, model: EffectModel, fit: Fit[Fitted], *, hold: bool = False
+) -> Fitted:
     """The cell with effects: geometry as usual, the coefficients of the effects with it; their hyper-parameters are kept.
 
-    hold: the effects stay as they were learnt, the geometry alone is fitted. Unmodelled effects are learnt from 3000 poses at most, evenly
-    at random; the calibration is of these. Raises ConfigError where the effects are of another arm, and CalibrationError as
-    ``mbcacq.calibration.maximum_likelihood.calibrate``.
+    fit: calibrates observations under any options. hold: the effects stay as they were learnt, the geometry alone is fitted. Unmodelled
+    effects are learnt from 3000 poses at most, evenly at random; the calibration is of these. Raises ConfigError where the effects are of
+    another arm, and what ``fit`` raises.
     """
     options = options or CalibrationOptions()
     if options.method != "ml":
@@ -69,19 +70,20 @@ def calibrate_with_effects(
     if obs.n_poses > OPTIONS.most_learnt and not hold and any(t.name == UNKNOWN for t in model.terms):
         obs = obs.select(some_poses(obs, OPTIONS.most_learnt))
     with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
-        return fitted_with_effects(obs, options, model, hold, calibrate)
+        return fitted_with_effects(obs, options, model, hold, fit)
 
 
-def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> Calibration:
+def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit[Fitted]) -> Fitted:
     """The observations calibrated with effects by ``fit``, which calibrates them under any options. The effects are the account of what
     the arm does beyond its geometry: no discrepancy is sought beside them."""
     options = replace(options, discrepancy=False)
-    alone = fit(obs, replace(options, refuse=False))  # what it leaves undetermined may be determined with the effects
+    lenient = replace(options, refuse=False)  # what is undetermined without the effects may be determined with them
+    alone = fit(obs, replace(lenient, random_links=False))
     if hold:
         known = tuple(zip(model.at(obs), model.coefficients, strict=True))
         return _beside(alone, replace(fit(obs, replace(options, displaced=known)), effects=model))
     parametric, unmodelled = model.parametric, model.select(lambda t: t.name == UNKNOWN)
-    fitted = fit(obs, replace(options, terms=parametric.at(obs))) if parametric else alone
+    fitted = fit(obs, replace(options, terms=parametric.at(obs)) if parametric else lenient)
     if not unmodelled:
         return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
     stage, noise = sized_groups(fitted, options, parametric, unmodelled)
@@ -91,14 +93,14 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
     apart = parametric.select(lambda t: not t.periodic_in_own_angle or joint_of(t) not in pattern.joints)
     if len(apart.terms) < len(parametric.terms):
-        fitted = fit(obs, replace(options, terms=apart.at(obs))) if apart else alone
+        fitted = fit(obs, replace(options, terms=apart.at(obs)) if apart else lenient)
     patterned = with_pattern(obs, unmodelled, pattern)
     stage, noise = sized_groups(fitted, options, apart, patterned, noise)
     found = with_groups(stage, noise, apart, patterned)
     return _beside(alone, replace(found, extra={**found.extra, "common_pattern": asdict(pattern)}))
 
 
-def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CommonPattern | None:
+def common_pattern_of(sized: _Stage[Fitted], noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CommonPattern | None:
     """The pattern that joints share in their own errors, by its evidence in a recording, where the groups for them have these sizes.
 
     None where there is none, where the recording is too short to tell, or where the groups have one.
@@ -149,7 +151,7 @@ def joint_of(t: EffectTerm) -> int:
     return int(place[1:]) - 1 if place[0] == "A" and place[1:].isdigit() else -1
 
 
-def _beside(alone: Calibration, fitted: Calibration) -> Calibration:
+def _beside(alone: Fitted, fitted: Fitted) -> Fitted:
     """The calibration with the arm that geometry alone gives, and its misfit, beside it: 'geometry_alone' of result.json."""
     rows = {p: getattr(alone.state.chain, p).tolist() for p in PARAMETERS}
     figures = {"rms_mm": alone.rms_mm, "chi2": alone.chi2, "dof": alone.dof}
@@ -162,8 +164,8 @@ def refuse_effects_of_other_arm(obs: Observations, model: EffectModel, recording
 
 
 def sized_groups(
-    fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, start: Noise | None = None
-) -> tuple[_Stage, Noise]:
+    fitted: Fitted, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, start: Noise | None = None
+) -> tuple[_Stage[Fitted], Noise]:
     """The sizes of unmodelled groups beside a calibration that has the parametric effects, and the noise that they leave. start: a noise
     to begin with.
 
@@ -181,7 +183,7 @@ def sized_groups(
     return stage, noise
 
 
-def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> Calibration:
+def with_groups(stage: _Stage[Fitted], noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> Fitted:
     """The calibration by all poses with groups that were sized by some of them."""
     fitted = stage.fitted
     if stage.observations is not fitted.observations:
@@ -189,7 +191,7 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
         stage = stage.sized(stage.system(noise), last=True)
     at = stage.system(noise)
     chosen = replace(stage.options, terms=stage.terms)
-    result = Calibration.of(
+    result = type(fitted).of(
         fitted.observations, chosen, stage.lineariser, at, noise, fitted.weights, fitted.preliminary, list(fitted.undetermined)
     )
     groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
@@ -206,12 +208,12 @@ def some_poses(obs: Observations, most: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Stage:
+class _Stage(Generic[Fitted]):
     """An estimate with the groups that are left, by all or some of the poses. built: the terms of the parametric effects, then one for
     each group; scale: (G,) size of each group in its prior size.
     """
 
-    fitted: Calibration
+    fitted: Fitted
     options: CalibrationOptions
     observations: Observations
     weights: Weights
@@ -222,8 +224,8 @@ class _Stage:
 
     @classmethod
     def first(
-        cls, fitted: Calibration, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, poses: np.ndarray
-    ) -> _Stage:
+        cls, fitted: Fitted, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, poses: np.ndarray
+    ) -> _Stage[Fitted]:
         """By these poses (P,) bool, with the groups at zero."""
         groups = unmodelled.terms
         start = Estimate(fitted.state, (*fitted.coefficients, *(np.zeros(g.k) for g in groups)))
@@ -233,7 +235,7 @@ class _Stage:
         built = (*parametric.at(obs), *unmodelled.at(obs))
         return cls(fitted, options, obs, weights, built, groups, np.ones(len(groups)), start)
 
-    def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
+    def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage[Fitted]:
         """The same sizes and estimate by all poses."""
         obs = self.fitted.observations
         left = replace(unmodelled, terms=self.groups)
@@ -254,7 +256,7 @@ class _Stage:
         layout = build(self.observations, replace(self.options, terms=self.terms))
         for name, why in self.fitted.held.items():
             layout = layout if name in layout.held else layout.hold(name, why)
-        return layout
+        return ParameterLayout((self.fitted.layout.blocks[0], *layout.blocks[1:]))  # the sizes of the links' errors stay
 
     @cached_property
     def lineariser(self) -> Lineariser:
@@ -268,7 +270,7 @@ class _Stage:
         """The normal equations at the same estimate under another noise."""
         return reweighted(self.lineariser, at, noise, self.weights)
 
-    def sized(self, at: Solution, last: bool) -> _Stage:
+    def sized(self, at: Solution, last: bool) -> _Stage[Fitted]:
         """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem.
 
         Groups that it does not ask for are dropped in the last turn only: at first the noise still contains what they would explain.
@@ -326,6 +328,3 @@ def group_scales(
 def given_size(t: EffectTerm) -> bool:
     """Whether a group's prior size is physical, and not estimated."""
     return t.units[0] in OPTIONS.fixed_units
-
-
-REFIT.append(lambda c, model, hold: calibrate_with_effects(c.observations, c.options, model, hold=hold))

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     "--free", "--release", "release", multiple=True, metavar="NAME", help="Free a parameter that would be held as redundant (repeatable)."
 )
 @click.option("--hand-eye-only", is_flag=True, help="Take the arm as nominal; identify hand-eye and stations only.")
-@click.option("--geometry-alone", is_flag=True, help="Seek no smooth errors beyond the model; what it lacks counts as noise.")
+@click.option("--geometry-alone", is_flag=True, help="Free links and no smooth errors beside them; what the model lacks counts as noise.")
 @click.option(
     "--noise",
     type=click.Choice(["auto", "given", "estimate"]),
@@ -117,6 +117,7 @@ def command(
         phases=phases or None,
         kinematics=not hand_eye_only,
         discrepancy=not geometry_alone,
+        random_links=not geometry_alone,
         hold=hold,
         release=release,
         noise=noise,

@@ -20,6 +20,7 @@ from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.random_links import with_common_sizes
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
@@ -108,6 +109,8 @@ def predicted_calibration(
     layout, estimate = blocks.build(obs, options).resized(blocks.ORDINARY_LINKS), Estimate(state)
     first = system(Lineariser(obs, layout, options), estimate, noise, weights)
     layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
+    if options.kinematics and options.random_links:
+        layout = with_common_sizes(layout, blocks.usual_sizes(obs.cell))
     lineariser = Lineariser(obs, layout, options)
     solution = system(lineariser, estimate, noise, weights)
     return Calibration.of(obs, options, lineariser, solution, noise, weights, state, found)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.model.cell import RobotModel
@@ -178,4 +177,6 @@ def low_pass(signal: np.ndarray, time_constant_s: float, step_s: float) -> np.nd
     share = -np.expm1(-ratio)
     now, past = 1.0 - share / ratio, share / ratio - a
     first = signal[0]
+    from scipy.signal import lfilter  # takes half a second, which most commands do not need
+
     return (first + lfilter([now, past], [1.0, -a], signal - first))[::finer]

@@ -19,7 +19,7 @@ from mbcacq.estimation.identifiability import Undetermined, determines, hold_und
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
-from mbcacq.estimation.parameters import Estimate, ParameterLayout
+from mbcacq.estimation.parameters import Estimate, ParameterLayout, usual_sizes
 from mbcacq.estimation.random_effect_sizes import sizes_of_groups
 from mbcacq.estimation.solver import LINEAR_ROTATION, Solution, Weights, evaluated, gauss_newton_step, solve, system, with_prior_of
 from mbcacq.estimation.variance_components import NoisePrior
@@ -195,13 +195,13 @@ def settle_variances(
     priors. Sizes begin large: the noise then holds only what no random effect explains.
     """
     first = lineariser.layout
-    size = dict.fromkeys(first.sized, 1.0)
+    size, usual = dict.fromkeys(first.sized, 1.0), usual_sizes(lineariser.obs.cell)
     for _ in range(SIZE_TURNS if size else 1):
         solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
         if not size:
             break
         before, present = size, LEAST_SIZE / min(size.values())
-        factor = sizes_of_groups(solution.normal, solution.prior, lineariser.layout.sized, (present, LARGEST_SIZE), SIZE_ROUNDS)
+        factor = sizes_of_groups(solution.normal, solution.prior, lineariser.layout.sized, (present, LARGEST_SIZE), SIZE_ROUNDS, usual)
         size = {name: float(np.clip(factor[name] * s, LEAST_SIZE, LARGEST_SIZE)) for name, s in size.items()}
         lineariser = lineariser.with_layout(first.resized(size))
         solution = solve(lineariser, with_prior_of(lineariser, solution), noise, weights, tolerance=COARSE)

@@ -36,6 +36,8 @@ class CalibrationOptions:
     virtual point; 'all' pairs of all balls.
     phases: use only poses of these phases; None: all but 'verification', or all where there is nothing else.
     kinematics: identify MD-H errors; otherwise only hand-eye and stations.
+    random_links: the errors of the links of an arm that is to be identified have a common size for each kind, which is estimated; the
+    poses then need not determine each of them. Without it they are free, as who compares arms or days with each other needs them.
     discrepancy: what the model lacks is a random effect beside the noise: the errors of the links of an arm that is not to be identified,
     smooth functions of posture of one that is. Without it, such an arm is exactly as nominal, and all that a model lacks counts as noise.
     hold, release: names of parameters to keep at their nominal value, or to free although they would be held ('d_2', 'hand_eye.rz').
@@ -54,6 +56,7 @@ class CalibrationOptions:
     pairs: str = "four"
     phases: tuple[str, ...] | None = None
     kinematics: bool = True
+    random_links: bool = True
     discrepancy: bool = True
     hold: tuple[str, ...] = ()
     release: tuple[str, ...] = ()

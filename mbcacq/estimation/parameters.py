@@ -32,6 +32,11 @@ LINK_GROUP = {"theta": ANGLES, "d": LENGTHS, "a": LENGTHS, "alpha": ANGLES, "bet
 LINK_START = {LENGTHS: 1.0, ANGLES: 3e-3}
 # Of an industrial arm as it is delivered (absolute accuracy 0.5 to 1 mm), as a factor of the sigma at the start: 0.2 mm, 0.5 mrad.
 ORDINARY_LINKS = {LENGTHS: 0.2 / LINK_START[LENGTHS], ANGLES: 5e-4 / LINK_START[ANGLES]}
+# Kinds of errors of an arm that is identified, which have a size in common: a joint's zero is set when it is mastered, the rest when the
+# arm is built. Sizes at the start as above.
+KINDS = {"theta": "joint zeros", "alpha": "link twists", "beta": "link twists", "d": "lengths", "a": "lengths"}
+KINDS_START = {"joint zeros": 1e-2, "link twists": 3e-3, "lengths": 1.0}
+USUAL_ANGLE, USUAL_SHARE = 5e-4, 2e-4  # rad; of the reach: an arm of 1 m errs by 0.2 mm in its lengths
 
 
 @dataclass(frozen=True)
@@ -170,6 +175,13 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
     if prior is None:
         return ParameterBlock("chain", names, units, free, np.full(5 * n, np.inf), scale, why)
     return ParameterBlock("chain", names, units, free, prior.sigma.reshape(-1), scale, why, prior.mean.reshape(-1))
+
+
+def usual_sizes(cell: Cell) -> dict[str, float]:
+    """sigma (rad, mm) that the errors of each group of links usually have in an arm of this size."""
+    length = USUAL_SHARE * 2 * float(cell.robot.chain.lever.max())
+    by_kind = {kind: length if kind == "lengths" else USUAL_ANGLE for kind in KINDS_START}
+    return {LENGTHS: length, ANGLES: USUAL_ANGLE} | by_kind
 
 
 def arm_prior(cell: Cell, options: CalibrationOptions) -> ArmPrior | None:

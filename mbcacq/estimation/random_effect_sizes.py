@@ -14,6 +14,8 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from mbcacq.estimation.normal_equations import Normal, Prior, inverse_of_lower
 
 CONVERGED = 0.05  # change of a logarithm of a variance
+# Coefficients of other specimens that a usual size stands for: the size is then uncertain by half of itself before anything was measured.
+OTHERS = 3.0
 LEAST_DETERMINED = 1e-4  # coefficients of a group that the data determine: fewer are none
 
 
@@ -25,16 +27,20 @@ def sizes_by_marginal_likelihood(
     limits: tuple[float | np.ndarray, float],
     rounds: int,
     fixed: np.ndarray | None = None,
+    expected: np.ndarray | None = None,
 ) -> np.ndarray:
     """(G,) size of each group, zero where the data do not ask for it.
 
     S (k, k), b (k,): normal equations without the priors, in units in which the coefficients of a group are alike; slices: the
     coefficients of each group; start: (G,) sizes to begin with. limits: smallest size, below which a group is dropped, and largest.
-    fixed: (G,) bool of the groups whose size is kept.
+    fixed: (G,) bool of the groups whose size is kept. expected: (G,) size that such groups usually have, as OTHERS coefficients elsewhere
+    would show it; zero where nothing is known of it.
     """
     least, most = limits
     kept = np.zeros(len(slices), bool) if fixed is None else fixed
     variance = start**2
+    usual = np.zeros(len(slices)) if expected is None else expected
+    others = np.where(usual > 0, OTHERS, 0.0)
     for _ in range(rounds):
         alive = np.flatnonzero(variance > 0)
         if not len(alive):
@@ -45,9 +51,10 @@ def sizes_by_marginal_likelihood(
         posterior = np.einsum("ij,ij->j", half, half)
         first = np.cumsum(count) - count
         determined = count - np.add.reduceat(posterior, first) / variance[alive]
-        asked = np.add.reduceat(mean**2, first) / np.maximum(determined, 1e-3)
+        others_square = others[alive] * usual[alive] ** 2
+        asked = (np.add.reduceat(mean**2, first) + others_square) / np.maximum(determined + others[alive], 1e-3)
         before = variance[alive]
-        after = np.where(kept[alive], before, np.where(determined > LEAST_DETERMINED, np.minimum(asked, most**2), 0.0))
+        after = np.where(kept[alive], before, np.where(determined + others[alive] > LEAST_DETERMINED, np.minimum(asked, most**2), 0.0))
         floor = np.broadcast_to(least, len(slices))[alive] ** 2
         after = np.where(kept[alive] | (after > floor), after, 0.0)
         variance[alive] = after
@@ -57,14 +64,21 @@ def sizes_by_marginal_likelihood(
 
 
 def sizes_of_groups(
-    normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], limits: tuple[float, float], rounds: int
+    normal: Normal,
+    prior: Prior,
+    groups: Mapping[str, np.ndarray],
+    limits: tuple[float, float],
+    rounds: int,
+    expected: Mapping[str, float] | None = None,
 ) -> dict[str, float]:
     """The size of each group in its present size, by the linear problem of a solution under fixed noise.
 
-    groups: (k,) indices of each group's coefficients among the parameters, whose prior has mean zero; limits: smallest and largest size.
+    groups: (k,) indices of each group's coefficients among the parameters, whose prior has mean zero; limits: smallest and largest size;
+    expected: sigma that the coefficients of a group usually have.
     """
     S, b, slices = _conditioned(normal, prior, groups)
-    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), rounds)
+    usual = np.array([(expected or {}).get(name, 0.0) / prior.sigma[index[0]] for name, index in groups.items()])
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), rounds, expected=usual)
     return {name: max(float(size), limits[0]) for name, size in zip(groups, found, strict=True)}
 
 

@@ -24,7 +24,7 @@ class FleetTask:
     diagnose: bool = False
     verify: str = ""
     place: str = "fitted"
-    options: CalibrationOptions = CalibrationOptions()
+    options: CalibrationOptions = CalibrationOptions(random_links=False)  # arms and days are compared: no estimate may lean to nominal
 
 
 def evaluate_recording(recording: FleetRecording, task: FleetTask) -> dict[str, Any]:

@@ -8,7 +8,8 @@ by the Levenberg-Marquardt Method", 2011), so a step is short far away and near 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import product
 
 import numpy as np
 
@@ -194,11 +195,18 @@ class NumericalInverse:
 
 def with_full_turns(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Joint positions (k, n) rad with every full turn of every joint that stays between ``low`` and ``high`` (n,); others are dropped."""
-    out = [np.empty((0, q.shape[1]))]
-    for position in q:
-        first, last = np.ceil((low - position) / FULL_TURN - 1e-12), np.floor((high - position) / FULL_TURN + 1e-12)
-        if (last < first).any():
-            continue
-        choices = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(first, last, strict=True)), indexing="ij")
-        out.append(position + FULL_TURN * np.stack([c.ravel() for c in choices], axis=1))
-    return np.clip(np.concatenate(out), low, high)
+    if not len(q):
+        return np.empty((0, q.shape[1]))
+    first, last = np.ceil((low - q) / FULL_TURN - 1e-12), np.floor((high - q) / FULL_TURN + 1e-12)
+    q, first, last = (x[(last >= first).all(axis=1)] for x in (q, first, last))
+    most = (last - first).max(axis=0, initial=0.0).astype(int)
+    turns = _turns_up_to(tuple(most.tolist()))
+    whole = first[:, None] + turns
+    position, turn = np.nonzero((whole <= last[:, None]).all(axis=2))
+    return np.clip(q[position] + FULL_TURN * whole[position, turn], low, high)
+
+
+@cache
+def _turns_up_to(most: tuple[int, ...]) -> np.ndarray:
+    """(T, n) every number of further turns of each joint, up to its own most."""
+    return np.array(list(product(*(range(m + 1) for m in most))), dtype=float)

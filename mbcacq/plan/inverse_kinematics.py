@@ -1,6 +1,6 @@
-"""Inverse kinematics of an arm: in closed form where it has a spherical wrist, else numerically.
+"""Inverse kinematics of an arm: in closed form where it has a spherical wrist or three parallel axes, else numerically.
 
-Closed form: MD-H rows -> ortho-parallel parameters -> all branches at once. Parameters and branches after Brandstoetter, Angerer,
+Spherical wrist: MD-H rows -> ortho-parallel parameters -> all branches at once. Parameters and branches after Brandstoetter, Angerer,
 Hofbaur: "An Analytical Solution of the Inverse Kinematics Problem of Industrial Serial Manipulators with an Ortho-parallel Basis and a
 Spherical Wrist" (2014), as py-opw-kinematics implements them.
 """
@@ -18,6 +18,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.numerical_inverse import NumericalInverse
+from mbcacq.geometry.three_parallel_axes import ThreeParallelAxesInverse
 from mbcacq.model.cell import RobotModel
 
 if TYPE_CHECKING:
@@ -47,7 +48,8 @@ def inverse_kinematics(robot: RobotModel, home: np.ndarray | None = None) -> Inv
     try:
         return OrthoParallelInverse.of(robot)
     except ConfigError:
-        return NumericalInverse(robot.chain, robot.limits, preferred=home)
+        closed = ThreeParallelAxesInverse.of(robot.chain, robot.limits)
+        return closed or NumericalInverse(robot.chain, robot.limits, preferred=home)
 
 
 def wrist_axis(n: int) -> int:

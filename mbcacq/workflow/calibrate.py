@@ -13,9 +13,9 @@ from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
 from mbcacq.calibration.joint_result import JointCalibration
+from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
 from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
-from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.model.cell import TARGET_IN_BASE

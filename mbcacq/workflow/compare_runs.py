@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
-from scipy.stats import norm
+from scipy.special import chdtrc, ndtri
 
 from mbcacq.calibration.result_io import chain_of, effects_of
 from mbcacq.calibration.same_arm import refuse_other_arm
@@ -21,6 +20,8 @@ from mbcacq.quantities import K
 
 FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
 TURNS = {"rad": 180.0 / np.pi}  # angles are shown in degrees
+# Links within the size that such errors have lean to nominal in both alike: a change may be understated, never overstated.
+DETERMINED = {"free", "prior"}
 REGULAR = 1e-12  # least eigenvalue of the normalised covariance of all changes that counts as known
 
 
@@ -112,7 +113,7 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: 
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"one of the results is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
     tested = sum(row.change is not None and row.change[1] is not None for row in rows)
-    limit = float(norm.isf(FALSE_ALARMS / 2 / max(tested, 1)))
+    limit = float(-ndtri(FALSE_ALARMS / 2 / max(tested, 1)))
     rows = [_judged(row, limit) for row in rows]
     chi2, dof = _together([row.change[0] for row in changes if row.change is not None], covariance)
     return RunComparison(names, robot, (*rows, *figures), chi2, dof, float(chdtrc(dof, chi2)) if dof else 1.0)
@@ -136,7 +137,7 @@ def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list
     for name, one in listed[0].items():
         two = listed[1].get(name)
         mount = name.removeprefix("hand_eye.") if name.startswith("hand_eye.") else ""
-        if two is None or name.startswith("ball_") or (one["status"] != "free" and two["status"] != "free"):
+        if two is None or name.startswith("ball_") or not {one["status"], two["status"]} & DETERMINED:
             continue
         scale = TURNS.get(one["unit"], 1.0)
         unit = "deg" if one["unit"] in TURNS else one["unit"]

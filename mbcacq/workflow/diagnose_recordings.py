@@ -66,8 +66,7 @@ def checked(
     others: with their names.
     """
     from mbcacq.calibration import CalibrationOptions
-    from mbcacq.calibration.maximum_likelihood import calibrate
-    from mbcacq.calibration.with_effects import calibrate_with_effects
+    from mbcacq.calibration.maximum_likelihood import calibrate, calibrate_with_effects
 
     options = CalibrationOptions(refuse=False)
     progress("calibrating with what was found")
@@ -162,7 +161,7 @@ def fitted_model(observations: Observations, model: EffectModel) -> tuple[Effect
     """The effects of a diagnosis fitted together with the cell, as a calibration would fit them. Where the recording does not determine the
     cell with them, they stay as the diagnosis had them, and a sentence says why.
     """
-    from mbcacq.calibration.with_effects import calibrate_with_effects
+    from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
     from mbcacq.errors import CalibrationError
     from mbcacq.estimation.options import CalibrationOptions
 

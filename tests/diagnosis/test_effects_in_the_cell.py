@@ -11,8 +11,8 @@ import simulated
 
 import mbcacq
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, with_effects
+from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
-from mbcacq.calibration.with_effects import calibrate_with_effects
 from mbcacq.diagnosis.output.kept_model import kept_group, partly_covered, term_of
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context

@@ -20,7 +20,7 @@ from mbcacq.diagnosis.result import Diagnosis, plain
 from mbcacq.diagnosis.schema import diagnosis_schema
 from mbcacq.recording import load_observations, write_observation_set
 
-HELD = CalibrationOptions(refuse=False, discrepancy=False)
+HELD = CalibrationOptions(refuse=False, discrepancy=False, random_links=False)
 
 
 def in_a_result(content):

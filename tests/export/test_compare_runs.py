@@ -19,7 +19,7 @@ def another(result, seed, **errors):
     names = again["names"]
     noise = dict(zip(names, rng.multivariate_normal(np.zeros(len(names)), np.array(again["covariance"])), strict=True))
     for p in again["parameters"]:
-        if p["status"] == "free" and not p["name"].startswith(("hand_eye", "ball")):
+        if p["std"] is not None and not p["name"].startswith(("hand_eye", "ball")):
             p["error"] += noise[p["name"]] + errors.get(p["name"], 0.0)
     twist = np.array([noise.get(f"hand_eye.{c}", 0.0) + errors.get(c, 0.0) for c in ("x", "y", "z", "rx", "ry", "rz")])
     again["T_flange_scanner"] = (np.array(result["T_flange_scanner"]) @ se3.exp(twist)).tolist()

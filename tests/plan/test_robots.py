@@ -153,7 +153,7 @@ def test_arms_of_other_makers_agree_with_their_drawings(name):
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_arms_without_a_closed_form_reach_what_they_reached(name):
+def test_arms_of_other_makers_reach_what_they_reached(name):
     """A pose taken at random joint angles is reached again, within the limits, and where six axes do it, by those very angles too."""
     arm = robot(name)
     q = np.random.default_rng(3).uniform(arm.limits[:, 0], arm.limits[:, 1], (12, arm.n))

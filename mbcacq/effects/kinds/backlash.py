@@ -6,7 +6,6 @@ In motion the joint side lags by half the clearance, on the side from which it i
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
@@ -94,6 +93,8 @@ def _by_direction(run: MotionSignals, joint: int, _: float | None) -> np.ndarray
 
 def _by_load(run: MotionSignals, joint: int, crossing_s: float | None) -> np.ndarray:
     """The flank in contact follows the sign of the load, in the time that it takes to cross the clearance."""
+    from scipy.signal import lfilter  # takes half a second, which most commands do not need
+
     assert crossing_s is not None
     torque = available(run.load)[:, joint]
     load = np.interp(np.arange((len(torque) - 1) * OVERSAMPLING + 1) / OVERSAMPLING, np.arange(len(torque)), torque)

@@ -7,7 +7,6 @@ because long delays of fast motion are not linear, and everything else in the ch
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, available
@@ -35,6 +34,8 @@ def _encoder(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
 
 def _torque(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
     window = min(max(2 * int(WINDOW_S / run.step_s / 2) + 1, 7), (len(run.q) - 1) // 2 * 2 - 1)
+    from scipy.signal import savgol_filter  # takes half a second, which most commands do not need
+
     return -np.asarray(savgol_filter(available(run.torque)[:, joint], window, 5, deriv=1, delta=run.step_s))[:, None]
 
 

@@ -1,0 +1,163 @@
+"""A calibration that loses against a simpler one is not published.
+
+Where the joints of a calibrated arm seem to repeat worse than the arm does, its model lacks something, and nothing guarantees any longer
+that the most careful weighing of the rows is the best. Simpler calibrations of the same recording then compete: each is fitted without a
+block of poses and predicts it, block after block. One of them is published in its place where it predicts better beyond scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.adjustment import Adjustment, thin
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.solver import Weights, solve
+from mbcacq.estimation.variance_components import first_noise
+from mbcacq.model.observations import Observations
+
+BLOCKS = 5
+LEAST_BLOCKS = 3  # fewer say nothing of their scatter
+POSES = 250  # that compete of a longer recording: a block of 50 poses tells 10 % of an rms
+POSES_OF_A_STATION = 3  # fewer say little more than where the station is
+GROSS = 10.0  # medians of the best method, beyond which a centre is an accident that judges nobody
+BEYOND = 2.0  # standard errors by which a method must predict better: blocks lie near fitted poses, and favour what fits there
+
+
+@dataclass(frozen=True)
+class HeldOutComparison:
+    """What calibrations of one recording predict of its held-out blocks.
+
+    Attributes
+    ----------
+    rms_mm
+        By name: (B,) rms (mm, 3D) of each block. Calibrations that the blocks do not determine are left out.
+    chosen
+        Name of the calibration that is to be published.
+    """
+
+    rms_mm: Mapping[str, np.ndarray]
+    chosen: str
+
+    def pooled(self, name: str) -> float:
+        """The rms (mm, 3D) of all blocks together."""
+        return float(np.sqrt(np.mean(self.rms_mm[name] ** 2)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content: which was chosen, and the rms of each block."""
+        return {"chosen": self.chosen, "rms_mm": {name: rms.tolist() for name, rms in self.rms_mm.items()}}
+
+    def sentence(self, own: str) -> str:
+        """For whoever gets another calibration than ``own``, which was asked for."""
+        better = int(np.sum(self.rms_mm[self.chosen] < self.rms_mm[own]))
+        return (
+            f"The joints repeat worse than the arm does, so something is not in the model; {self.chosen} predicts held-out poses better "
+            f"({self.pooled(self.chosen):.3f} mm rms against {self.pooled(own):.3f} mm by {own}, better in {better} of "
+            f"{len(self.rms_mm[own])} blocks) and is what this result holds"
+        )
+
+
+def compared_on_held_out(obs: Observations, own: str, fits: Mapping[str, Callable[[Observations], Calibrated]]) -> HeldOutComparison | None:
+    """Calibrations compared on blocks of poses that take no part in them.
+
+    Parameters
+    ----------
+    obs : Observations
+        The recording that is calibrated; of a long one, a part.
+    own : str
+        Name of the calibration that is published unless another predicts better.
+    fits : mapping
+        Name -> calibration of some poses. What these raise of CalibrationError takes the calibration out of the comparison.
+
+    Returns
+    -------
+    HeldOutComparison or None
+        None where the recording has too few blocks that can be predicted, or where ``own`` cannot be made without one.
+    """
+    obs = thin(obs, POSES) if obs.n_poses > POSES else obs
+    masks, by_station = _blocks(obs)
+    if len(masks) < LEAST_BLOCKS:
+        return None
+    distances: dict[str, list[np.ndarray]] = {name: [] for name in fits}
+    parts = [(obs.select(~mask), obs.select(mask)) for mask in masks]
+    for rest, held in parts:
+        for name in list(distances):
+            try:
+                distances[name].append(_distances(held, fits[name](rest), by_station))
+            except (CalibrationError, np.linalg.LinAlgError):
+                if name == own:
+                    return None
+                del distances[name]
+    rms = _rms_without_gross(distances)
+    return HeldOutComparison(rms, _chosen(rms, own))
+
+
+def plain_least_squares(alone: Adjustment) -> Adjustment:
+    """The geometry by least squares: every centre counts alike, no noise of the joints, nothing rejected. Where the links have sizes, those
+    stay as they are: without them the error where nothing was measured has no bound.
+
+    Parameters
+    ----------
+    alone : Adjustment
+        By maximum likelihood; its layout is kept, and it is where the iteration starts.
+
+    Returns
+    -------
+    Adjustment
+        Its noise of a point is the rms of the residuals times the root of the number of centres at a pose: what the model lacks is common
+        to them, and its uncertainties take this into account. The joints repeat as the data sheet has it, for predictions.
+    """
+    lineariser, obs = alone.lineariser, alone.lineariser.obs
+    every = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    still, sheet = np.full(obs.cell.robot.n, 1e-9), first_noise(obs.cell).joint
+    solution, noise = alone.solution, Noise(np.ones(3), still, 1e-3)
+    for _ in range(2):
+        solution = solve(lineariser, solution, noise, every)
+        square = np.mean(solution.linear.residual**2, axis=0)
+        common = np.sqrt(obs.n_centres / obs.n_poses)
+        turn = float(np.sqrt(np.mean(square[3:]))) * common if len(square) > 3 else 1e-3
+        noise = Noise(np.full(3, float(np.sqrt(np.mean(square[:3]))) * common), still, turn)
+    return replace(alone, solution=solve(lineariser, solution, noise, every), noise=replace(noise, joint=sheet), weights=every)
+
+
+def _blocks(obs: Observations) -> tuple[list[np.ndarray], bool]:
+    """(P,) masks of the poses to leave out, and whether they are whole stations, whose places nothing else tells. Stations come first: a
+    calibration is for places where nothing was measured."""
+    stations = np.unique(obs.station)
+    if len(stations) < BLOCKS or obs.n_poses < POSES_OF_A_STATION * len(stations):
+        try:
+            return held_out_masks(obs, "block", None, BLOCKS, 0), False
+        except CalibrationError:
+            return [], False
+    return [np.isin(obs.station, group) for group in np.array_split(stations, BLOCKS)], True
+
+
+def _distances(held: Observations, cell: Calibrated, by_station: bool) -> np.ndarray:
+    return about_best_station(held, cell)[0] if by_station else prediction_error(held, cell)
+
+
+def _rms_without_gross(distances: Mapping[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
+    """(B,) rms by name, of the centres that not every calibration misses grossly."""
+    blocks = zip(*distances.values(), strict=True)
+    kept = []
+    for block in blocks:
+        least = np.min(block, axis=0)
+        kept.append(least <= GROSS * np.median(least))
+    return {name: np.array([np.sqrt(np.mean(d[k] ** 2)) for d, k in zip(of, kept, strict=True)]) for name, of in distances.items()}
+
+
+def _chosen(rms: Mapping[str, np.ndarray], own: str) -> str:
+    """The one that predicts best, if it predicts better than ``own`` by more than the blocks scatter."""
+    best, gain = own, 0.0
+    for name in rms:
+        lead = np.log(rms[own] / rms[name])
+        mean, error = float(lead.mean()), float(lead.std(ddof=1)) / np.sqrt(len(lead))
+        if mean > max(gain, BEYOND * error) and np.mean(rms[name] ** 2) < np.mean(rms[own] ** 2):
+            best, gain = name, mean
+    return best

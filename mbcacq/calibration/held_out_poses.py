@@ -1,0 +1,97 @@
+"""Poses that take no part in a fit: which they are, and how far off a calibrated cell predicts them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.verification import points_in_base
+from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.estimation import parameters
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.initial_guess import place_stations
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.solver import Weights, solve
+from mbcacq.model.cell import TARGET_IN_BASE
+from mbcacq.model.observations import Observations
+
+
+def held_out_masks(obs: Observations, split: str, size: int | None, fits: int | None, seed: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    if split == "station":
+        stations = np.unique(obs.station)
+        if len(stations) < 2:
+            raise CalibrationError("there is one station only; none can be left out. Use --held-out random or block")
+        return [obs.station == s for s in stations]
+    masks = []
+    if split == "random":
+        size = size or min(300, max(1, int(round(0.3 * obs.n_poses))))
+        if size >= obs.n_poses:
+            raise ConfigError(f"{size} poses cannot be held out of {obs.n_poses}; give a smaller number")
+        for _ in range(fits or 3):
+            mask = np.zeros(obs.n_poses, bool)
+            mask[rng.choice(obs.n_poses, size, replace=False)] = True
+            masks.append(mask)
+    else:
+        order = np.argsort(obs.time_s if obs.time_s is not None else obs.pose_id, kind="stable")
+        for part in np.array_split(order, fits or 5):
+            mask = np.zeros(obs.n_poses, bool)
+            mask[part] = True
+            masks.append(mask)
+    known = [_known_places(obs, m) for m in masks]
+    if not any(m.any() for m in known):
+        raise CalibrationError("every pose left out shows a ball where the rest does not know its place; use --held-out station or random")
+    return [m for m in known if m.any()]
+
+
+def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
+    """The poses whose balls have a position that training determines: the same ball at the same station was measured, or three others.
+
+    One socket of two does not determine where the other is, and nothing is known of a station without training poses.
+    """
+    if obs.cell.measurement == TARGET_IN_BASE:
+        return test & np.isin(obs.station, np.unique(obs.station[~test]))
+    trained = np.zeros((len(obs.cell.stations), len(obs.cell.ball_ids)), bool)
+    train = ~test[obs.pose]
+    station = obs.station[obs.pose]
+    trained[station[train], obs.ball[train]] = True
+    known = trained[station, obs.ball] | (trained.sum(axis=1) >= 3)[station]
+    unknown = np.bincount(obs.pose, ~known, minlength=obs.n_poses) > 0
+    return test & ~unknown
+
+
+def prediction_error(obs: Observations, cell: CellState | Calibrated) -> np.ndarray:
+    """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
+    state, options = _as_it_is(obs, cell)
+    _, residual = Lineariser(obs, parameters.build(obs, options), options).residual(parameters.Estimate(state))
+    return np.linalg.norm(residual[:, :3], axis=1)
+
+
+def about_best_station(obs: Observations, cell: CellState | Calibrated) -> tuple[np.ndarray, int]:
+    """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
+    state, options = _as_it_is(obs, cell)
+    placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
+    start = CellState(state.chain, state.T_flange_scanner, placed, state.balls)
+    lineariser = Lineariser(obs, parameters.build(obs, options), options)
+    noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
+    solution = solve(lineariser, parameters.Estimate(start), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))
+    return np.linalg.norm(solution.linear.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
+
+
+def ball_spread(obs: Observations, cell: CellState | Calibrated) -> np.ndarray:
+    """(M,) mm distance of each ball, brought into the base, from the mean place of that ball at that station."""
+    if obs.cell.measurement == TARGET_IN_BASE:
+        return about_best_station(obs, cell)[0]
+    base = points_in_base(obs, cell, None) if isinstance(cell, CellState) else points_in_base(obs, cell.state, cell.effects)
+    _, group = np.unique(obs.station[obs.pose] * len(obs.cell.ball_ids) + obs.ball, return_inverse=True)
+    mean = np.stack([np.bincount(group, base[:, j]) for j in range(3)], axis=1) / np.bincount(group)[:, None]
+    return np.linalg.norm(base - mean[group], axis=1)
+
+
+def _as_it_is(obs: Observations, cell: CellState | Calibrated) -> tuple[CellState, CalibrationOptions]:
+    """A cell's state, and options under which nothing but the stations is free and its effects displace the recording."""
+    state, effects = (cell, None) if isinstance(cell, CellState) else (cell.state, cell.effects)
+    displaced = tuple(zip(effects.at(obs), effects.coefficients, strict=True)) if effects else ()
+    hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
+    return state, CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=hold, displaced=displaced)

@@ -1,0 +1,80 @@
+"""Errors of an arm's links as random effects: what the poses hardly determine stays near the nominal arm.
+
+The links of an arm err by much the same amounts, angles of the joints' zeros, other angles and lengths each by their own. Maximum
+likelihood gives a badly determined link whatever the noise asks of it, and such errors cancel where poses were measured and nowhere else.
+With a common size for each kind of error, estimated by restricted maximum likelihood, the estimate is the best linear unbiased prediction
+(Henderson 1975): the same where the poses determine everything, and never worse in expectation where they do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.estimation.adjustment import COARSE, FINE, Adjustment, settle_variances
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.parameters import KINDS, KINDS_START, ParameterBlock, ParameterLayout
+from mbcacq.estimation.solver import solve, with_prior_of
+from mbcacq.geometry.chain import PARAMETERS
+
+LEAST_OF_A_KIND = 3  # fewer free parameters say nothing of a common size and stay without one
+
+
+def with_random_links(fitted: Adjustment, options: CalibrationOptions) -> Adjustment:
+    """An adjustment with random errors of the links in the place of free ones.
+
+    Parameters
+    ----------
+    fitted : Adjustment
+        With free links; what it holds stays held, and its rejections are where the new ones begin.
+    options : CalibrationOptions
+        It was made with.
+
+    Returns
+    -------
+    Adjustment
+        The same where the links are to be free, have a prior of their own, or too few of them are free.
+    """
+    layout = with_common_sizes(fitted.lineariser.layout) if options.random_links else fitted.lineariser.layout
+    if layout is fitted.lineariser.layout:
+        return fitted
+    lineariser = fitted.lineariser.with_layout(layout)
+    solution = solve(lineariser, with_prior_of(lineariser, fitted.solution), fitted.noise, fitted.weights, tolerance=COARSE)
+    lineariser, solution, noise, weights = settle_variances(lineariser, solution, fitted.noise, fitted.weights, options)
+    return replace(
+        fitted,
+        lineariser=lineariser,
+        solution=solve(lineariser, with_prior_of(lineariser, solution), noise, weights, tolerance=FINE),
+        noise=noise,
+        weights=weights,
+    )
+
+
+def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = KINDS_START) -> ParameterLayout:
+    """The layout with random errors of the links.
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+        Of an arm that is to be identified.
+    sizes : mapping
+        sigma (mm, rad) of each kind of error.
+
+    Returns
+    -------
+    ParameterLayout
+        The same where the links have a prior of their own, or too few of them are free.
+    """
+    chain = layout.blocks[0]
+    if chain.group is not None or np.isfinite(chain.sigma[chain.free]).any():
+        return layout
+    kind = np.array([KINDS[p] for p in PARAMETERS] * (len(chain.names) // len(PARAMETERS)))
+    common = {name for name in KINDS_START if np.sum(chain.free & (kind == name)) >= LEAST_OF_A_KIND}
+    if not common:
+        return layout
+    group = tuple(name if name in common else "" for name in kind)
+    sigma = np.array([sizes[g] if g else np.inf for g in group])
+    block: ParameterBlock = replace(chain, sigma=sigma, group=group)
+    return ParameterLayout((block, *layout.blocks[1:]))
