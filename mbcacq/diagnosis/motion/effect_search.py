@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, under
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
 from mbcacq.diagnosis.motion.gram_point import RATIOS, SHARES, ConditionedGram, MotionTerm
 from mbcacq.diagnosis.motion.motion_model import Variant
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
@@ -89,16 +89,20 @@ class MotionSearch(EvidenceSearch):
         rest = best.point.conditioned([m for m in best.members if m is not member])
         return float(self.log_factors(rest, [member.candidate])[0]) < BEYOND_DOUBT
 
-    def settled(self, best: Hypothesis) -> Hypothesis:
-        """The set with the most probable value of each hyper-parameter, one effect after the other."""
+    def settled(self, best: Hypothesis, first: int = 0) -> Hypothesis:
+        """The set with the most probable value of the hyper-parameters of its effects from number ``first`` on, one after the other, at the
+        noise that they leave: before an effect is there, the noise hides which value fits best.
+        """
         members = list(best.members)
-        for i, member in enumerate(members):
+        for i, member in list(enumerate(members))[first:]:
             forms = next((f for f in self.candidates if f[0].form == member.candidate.form and len(f) > 1), ())
             tried = [Member(term, None, -float(np.log(len(forms))), term.sizes) for term in forms]
             sets = [under(best.point, (*members[:i], one, *members[i + 1 :]), 0.0) for one in tried]
             if sets:
                 members[i] = tried[int(np.argmax([h.log_evidence for h in sets]))]
-        return self.estimated(tuple(members), best.point)
+        found = estimated(tuple(members), best.point, best.log_prior)
+        self.known[found.key] = found
+        return found
 
     def further(self, node: Hypothesis, candidates: list[Forms], least: float) -> list[tuple[float, Member]]:
         present = [m.candidate for m in node.members]

@@ -23,7 +23,7 @@ from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionCandidate
 
 MOST_PASSES = 60  # linearisations: one an effect, and some more where an effect is left out again
-TRIED = 8  # effects of the most evidence that are compared, each with the colour of the residual that it would leave
+TRIED = 5  # effects of the most evidence that are compared, each with the colour of the residual that it would leave
 
 
 class EffectSelection:
@@ -116,7 +116,7 @@ class EffectSelection:
             gain = grown.log_posterior - without.log_posterior
             if gain > most:
                 most, found = gain, grown
-        return found
+        return found if found is best else search.settled(found, first=len(best.members))
 
     def _take(self, best: Hypothesis) -> None:
         """Make a set that of the model, and linearise anew."""
