@@ -70,4 +70,3 @@ class MotionOptions:
 
 DEFAULTS = MotionOptions()
 RIDGE = 1e-12  # of a scaled normal matrix: numerical rank in double precision
-SMALLEST_EIGENVALUE = 1e-8  # of a scaled matrix of products: directions below are those of rounding
