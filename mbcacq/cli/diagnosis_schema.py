@@ -9,7 +9,7 @@ from mbcacq.cli.terminal import echo
 
 @click.command("diagnosis-schema")
 def command() -> None:
-    """Print the JSON Schema of what mbcacq diagnose --json prints, format mbcacq-diagnosis/2."""
+    """Print the JSON Schema of what mbcacq diagnose --json prints, format mbcacq-diagnosis/3."""
     from mbcacq.diagnosis.schema import schema_text
 
     echo(schema_text().rstrip("\n"))

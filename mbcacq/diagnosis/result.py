@@ -1,4 +1,4 @@
-"""The diagnosis as typed objects, and as the JSON object (``mbcacq-diagnosis/2``) that other programs read; version 1 is read too.
+"""The diagnosis as typed objects, and as the JSON object (``mbcacq-diagnosis/3``) that other programs read; versions 1 and 2 are read too.
 
 Every class here is plain data: it pickles, and its fields are the keys of the JSON object, in their order.
 """
@@ -23,9 +23,8 @@ from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.json_text import damage
 from mbcacq.quantities import micrometres
 
-FORMAT_1 = "mbcacq-diagnosis/1"
-FORMAT = "mbcacq-diagnosis/2"
-READABLE = (FORMAT_1, FORMAT)
+FORMAT = "mbcacq-diagnosis/3"
+READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
 
 
 def with_nan(value: Any) -> Any:

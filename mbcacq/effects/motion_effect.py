@@ -85,7 +85,7 @@ class MotionCandidate:
     """columns(run, joint, hyper) -> (T, k), with the same k coefficients for all of ``joints``.
 
     report(coefficients (k,), covariance (k, k), hyper, its standard deviation) -> parameters. hyper: values to try, or None.
-    positive: physics demands a positive first coefficient. trials: number of independent hyper values tried, for the p-value.
+    positive: physics demands a positive first coefficient. trials: number of independent hyper values that share the prior.
     extends: a refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
     hyper_parameter: name of the reported parameter that is the hyper-parameter; at the first or last value of ``hyper`` it is a bound of
     what was tried, no estimate. no_lower_bound: the first value stands for none at all.

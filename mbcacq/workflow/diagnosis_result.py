@@ -131,8 +131,8 @@ class DiagnosisResult:
         keep_in_run(self.main.to_json(), self._words_of_poses(), drawn, observations, Path(run))
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON content, format mbcacq-diagnosis/2 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
-        motion stands under its own key. Trajectories alone give version 1."""
+        """The JSON content, format mbcacq-diagnosis/3 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
+        motion stands under its own key."""
         from mbcacq.diagnosis.motion.combine import combined
         from mbcacq.diagnosis.result import plain
 

@@ -21,7 +21,7 @@ from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
 One = DiagnosisResult | Diagnosis | EffectModel | Calibration | CalibratedCell | Path | str
 Effects = One | Sequence[One]
-READABLE = ("mbcacq-diagnosis/2", "mbcacq-result/1", "mbcacq-effect-model/1")
+READABLE = ("mbcacq-diagnosis/3", "mbcacq-result/1", "mbcacq-effect-model/1")
 DIAGNOSIS, RESULT, EFFECT_MODEL = KINDS = ("mbcacq-diagnosis/", "mbcacq-result/", "mbcacq-effect-model/")
 
 

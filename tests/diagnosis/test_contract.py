@@ -17,7 +17,7 @@ VERDICTS = {"none", "explained", "partly_explained", "unexplained", "cannot_tell
 
 
 def check_contract(d: dict) -> None:
-    assert d["format"] == "mbcacq-diagnosis/2"
+    assert d["format"] == "mbcacq-diagnosis/3"
     assert d["verdict"] in VERDICTS
     shares = [m["share"] for m in d["mismatch"]]
     assert shares == sorted(shares, reverse=True)

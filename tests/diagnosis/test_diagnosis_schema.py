@@ -82,6 +82,10 @@ def test_version_1_stays_readable():
     assert Diagnosis.from_json(old | {"format": "mbcacq-diagnosis/1"}) == FOUND
 
 
+def test_version_2_stays_readable():
+    assert Diagnosis.from_json(FOUND.to_json() | {"format": "mbcacq-diagnosis/2"}) == FOUND
+
+
 def test_with_one_station_the_base_is_the_station(plan):
     assert classes(plan, ()) == []
     one = plan.select(plan.station == 0)

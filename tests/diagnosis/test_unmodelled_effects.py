@@ -6,9 +6,9 @@ import simulated
 import mbcacq
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
 from mbcacq.diagnosis.evidence.hypothesis import Member, SetPrior, estimated
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.diagnosis.evidence.pose_search import PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
@@ -126,7 +126,9 @@ def test_a_name_that_mends_a_shape_is_left_out_for_a_more_general_shape():
     point = NoisePoint(setup.linear, setup.prior_noise, pack(setup.noise))
     shift = next(c for c in setup.candidates if c.name == "mount_shift")
     plain = next(m for _, m in blocks.evidence(point.projected) if m.candidate.where == ("A5",))
-    search = EvidenceSearch(setup.candidates, blocks, SetPrior.of(setup.candidates, blocks.locations), setup.context)
+    search = PoseSearch(
+        candidates=setup.candidates, unmodelled=blocks, prior=SetPrior.of(setup.candidates, blocks.locations), context=setup.context
+    )
     mended = (plain, Member(shift, float(shift.hyper.values[20])))
     best = estimated(mended, point, search.log_prior(mended))
 

@@ -24,7 +24,7 @@ def test_a_higher_number_of_the_same_format_is_newer(found, known, newer):
     assert bool(newer_format(found, known)) is newer
 
 
-@pytest.mark.parametrize("kind", ["mbcacq-result/2", "mbcacq-joint-result/7", "mbcacq-diagnosis/3"])
+@pytest.mark.parametrize("kind", ["mbcacq-result/2", "mbcacq-joint-result/7", "mbcacq-diagnosis/4"])
 def test_a_newer_file_is_never_called_damaged(kind, tmp_path):
     from mbcacq.exports.result_json import load_result
     from mbcacq.workflow.diagnosis_result import DiagnosisResult

@@ -16,6 +16,11 @@ def poses(value, std):
     }
 
 
+COMPARED = {"name": "joint_compliance", "where": ["A2"], "parameters": {"com_mm": {"value": [1.0, 2.0], "std": [0.1, 0.2]}}, "tried": True}
+SETS = [{"effects": [COMPARED], "log_odds": 0.0}, {"effects": [], "log_odds": -30.0}]
+EVIDENCE = {"poses": 0, "log_e_value": 30.0, "least_log_e_value": 4.6, "sets": SETS, "untried": []}
+
+
 def motion(value=4.2e-6, std=1e-7, named=True):
     error = {"before_rms": 0.03, "after_rms": 0.002, "before_chi2_dof": 200.0, "after_chi2_dof": None}
     channel = {"channel": "q_joint", "at": "A2", "unit": "deg", "noise_floor": 1e-4, "train": error, "held_out": error}
@@ -27,13 +32,13 @@ def motion(value=4.2e-6, std=1e-7, named=True):
     effect |= {"parameters": {"A2.compliance_rad_per_Nm": {"value": value, "std": std}}, "p_value": 1e-12, "held_out_gain": 0.8}
     effect |= {
         "held_out_gain_here": 0.9,
-        "alternatives": [{"name": "backlash", "where": ["A2"], "held_out_gain": 0.2}],
+        "alternatives": [{"name": "backlash", "where": ["A2"], "held_out_gain": 0.2, "odds": 0.1}],
         "steps": [step],
         "notes": [],
     }
     mean = {"before_chi2_dof": 200.0, "after_chi2_dof": None}
     return {
-        "format": "mbcacq-diagnosis/1",
+        "format": "mbcacq-diagnosis/3",
         "verdict": "partly_explained",
         "mismatch": [{"at": "A2", "channel": "q_joint", "depends_on": "tau2", "share": 0.8, "p_value": 1e-12}],
         "effects": [effect, unknown] if named else [unknown],
@@ -44,6 +49,7 @@ def motion(value=4.2e-6, std=1e-7, named=True):
             {"body": "link1", "mass_kg": 3.0, "first_moment_kg_mm": [1.0, 0.0, 0.0], "tensor_kg_m2": [0.1, 0.0, 0.0, 0.1, 0.0, 0.1]}
         ],
         "suspicions": [],
+        "evidence": [{"channel": "q_joint", "evidence": EVIDENCE}],
     }
 
 
@@ -67,6 +73,14 @@ def test_diagnosis_of_motion_goes_through_json_and_pickle_unchanged():
     assert json.dumps(diagnosis.to_json()) == json.dumps(motion())
     assert pickle.loads(pickle.dumps(diagnosis)).to_json() == motion()
     assert [e.name for e in diagnosis.named_effects] == ["joint_compliance"]
+
+
+def test_version_1_of_a_motion_stays_readable():
+    old = {key: content for key, content in motion().items() if key != "evidence"} | {"format": "mbcacq-diagnosis/1"}
+    del old["effects"][0]["alternatives"][0]["odds"]
+    now = motion() | {"evidence": []}
+    now["effects"][0]["alternatives"][0]["odds"] = None
+    assert MotionDiagnosis.from_json(old).to_json() == now
 
 
 def test_diagnosis_of_motion_shows_its_effects_in_a_notebook():

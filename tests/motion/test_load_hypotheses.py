@@ -9,8 +9,8 @@ import yaml
 from mbcacq.diagnosis.motion import diagnose
 from mbcacq.diagnosis.motion.assemble import assemble
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
+from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.fit import fit_selected
-from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
 from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.options import DEFAULTS
@@ -37,7 +37,7 @@ def selection(robot, half_range_deg, heavier):
     trajectory = Trajectory(robot, time, q + middle, torque=torque + rng.normal(0, 0.3, q.shape))
     recordings = diagnose._Recordings([trajectory], DEFAULTS)
     (group,) = channel_groups(recordings.runs, recordings.inertial, recordings.robot, DEFAULTS)
-    return ForwardSelection(MotionModel(group, recordings.runs, DEFAULTS)), recordings.runs
+    return EffectSelection(MotionModel(group, recordings.runs, DEFAULTS)), recordings.runs
 
 
 HEAVIER = [0.0, 0.08, -0.05, 0.06, 0.0, 0.0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbcacq.diagnosis.motion.assemble import HeldOutTable
-from mbcacq.diagnosis.motion.determination import at_bound, significance
+from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.effects.kinds.drive_lag import LAGS_S, LOOPS_S
 
 
@@ -38,9 +38,3 @@ def test_a_value_at_the_end_of_what_was_tried_is_a_bound(hyper, bound):
 def test_no_lag_at_all_is_a_value():
     candidate = SimpleNamespace(hyper_parameter="A1.time_constant_s", hyper=LAGS_S, no_lower_bound=True)
     assert not at_bound(SimpleNamespace(candidate=candidate, variant=SimpleNamespace(hyper=LAGS_S[0])))
-
-
-def test_a_size_within_its_uncertainty_of_zero_does_not_count_nor_a_phase():
-    undetermined = {"A2.sin_Nm": {"value": 296.0, "std": 1610.0}, "A2.phase_deg": {"value": 90.0, "std": 1.0}}
-    assert significance(undetermined, "") == pytest.approx(296 / 1610)
-    assert significance({"moment": {"value": [0.0, 8.0], "std": [1.0, 2.0]}}, "") == 4.0

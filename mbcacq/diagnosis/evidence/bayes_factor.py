@@ -37,7 +37,7 @@ def _log_factors(
     The others are eliminated, and what remains of the effect is taken along its eigenvectors, in which every size is a number.
     """
     mine = np.arange(slices[j].start, slices[j].stop)
-    rest = np.setdiff1d(np.arange(len(a)), mine)
+    rest = np.r_[0 : slices[j].start, slices[j].stop : len(a)]
     t = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, chosen, strict=True)])[rest]
     root = np.linalg.cholesky(np.eye(len(rest)) + t[:, None] * A[rest][:, rest] * t)
     inverse = np.linalg.inv(root)

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres, log_density_of_outlier
+from mbcacq.diagnosis.evidence.pose_search import PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -21,30 +22,10 @@ from mbcacq.estimation.variance_components import pack
 
 
 @dataclass(frozen=True)
-class EvidenceFit:
-    """hypotheses: all that were compared, most probable first, the empty set (``none``) among them. linear: the linearisation of the best
-    one, without discrepancy. log_e_value: of all effects together against none; above ``least`` there is an effect.
-    """
+class EvidenceFit(RankedSets):
+    """The sets of effects of poses. linear: the linearisation of the best one, without discrepancy."""
 
-    hypotheses: tuple[Hypothesis, ...]
-    none: Hypothesis
     linear: LinearProblem
-    log_e_value: float
-    least: float
-
-    @property
-    def significant(self) -> bool:
-        return self.log_e_value > self.least
-
-    @property
-    def undecided(self) -> bool:
-        """Whether the evidence neither shows an effect nor is as weak as without one."""
-        return float(np.log(OPTIONS.noteworthy_e_value)) < self.log_e_value <= self.least
-
-    @property
-    def best(self) -> Hypothesis:
-        """The most probable set where there is an effect at all, else the empty one."""
-        return next(h for h in self.hypotheses if h.members) if self.significant else self.none
 
 
 def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
@@ -79,9 +60,17 @@ def compared(
     """
     blocks = UnmodelledEffects(problem.design_blocks)
     prior = SetPrior.of(problem.candidates, blocks.locations)
-    search = EvidenceSearch(problem.candidates, blocks, prior, problem.context, alternatives, narrow, staged)
+    search = PoseSearch(
+        candidates=problem.candidates,
+        prior=prior,
+        alternatives=alternatives,
+        narrow=narrow,
+        unmodelled=blocks,
+        context=problem.context,
+        staged=staged,
+    )
     ranked = search.run(NoisePoint(linear, problem.prior_noise, theta), begin)
-    return EvidenceFit(tuple(ranked), search.known[()], linear, log_e_value(ranked), LEAST_LOG_E_VALUE)
+    return EvidenceFit(tuple(ranked), search.known[()], log_e_value(ranked), LEAST_LOG_E_VALUE, linear)
 
 
 def readmitted(problem: DiagnosisProblem) -> np.ndarray:

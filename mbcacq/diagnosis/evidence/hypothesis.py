@@ -1,4 +1,7 @@
-"""A hypothesis: a set of effects, the noise that is most probable with it, and its evidence."""
+"""A hypothesis: a set of effects, the noise that is most probable with it, and its evidence.
+
+What is compared may be poses or a motion: each is an ``EvidencePoint``, the rows of a recording at one noise.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,78 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect
-from mbcacq.diagnosis.evidence.noise_model import LARGEST_STEP, NoisePoint
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_columns import candidate_columns
-from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 
 UNMODELLED = UNKNOWN
+LARGEST_STEP = 1.0  # of a logarithm of the noise in one round
+
+
+class SearchedEffect(Protocol):
+    """What the search asks of a candidate: name and location, ``key`` that identifies it with its form, k coefficients of typical sizes
+    (k,), whether the only one cannot be negative, and how rare it is relative to others of its kind.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def where(self) -> tuple[str, ...]: ...
+    @property
+    def key(self) -> str: ...
+    @property
+    def k(self) -> int: ...
+    @property
+    def typical(self) -> np.ndarray: ...
+    @property
+    def positive(self) -> bool: ...
+    @property
+    def rarity(self) -> float: ...
+
+
+class NormalSystem(Protocol):
+    """Normal equations of effects beyond everything else at one noise: A (k, k), a (k,), coefficients in typical sizes. log_likelihood: of
+    everything else alone, with the log prior of the noise.
+    """
+
+    @property
+    def A(self) -> np.ndarray: ...
+    @property
+    def a(self) -> np.ndarray: ...
+    @property
+    def log_likelihood(self) -> float: ...
+
+    def score(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and information of the log posterior by the noise, with the effects in place; weight (k,): prior weight of each."""
+        ...
+
+
+class EvidencePoint(Protocol):
+    """The rows of a recording at one noise."""
+
+    def extended(self, members: Sequence[Member]) -> Any:
+        """The rows with effects, as far as that does not depend on the noise."""
+        ...
+
+    def with_effects(self, extended: Any) -> NormalSystem:
+        """The normal equations of these effects."""
+        ...
+
+    def conditioned(self, members: Sequence[Member]) -> Any:
+        """The problem with these effects, each at its most probable size, in place; further candidates are scored in it."""
+        ...
+
+    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[Self, float]:
+        """The point after a step of scoring, and the largest change of a logarithm."""
+        ...
+
+
+P = TypeVar("P", bound=EvidencePoint)
 
 
 @dataclass(frozen=True)
@@ -28,7 +89,7 @@ class Member:
     probable; log_mass: log of the average over the hyper-parameter, relative to this value.
     """
 
-    candidate: Candidate
+    candidate: Any  # a SearchedEffect: ``effects.effect.Candidate`` of poses, ``motion.gram_point.MotionTerm`` of a motion
     hyper: float | None
     log_mass: float = 0.0
     sizes: tuple[float, ...] = OPTIONS.sizes
@@ -49,13 +110,13 @@ class Member:
 
 
 @dataclass(frozen=True, eq=False)
-class Hypothesis:
+class Hypothesis(Generic[P]):
     """point: of its noise. log_evidence: integrated over geometry, coefficients, hyper-parameters and noise, up to a constant of the
     recording; log_prior: of the set, against none.
     """
 
     members: tuple[Member, ...]
-    point: NoisePoint
+    point: P
     log_evidence: float
     log_prior: float = 0.0
 
@@ -80,20 +141,14 @@ class Hypothesis:
         return tuple(m for m in self.members if m.candidate.name != UNMODELLED)
 
     @cached_property
-    def conditioned(self) -> CandidateScoring:
-        """The projected problem with the effects of the set in place."""
-        return conditioned(self.point, self.members)
+    def conditioned(self) -> Any:
+        """The problem with the effects of the set in place."""
+        return self.point.conditioned(self.members)
 
 
 def key_of(members: Sequence[Member]) -> tuple[tuple[str, float], ...]:
     """Identifies a set of effects."""
     return tuple(sorted(m.key for m in members))
-
-
-def conditioned(point: NoisePoint, members: Sequence[Member]) -> CandidateScoring:
-    """The projected problem with these effects, each at its most probable size, in place."""
-    blocks = [(point.projected.block(m.candidate, m.hyper), 1.0 / (m.size * m.candidate.typical) ** 2) for m in members]
-    return point.projected.conditioned_on(blocks)
 
 
 def with_sizes(members: Sequence[Member], A: np.ndarray, a: np.ndarray) -> tuple[tuple[Member, ...], float]:
@@ -110,9 +165,9 @@ def with_sizes(members: Sequence[Member], A: np.ndarray, a: np.ndarray) -> tuple
     return tuple(replace(m, size=s) for m, s in zip(members, sizes, strict=True)), total + sum(m.log_mass for m in members)
 
 
-def estimated(members: Sequence[Member], start: NoisePoint, log_prior: float, rounds: int = OPTIONS.rounds) -> Hypothesis:
+def estimated(members: Sequence[Member], start: P, log_prior: float, rounds: int = OPTIONS.rounds) -> Hypothesis[P]:
     """The hypothesis with its noise estimated anew, from a start."""
-    point, extended = start, with_members(start.linear, members)
+    point, extended = start, start.extended(members)
     sized, log_density, gradient, information = at_noise(point, members, extended)
     for _ in range(rounds):
         new, change = point.moved(gradient, information)
@@ -123,18 +178,10 @@ def estimated(members: Sequence[Member], start: NoisePoint, log_prior: float, ro
     return Hypothesis(sized, point, integrated(log_density, gradient, information), log_prior)
 
 
-def with_members(linear: LinearProblem, members: Sequence[Member]) -> ExtendedProblem:
-    """Geometry and effects, of coefficients in typical sizes without a prior."""
-    columns = np.concatenate([np.zeros((*linear.residual.shape, 0)), *(columns_of(linear, m) for m in members)], axis=2)
-    return linear.extended(columns, np.full(columns.shape[2], np.inf))
-
-
-def at_noise(
-    point: NoisePoint, members: Sequence[Member], extended: ExtendedProblem
-) -> tuple[tuple[Member, ...], float, np.ndarray, np.ndarray]:
+def at_noise(point: EvidencePoint, members: Sequence[Member], extended: Any) -> tuple[tuple[Member, ...], float, np.ndarray, np.ndarray]:
     """The effects at their most probable sizes, the log density of data and noise, and its gradient and information by the noise.
 
-    extended: geometry and effects of the recording.
+    extended: the rows of the recording with these effects.
     """
     system = point.with_effects(extended)
     sized, log_factor = with_sizes(members, system.A, system.a)
@@ -142,29 +189,27 @@ def at_noise(
     return sized, system.log_likelihood + log_factor, *system.score(weight)
 
 
-def columns_of(linear: LinearProblem, member: Member) -> np.ndarray:
-    """(M, R, k) of an effect, for coefficients in typical sizes."""
-    candidate = member.candidate
-    columns = linear.computed_once(("columns", candidate.key, member.hyper), lambda: candidate_columns(linear, candidate, member.hyper))
-    return columns * candidate.typical
-
-
-def first_order(members: Sequence[Member], start: NoisePoint, log_prior: float) -> Hypothesis:
+def first_order(members: Sequence[Member], start: P, log_prior: float) -> Hypothesis[P]:
     """The same under the noise of the start, with the evidence that the next step of the noise is expected to reach."""
     return estimated(members, start, log_prior, 0)
 
 
-def under(point: NoisePoint, members: Sequence[Member], log_prior: float) -> Hypothesis:
+def under(point: P, members: Sequence[Member], log_prior: float) -> Hypothesis[P]:
     """The same with the evidence under that noise, as it is."""
-    sized, log_density, _, information = at_noise(point, members, with_members(point.linear, members))
+    sized, log_density, _, information = at_noise(point, members, point.extended(members))
     return Hypothesis(sized, point, log_density - 0.5 * float(np.linalg.slogdet(information)[1]), log_prior)
+
+
+def scoring_step(gradient: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Step of the logarithms of the noise, by average-information scoring."""
+    return np.clip(np.linalg.solve(information, gradient), -LARGEST_STEP, LARGEST_STEP)
 
 
 def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray) -> float:
     """Laplace's integral over the noise about the maximum that one more step is expected to reach, up to powers of 2 pi that the
     normalised prior has as well.
     """
-    step = np.clip(np.linalg.solve(information, gradient), -LARGEST_STEP, LARGEST_STEP)
+    step = scoring_step(gradient, information)
     expected = float(gradient @ step - 0.5 * step @ information @ step)
     return log_density + expected - 0.5 * float(np.linalg.slogdet(information)[1])
 
@@ -177,16 +222,16 @@ class SetPrior:
     unmodelled_locations: int
 
     @classmethod
-    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int) -> SetPrior:
+    def of(cls, candidates: Collection[SearchedEffect], unmodelled_locations: int) -> SetPrior:
         return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1))
 
-    def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
+    def log_probability(self, candidate: SearchedEffect, present: Sequence[SearchedEffect]) -> float:
         """Of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm are of one
         make; of the first, given that there is one.
         """
         return self._of_kind_and_location(candidate, present) + float(np.log(candidate.rarity))
 
-    def _of_kind_and_location(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
+    def _of_kind_and_location(self, candidate: SearchedEffect, present: Sequence[SearchedEffect]) -> float:
         unmodelled = candidate.name == UNMODELLED
         locations = self.unmodelled_locations if unmodelled else max(self.locations[candidate.name], 1)
         kind = OPTIONS.unmodelled if unmodelled else 1.0 / max(len(self.locations), 1)
@@ -200,5 +245,5 @@ class SetPrior:
         share = 1.0 / len({c.where for c in same}) if here else 1.0 / locations
         return float(np.log(OPTIONS.further / 2 / kinds * share))
 
-    def log_probability_of_set(self, candidates: Sequence[Candidate]) -> float:
+    def log_probability_of_set(self, candidates: Sequence[SearchedEffect]) -> float:
         return sum(self.log_probability(c, candidates[:j]) for j, c in enumerate(candidates))

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.effect_columns import covariates
 from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, ORDER, Candidate, ParameterEstimate, Parameters
@@ -118,6 +118,6 @@ def spread(hypothesis: Hypothesis, member: Member, values: np.ndarray) -> float:
 
 def likelihood(hypothesis: Hypothesis, member: Member, values: np.ndarray) -> np.ndarray:
     """(H,) probability of each of these values of the member's hyper-parameter, all being as probable before."""
-    others = conditioned(hypothesis.point, [m for m in hypothesis.members if m is not member])
+    others = hypothesis.point.conditioned([m for m in hypothesis.members if m is not member])
     logs = log_factors(others, member.candidate, values)
     return np.exp(logs - np.logaddexp.reduce(logs))

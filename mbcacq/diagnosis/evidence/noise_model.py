@@ -6,19 +6,20 @@ The restricted log likelihood of a noise theta, with geometry and effects integr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from mbcacq.diagnosis.evidence.hypothesis import Member, scoring_step
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior, reml_score_and_information, unpack
-
-LARGEST_STEP = 1.0  # of a logarithm in one round
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,17 @@ class NoisePoint:
         """The projected problem, in which candidates are compared."""
         return CandidateScoring.of(self.linear, self.complete_noise)
 
+    def extended(self, members: Sequence[Member]) -> ExtendedProblem:
+        """Geometry and effects, of coefficients in typical sizes without a prior."""
+        linear = self.linear
+        columns = np.concatenate([np.zeros((*linear.residual.shape, 0)), *(columns_of(linear, m) for m in members)], axis=2)
+        return linear.extended(columns, np.full(columns.shape[2], np.inf))
+
+    def conditioned(self, members: Sequence[Member]) -> CandidateScoring:
+        """The projected problem with these effects, each at its most probable size, in place."""
+        blocks = [(self.projected.block(m.candidate, m.hyper), 1.0 / (m.size * m.candidate.typical) ** 2) for m in members]
+        return self.projected.conditioned_on(blocks)
+
     def with_effects(self, extended: ExtendedProblem) -> EffectsSystem:
         """The normal equations of effects, of k coefficients near one, beyond the geometry. extended: of the geometry and their columns."""
         system = extended.at(self.complete_noise)
@@ -65,8 +77,15 @@ class NoisePoint:
 
     def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[NoisePoint, float]:
         """The point after a step of average-information scoring, and the largest change of a logarithm."""
-        step = np.clip(np.linalg.solve(information, gradient), -LARGEST_STEP, LARGEST_STEP)
+        step = scoring_step(gradient, information)
         return replace(self, theta=self.theta + step), float(np.abs(step).max())
+
+
+def columns_of(linear: LinearProblem, member: Member) -> np.ndarray:
+    """(M, R, k) of an effect, for coefficients in typical sizes."""
+    candidate = member.candidate
+    columns = linear.computed_once(("columns", candidate.key, member.hyper), lambda: candidate_columns(linear, candidate, member.hyper))
+    return columns * candidate.typical
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.declaration import EffectCoupling
@@ -25,7 +25,7 @@ class RankedAlternative:
     hypothesis: Hypothesis
 
 
-def reported_hypothesis(fit: EvidenceFit) -> Hypothesis:
+def reported_hypothesis(fit: RankedSets) -> Hypothesis:
     """The smallest subset of the most probable set whose posterior odds against that set exceed 1 : 20. An effect that shows only through
     another one needs the same odds against sets with that other one alone.
     """
@@ -50,7 +50,7 @@ def is_coupled(hypothesis: Hypothesis) -> bool:
     return bool(couplings_of(hypothesis.members))
 
 
-def coupled_instead(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[EffectCoupling, float]]:
+def coupled_instead(fit: RankedSets, reported: Hypothesis) -> list[tuple[EffectCoupling, float]]:
     """Effects that show only through another one and that the reported set, which has none, does not exclude: their couplings, with the
     odds of the most probable set that has one.
     """
@@ -65,7 +65,7 @@ def coupled_instead(fit: EvidenceFit, reported: Hypothesis) -> list[tuple[Effect
     return list(best.values())
 
 
-def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[RankedAlternative]:
+def alternatives_of(fit: RankedSets, reported: Hypothesis, label: str) -> list[RankedAlternative]:
     """What else could stand in the place of a reported effect, most probable first: beside the other reported ones, or beside those of the
     most probable set.
     """
@@ -83,7 +83,7 @@ def alternatives_of(fit: EvidenceFit, reported: Hypothesis, label: str) -> list[
     return sorted(best.values(), key=lambda r: -r.odds)
 
 
-def undecided(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
+def undecided(fit: RankedSets, reported: Hypothesis) -> list[Hypothesis]:
     """Sets that are neither part nor extension of the reported one, and have more than a twentieth of its probability."""
     least = reported.log_posterior + np.log(OPTIONS.undecided)
     out: dict[frozenset[str], Hypothesis] = {}

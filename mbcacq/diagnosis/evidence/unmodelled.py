@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member, conditioned
+from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
 from mbcacq.diagnosis.nonparametric import gaussian_process, locations
 from mbcacq.diagnosis.nonparametric.bayes_factor import relative_sizes
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
@@ -89,7 +89,7 @@ class UnmodelledEffects:
         for member in best.unmodelled:
             if member.label not in found:
                 others = [m for m in best.members if m.label != member.label]
-                process = self.process(conditioned(best.point, others), member)
+                process = self.process(best.point.conditioned(others), member)
                 found |= {member.label: process} if process is not None else {}
         return list(found.values())
 

@@ -10,22 +10,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.motion.evidence_summary import pairs_not_separable, summarized
 from mbcacq.diagnosis.motion.fit import FitStep, FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import MotionOptions
 from mbcacq.diagnosis.motion.residual_structure import residual_structure
 from mbcacq.diagnosis.motion.result import (
     BodyInertia,
+    ChannelEvidence,
     ChannelFit,
     ErrorBeforeAfter,
-    MotionAdvice,
-    MotionAlternative,
     MotionDiagnosis,
     MotionEffect,
     MotionMismatch,
-    MotionNotSeparable,
     MotionStep,
     UnmodelledMotionEffect,
 )
+from mbcacq.diagnosis.result import Advice, Alternative, NotSeparable
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals
 
@@ -89,29 +89,31 @@ def assemble(
             dependence, unmodelled = residual_structure(fit, j, runs, min(weight, 1.0), options)
             mismatch += [] if dependence is None else [dependence]
             effects += [] if unmodelled is None else [unmodelled]
-    loads = tuple(MotionNotSeparable((a.reported, a.alternative), a.correlation, a.odds) for fit in fits for a in fit.load_alternatives)
-    not_separable = (*(s for fit in fits for s in _not_separable(fit)), *loads)
+    loads = tuple(NotSeparable((a.reported, a.alternative), a.correlation, a.odds) for fit in fits for a in fit.load_alternatives)
+    alike = tuple(pair for fit in fits if fit.sets is not None for pair in pairs_not_separable(fit.sets))
+    not_separable = (*alike, *loads)
     return MotionDiagnosis(
-        "cannot_tell" if loads else _verdict(effects, channels, not_separable, options),
+        "cannot_tell" if not_separable else _verdict(fits, effects, channels, options),
         tuple(sorted(mismatch, key=lambda m: -m.share)),
         tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
         tuple(channels),
         fits[0].split,
         not_separable,
-        tuple(_advice(runs, not_separable, options)),
+        (*_advice_on_sets(alike), *_advice(runs, loads, options)),
         tuple(b for fit in fits for b in _inertial(fit)),
+        evidence=tuple(ChannelEvidence(fit.group.name, summarized(fit.sets)) for fit in fits if fit.sets is not None),
     )
 
 
 def _verdict(
-    effects: list[MotionEffect | UnmodelledMotionEffect],
-    channels: list[ChannelFit],
-    not_separable: tuple[MotionNotSeparable, ...],
-    options: MotionOptions,
+    fits: list[MotionFit], effects: list[MotionEffect | UnmodelledMotionEffect], channels: list[ChannelFit], options: MotionOptions
 ) -> str:
+    """As that of poses: ``cannot_tell`` where the evidence neither shows an effect nor is as weak as without one; a residual above the
+    noise is unexplained.
+    """
     named = any(isinstance(e, MotionEffect) for e in effects)
     unexplained = any(c.held_out.after_chi2_dof > options.unexplained_chi2_dof for c in channels)
-    if not_separable and unexplained:
+    if not named and not unexplained and any(fit.sets is not None and fit.sets.undecided for fit in fits):
         return "cannot_tell"
     if named:
         return "partly_explained" if unexplained else "explained"
@@ -131,7 +133,7 @@ def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Moti
         effect.p_value,
         share,
         table.share(gain, at),
-        tuple(MotionAlternative(a.name, a.where, a.gain * share) for a in effect.alternatives),
+        tuple(Alternative(a.name, a.where, 0.0, a.odds) for a in effect.alternatives),
         tuple(_step(fit, step, at) for step in effect.steps),
         tuple(effect.notes),
     )
@@ -162,11 +164,17 @@ def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
     return ChannelFit(fit.group.name, _axis(fit, j), unit, scale * floor, train, error(table.before[j], table.after[j]), refused)
 
 
-def _not_separable(fit: MotionFit) -> list[MotionNotSeparable]:
-    return [MotionNotSeparable((f"{u.name}:{'+'.join(u.where)}", u.other), u.correlation) for u in fit.undetermined]
+def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:
+    """What to record where the evidence does not exclude another set."""
+    if not pairs:
+        return []
+    names = "; ".join(" and ".join(pair.effects) for pair in pairs)
+    return [
+        Advice(f"{names} explain these recordings alike: record a further motion with other speeds, more reversals and a wider range", ())
+    ]
 
 
-def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSeparable, ...], options: MotionOptions) -> list[MotionAdvice]:
+def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...], options: MotionOptions) -> list[Advice]:
     """Which axes should move further, where effects could not be told apart: gravity torques of the masses, of a tool and of a balancer go
     together over a small range of angles, and apart over a large one."""
     robot = runs[0].robot
@@ -181,7 +189,7 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[MotionNotSepar
         f"{names} go together over the angles recorded (deg: {ranges or 'all wide'}): record a motion over as much of these ranges as the "
         "cell allows (mbcacq plan design PLAN --motion RECORDING makes one), and the same motion once with a known weight on the flange"
     )
-    return [MotionAdvice(reason)]
+    return [Advice(reason, ())]
 
 
 def _inertial(fit: MotionFit) -> list[BodyInertia]:

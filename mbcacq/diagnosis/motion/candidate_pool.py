@@ -1,4 +1,4 @@
-"""The candidates of the catalogue of motion, and which of them may be selected next."""
+"""The candidates of the catalogue of motion with their columns, and which of them may be selected next."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class CandidatePool:
 
     def __init__(self, model: MotionModel, candidates: list[MotionCandidate]) -> None:
         self._model, self.candidates = model, candidates
-        self._variants = [v for c in candidates if not c.extends for v in self._of(c)]
+        self.forms = [self._of(c) for c in candidates if not c.extends]
         self.mark = len(model.store.prior)
 
     def _of(self, candidate: MotionCandidate, only: float | None = None) -> list[Variant]:
@@ -26,22 +26,15 @@ class CandidatePool:
             return [Variant(candidate, h, self._model.add(candidate, h)) for h in hypers]
         return self._model.add_of_one_joint([candidate] * len(hypers), hypers)
 
-    def open(self) -> list[Variant]:
-        """The variants that may be selected: of an effect at a location one plain form, then its refinements, each form once."""
-        selected = [e.candidate for e in self._model.selected]
-        forms = {(c.location, c.form) for c in selected}
-        plain = {c.location for c in selected if not c.extends}
-        return [
-            v
-            for v in self._variants
-            if (v.candidate.location, v.candidate.form) not in forms and (v.candidate.extends or v.candidate.location not in plain)
-        ]
+    def usual(self) -> list[list[Variant]]:
+        """The candidates with which a selection starts, one at each location."""
+        first: dict[tuple, list[Variant]] = {}
+        for variants in self.forms:
+            if variants[0].candidate.usual:
+                first.setdefault(variants[0].candidate.location, variants)
+        return list(first.values())
 
-    def open_at(self, effect: SelectedEffect) -> list[Variant]:
-        """All variants of the effect's location."""
-        return [v for v in self._variants if v.candidate.location == effect.candidate.location]
-
-    def periodic(self, weights: np.ndarray, chosen: np.ndarray) -> list[Variant]:
+    def periodic(self, weights: np.ndarray, chosen: np.ndarray) -> list[list[Variant]]:
         """Periodic components of the present residual, in columns that ``forget_step`` removes."""
         model = self._model
         x = model.store.solve(model.store.normal(weights), chosen)
@@ -52,13 +45,16 @@ class CandidatePool:
                 model.group, model.runs, joint, model.store.residual(j, chosen, x), model.store.training, model.options
             )
         ]
-        return model.add_of_one_joint(found, [_middle(c) for c in found])
+        return [[variant] for variant in model.add_of_one_joint(found, [_middle(c) for c in found])]
 
     def keep(self, variant: Variant) -> Variant:
         """The variant with columns that stay, whatever ``forget_step`` removes."""
-        if any(variant is known for known in self._variants):
+        if len(variant.ids) and variant.ids[0] < self.mark:
             return variant
-        return Variant(variant.candidate, variant.hyper, self._model.add(variant.candidate, variant.hyper))
+        self.forget_step()
+        kept = Variant(variant.candidate, variant.hyper, self._model.add(variant.candidate, variant.hyper))
+        self.mark = len(self._model.store.prior)
+        return kept
 
     def forget_step(self) -> None:
         self._model.store.forget(self.mark)
@@ -67,9 +63,12 @@ class CandidatePool:
         """Offer the refinements of an effect that was selected; its columns and theirs stay."""
         candidate = effect.candidate
         if not candidate.extends:
+            offered = {(v[0].candidate.location, v[0].candidate.form) for v in self.forms}
             for refinement in self.candidates:
-                if refinement.extends and refinement.location == candidate.location and self._can_be_tested(refinement, candidate):
-                    self._variants += self._of(refinement, effect.variant.hyper if refinement.shares_hyper else None)
+                known = (refinement.location, refinement.form) in offered
+                here = refinement.extends and refinement.location == candidate.location
+                if here and not known and self._can_be_tested(refinement, candidate):
+                    self.forms.append(self._of(refinement, effect.variant.hyper if refinement.shares_hyper else None))
         self.mark = len(self._model.store.prior)
 
     def _can_be_tested(self, refinement: MotionCandidate, candidate: MotionCandidate) -> bool:

@@ -4,6 +4,7 @@
    the angle by which it winds A2 up.
 2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other.
 3. Where one of them cannot tell two effects apart, and the other names one of these, that one is named.
+4. The evidences of both add (``joint_sets``): what neither tells alone may be told by both.
 """
 
 from __future__ import annotations
@@ -15,15 +16,19 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointSet, joint_sets, not_excluded
 from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
+from mbcacq.diagnosis.result import plain
 from mbcacq.effects import catalogue
 from mbcacq.effects.declaration import Estimates
+from mbcacq.effects.in_words import effect_in_words
 from mbcacq.quantities import K, measured, split_unit
 
 SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
 PHASE = "phase_deg"
+MOST_TOGETHER = 6  # joint sets that are reported
 FARTHEST = 38.0  # standard deviations: beyond, the probability of a normal distribution is no floating point number
 
 
@@ -94,7 +99,11 @@ def combined(poses: dict[str, Any], motion: MotionDiagnosis) -> dict[str, Any]:
     """The JSON of the pose diagnosis with that of the motion (``motion``), what both found (``agreement``), and what one decides that the
     other cannot (``decided``).
     """
-    both = {"agreement": [asdict(a) for a in agreement(poses, motion)], "decided": [asdict(d) for d in decided(poses, motion)]}
+    both = {
+        "agreement": [asdict(a) for a in agreement(poses, motion)],
+        "decided": [asdict(d) for d in decided(poses, motion)],
+        "together": [asdict(one) for one in together(poses, motion)],
+    }
     return poses | {"motion": motion.to_json()} | both
 
 
@@ -179,6 +188,38 @@ def labels_of(effects: Any) -> set[str]:
     return out
 
 
+def together(poses: Mapping[str, Any], motion: MotionDiagnosis) -> tuple[JointSet, ...]:
+    """The sets of effects by the evidences of poses and motion together, the most probable first; none where one has no evidence."""
+    of_poses = poses.get("evidence")
+    of_motion = [e.evidence for e in motion.evidence]
+    if not of_poses or not of_motion:
+        return ()
+    every = {key: p for e in poses["effects"] for key, p in e["parameters"].items()}
+    every |= {key: p for e in motion.named_effects for key, p in e.parameters.items()}
+    sets = [_sets_of(one, every) for one in map(plain, of_motion)]
+    found = joint_sets([_sets_of(of_poses, {}), *sets], _distance)
+    return found[:MOST_TOGETHER]
+
+
+def _sets_of(evidence: Mapping[str, Any], every: Estimates) -> EvidenceSets:
+    """The sets of an evidence, in the words of the poses where ``every`` parameter of both is given."""
+    out = []
+    for one in evidence["sets"]:
+        effects: dict[str, dict[str, Any]] = {}
+        for e in one["effects"]:
+            translate = catalogue.declaration(e["name"]).in_terms_of_poses if every else None
+            stated = e["parameters"] if translate is None else translate(e["parameters"], every)
+            effects.setdefault(f"{e['name']}:{'+'.join(e['where'])}", {}).update(stated)
+        out.append(effects)
+    return EvidenceSets(tuple(float(one["log_odds"]) for one in evidence["sets"]), tuple(out))
+
+
+def _distance(label: str, one: Estimates, other: Estimates) -> float:
+    """The largest distance of a parameter that both state, in combined standard deviations."""
+    del label
+    return max((distance_of(key, mine, theirs) for key, mine, theirs in paired(one, other)), default=0.0)
+
+
 def _estimate(entry: Mapping[str, Any], component: int | None = None) -> SingleEstimate | None:
     """None for a parameter that is not finite. component: of one with several orders."""
     if any(v is None for v in (*np.atleast_1d(entry["value"]), *np.atleast_1d(entry["std"]))):
@@ -202,10 +243,20 @@ def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> 
             poses_say, motion_says = a.stated()
             verdict = "they agree" if a.agrees else "they contradict each other"
             lines.append(f"  {a.label}: {poses_say} from the poses, {motion_says} from the motion: {verdict} ({a.sigmas:.1f} sigma)")
-    together = decided(poses, motion)
-    if together:
-        lines += ["", "Decided by both together:", *(f"  {pair}" for pair in together)]
+    pairs = decided(poses, motion)
+    if pairs:
+        lines += ["", "Decided by both together:", *(f"  {pair}" for pair in pairs)]
+    lines += _together_in_words(together(poses, motion))
     return "\n".join(lines)
+
+
+def _together_in_words(sets: Sequence[JointSet]) -> list[str]:
+    """The most probable joint set, and the others that are not excluded."""
+    if not sets or not sets[0].effects:
+        return []
+    names = [" and ".join(effect_in_words(label) for label in one.effects) or "no effect" for one in (sets[0], *not_excluded(sets))]
+    rest = [f"  not excluded: {name}" for name in names[1:]] or ["  no other set is within 20 : 1"]
+    return ["", "By the evidence of poses and motion together:", f"  {names[0]}", *rest]
 
 
 def contradictions(found: Sequence[ParameterAgreement]) -> list[str]:

@@ -12,8 +12,8 @@ import numpy as np
 from mbcacq.diagnosis.motion.assemble import assemble
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.description_check import suspicions
+from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.fit import MotionFit, fit_selected
-from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
@@ -67,7 +67,7 @@ def base_alone(trajectories: Sequence[Trajectory], options: MotionOptions = DEFA
     recordings = _Recordings(trajectories, options)
     out = {}
     for group in channel_groups(recordings.runs, recordings.inertial, recordings.robot, options):
-        selection = ForwardSelection(MotionModel(group, recordings.runs, options), candidates=[])
+        selection = EffectSelection(MotionModel(group, recordings.runs, options), candidates=[])
         out[group.name] = selection.start / selection.model.floor**2
     return out
 
@@ -103,7 +103,7 @@ class _Recordings:
             )
         fits: list[MotionFit] = []
         for group in groups:
-            selection = ForwardSelection(MotionModel(group, runs, options, held))
+            selection = EffectSelection(MotionModel(group, runs, options, held))
             selection.run()
             fits.append(fit_selected(selection))
             if group.name == "tau":

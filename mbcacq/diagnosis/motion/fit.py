@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
-from mbcacq.diagnosis.motion.determination import UndeterminedEffect, at_bound, least_determined
-from mbcacq.diagnosis.motion.forward_selection import ForwardSelection
+from mbcacq.diagnosis.motion.determination import at_bound
+from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_hypotheses import LoadAlternative, load_alternatives
@@ -56,7 +57,7 @@ class MotionFit:
 
     residual_before, residual_after: with the base alone and with all effects; used: which samples count. links: torque by which the
     links differ from their description, as fitted; load_uncertainty: (J,) relative standard deviation of the torque that passes the
-    gear. undetermined: effects that the data ask for without determining them. load_alternatives: other loads that they do not exclude.
+    gear. sets: of effects that were compared. load_alternatives: other loads that they do not exclude.
     inertial: (b, 10) parameters of the links and of the tool
     that was found (``geometry.dynamics.INERTIAL``), None for another channel. held_out_before, held_out_after, train_before,
     train_after: (J,) mean squares; floor: (J,) standard deviation of the channels' noise.
@@ -75,29 +76,21 @@ class MotionFit:
     split: str
     links: ByRun
     load_uncertainty: np.ndarray
-    undetermined: list[UndeterminedEffect] = field(default_factory=list)
+    sets: RankedSets | None = None
     inertial: np.ndarray | None = None
     load_alternatives: list[LoadAlternative] = field(default_factory=list)
 
 
-def fit_selected(selection: ForwardSelection) -> MotionFit:
-    """Fit what was selected to all data that take part; effects whose parameters the data do not determine are left out."""
+def fit_selected(selection: EffectSelection) -> MotionFit:
+    """Fit what was selected to all data that take part."""
     model = selection.model
     store, joints = model.store, range(len(model.group.joints))
     estimate_hyperparameters(model)
     residual_before, train_before = _base_alone(model)
-    undetermined: list[UndeterminedEffect] = []
-    while True:
-        chosen = model.chosen()
-        weights = model.weights(chosen)
-        x = consistent_coefficients(model, weights, chosen, store.solve(store.normal(weights), chosen))
-        mark = len(store.prior)
-        spread = _covariance(model, weights, chosen, x)
-        unclear = least_determined(model, x, spread)
-        if unclear is None:
-            break
-        store.forget(mark)
-        undetermined += selection.drop_undetermined(unclear, spread)
+    chosen = model.chosen()
+    weights = model.weights(chosen)
+    x = consistent_coefficients(model, weights, chosen, store.solve(store.normal(weights), chosen))
+    spread = _covariance(model, weights, chosen, x)
     n = np.maximum(store.count.sum(axis=0), 1.0)
     found = bodies(model, chosen)
     result = MotionFit(
@@ -114,7 +107,7 @@ def fit_selected(selection: ForwardSelection) -> MotionFit:
         store.split,
         _links(model, x),
         load_uncertainty(model, chosen, x, spread),
-        undetermined,
+        selection.sets,
         None if found is None else found.parameters(x),
         load_alternatives(model, selection.pool) if store.whole else [],
     )

@@ -11,6 +11,7 @@ from mbcacq.diagnosis.motion.time_alignment import estimate_delay
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionCandidate
 
+MOST_WINDOWS = 3  # of a periodic component's order, each as wide as two distinguishable orders
 SMALLEST_HYPER = 1e-9  # of a numerical derivative's relative step
 
 
@@ -18,9 +19,21 @@ def estimate_hyperparameters(model: MotionModel) -> None:
     """Gauss-Newton on the continuous hyper-parameters, all coefficients refitted, within the spacing of what was tried."""
     estimate_delay(model)
     update_load(model)
+    for _ in range(MOST_WINDOWS):
+        if not _improved_orders(model):
+            break
+    if continuous_effects(model):
+        estimate_delay(model)
+        update_load(model)
+
+
+def _improved_orders(model: MotionModel) -> bool:
+    """Gauss-Newton within one window. Returns whether the order of a periodic component is at the end of its window: a spectral line of a
+    short travel is broad, and its top may be beyond.
+    """
     free = continuous_effects(model)
     if not free:
-        return
+        return False
     bounds = [_neighbours(effect) for effect in free]
     store, best = model.store, None
     for _ in range(model.options.hyper_rounds):
@@ -38,8 +51,12 @@ def estimate_hyperparameters(model: MotionModel) -> None:
         for effect, step, (low, high) in zip(free, steps, bounds, strict=True):
             hyper = float(np.clip(effect.variant.value + step, low, high))
             effect.at(hyper, model.add(effect.candidate, hyper))
-    estimate_delay(model)
-    update_load(model)
+    return any(_is_order(e) and e.variant.value in ends for e, ends in zip(free, bounds, strict=True))
+
+
+def _is_order(effect: SelectedEffect) -> bool:
+    """The values that are tried are a few about one that was found among many."""
+    return effect.candidate.hyper is not None and effect.candidate.trials > len(effect.candidate.hyper)
 
 
 def continuous_effects(model: MotionModel) -> list[SelectedEffect]:
@@ -86,9 +103,12 @@ def update_load(model: MotionModel) -> None:
 
 
 def _neighbours(effect: SelectedEffect) -> tuple[float, float]:
-    """The values tried next to the present one; beyond the largest, one more step."""
+    """The values tried next to the present one; beyond the largest, one more step. An order has no first or last value."""
     assert effect.candidate.hyper is not None
     values = np.sort(effect.candidate.hyper)
+    if _is_order(effect):
+        step = float(values[1] - values[0])
+        return effect.variant.value - step, effect.variant.value + step
     k = int(np.argmin(np.abs(values - effect.variant.value)))
     low = values[k - 1] if k else values[0]
     high = values[k + 1] if k + 1 < len(values) else 2 * values[-1] - values[-2]

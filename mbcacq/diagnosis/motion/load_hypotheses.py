@@ -81,10 +81,12 @@ def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[LoadAlter
     masses = model.store.base[len(model.group.joints) : -model.runs[0].q.shape[1]]
     if posterior.log_odds_of_other_masses(masses) < CONTRADICTED:
         return []
-    out = []
+    out, there = [], {e.candidate.location for e in model.selected}
     for name in dict.fromkeys(c.name for c in pool.candidates if c.load_parameters):
         own = [e.variant for e in model.selected if e.candidate.name == name and e.candidate.usual]
-        variants = own or [v for v in pool.open() if v.candidate.name == name and v.candidate.usual]
+        variants = own or [
+            v for variants in pool.usual() for v in variants if v.candidate.name == name and v.candidate.location not in there
+        ]
         compared = [_compared(model, v, masses, selected=bool(own)) for v in variants if np.isfinite(v.candidate.sigma).all()]
         if compared:
             odds = float(np.mean([odds for odds, _ in compared]))

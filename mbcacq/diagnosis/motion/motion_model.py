@@ -32,24 +32,22 @@ class Variant:
 
 @dataclass(frozen=True)
 class AlternativeEffect:
-    """A candidate that would have explained part of what the selected one explains. gain: as a share of that one's."""
+    """Another effect that could stand in the place of the selected one. odds: posterior, of the set with it against that with this one."""
 
     name: str
     where: tuple[str, ...]
-    gain: float
+    odds: float
 
 
 @dataclass(eq=False)
 class SelectedEffect:
-    """before, after: held-out mean square (J,) without it and with it. by_prior: selected because without it the description of the arm
-    had to be bent."""
+    """before, after: held-out mean square (J,) without it and with it. p_value: one over the Bayes factor that it is worth in its set."""
 
     variant: Variant
     p_value: float
     before: np.ndarray
     after: np.ndarray
     alternatives: list[AlternativeEffect] = field(default_factory=list)
-    by_prior: bool = False
 
     @property
     def candidate(self) -> MotionCandidate:
@@ -73,8 +71,8 @@ class MotionModel:
         joints = range(len(group.joints))
         measured = group.signal or group.mismatch  # where there is no delay to be found, there is no signal beside the mismatch
         ranges = np.array([np.ptp(np.concatenate([one[:, j] for one in measured])) for j in joints])
-        self._least = np.maximum(LEAST_NOISE * ranges, 1e-12)
-        self.floor = np.maximum([third_difference_noise(tuple(m[:, j] for m in group.mismatch)) for j in joints], self._least)
+        self.least_noise = np.maximum(LEAST_NOISE * ranges, 1e-12)
+        self.floor = np.maximum([third_difference_noise(tuple(m[:, j] for m in group.mismatch)) for j in joints], self.least_noise)
 
     # columns
 
@@ -117,12 +115,16 @@ class MotionModel:
         that say the same, so that a residual with structure does not outvote what is known of the arm. Weights and coefficients in turn."""
         store = self.store
         count = np.maximum(store.count.sum(axis=0), 1.0)
-        least = count * self._least**2
+        least = count * self.least_noise**2
         weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), least)
         for _ in range(self.options.weight_rounds):
             x = store.solve(store.normal(weights), chosen)
             weights = count / np.maximum(store.errors(chosen, x).sum(axis=0) * store.correlated_samples(chosen, x), least)
         return weights
+
+    def colour(self, chosen: np.ndarray) -> np.ndarray:
+        """(J,) samples of the residual of these columns that count as one."""
+        return self.store.correlated_samples(chosen, self.store.solve(self.store.normal(self.weights(chosen)), chosen))
 
     def coefficients(self) -> np.ndarray:
         """Coefficients of ``chosen()``."""

@@ -152,6 +152,17 @@ class NormalStore:
             N[np.ix_(at, at)] += weights[j] * (total if without is None else total - folds[without])
         return N
 
+    def total(self, j: int) -> np.ndarray:
+        """(c, c) products of the columns of a joint over all segments, mismatch first."""
+        return self._sum(j)[0]
+
+    def uncorrected(self, j: int) -> np.ndarray:
+        """(c,) products of the columns of a joint with the mismatch as it was recorded, mismatch first."""
+        if self.delay == 0.0:
+            return self.total(j)[0]
+        recorded = np.concatenate([m[:, j] for m in self.group.mismatch]) * self._use[j]
+        return np.concatenate([[recorded @ (self.training * recorded)], (self.training * recorded) @ self.matrix[j][:, 1:]])
+
     def _sum(self, j: int) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Products over all segments, and over each fold."""
         sums = self._sums[j]

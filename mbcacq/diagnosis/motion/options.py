@@ -27,19 +27,7 @@ class MotionOptions:
 
     rotor_share: float = 0.05  # prior sigma of a rotor's inertia behind its gear, as a share of the arm's mass times its reach squared
 
-    # forward selection
-    least_gain: float = 0.02  # share of the held-out mean square of a joint that an effect removes, at least
-    least_prior_gain: float = 25.0  # five sigmas: squared prior Mahalanobis distance that an effect removes to count without ``least_gain``
     explained_chi2_dof: float = 4.0  # below it a joint's torque counts as explained: residuals are at most twice the noise
-    significance: float = 1e-4  # p-value after correction for the number of candidates
-    most_effects: int = 40  # more have never been selected
-    most_held_out_trials: int = 14  # candidates of the largest gain in the fit that are tried on held-out data
-    equivalent_gain: float = 0.05  # share of the best gain: within it the candidate with fewer coefficients claims less
-    alternative_gain: float = 0.1  # share of the selected effect's gain from which another one is reported as an alternative
-    most_alternatives: int = 3
-    elimination: float = (
-        0.5  # share of ``least_gain`` below which a selected effect is dropped: less than to enter, so that none alternates
-    )
     weight_rounds: int = 3  # alternations of weights and coefficients: the mean squares have settled to a per cent
 
     # periodic components
@@ -57,9 +45,6 @@ class MotionOptions:
     # uncertainty
     correlation_s: float = 1.0  # residuals further apart than that count as independent
     unexplained_load_uncertainty: float = 0.05  # relative, of a load that is the drive's torque: the rotor's part of it is not separated
-
-    determined_sigmas: float = 3.0  # standard deviations by which a parameter of an effect differs from zero, at least
-    not_separable: float = 0.9  # correlation of two estimates from which they count as one
 
     # description of the data
     description_samples: int = 300  # in all, on which other readings are tried: conventions show in few
@@ -85,4 +70,3 @@ class MotionOptions:
 
 DEFAULTS = MotionOptions()
 RIDGE = 1e-12  # of a scaled normal matrix: numerical rank in double precision
-SMALLEST_EIGENVALUE = 1e-8  # of a scaled matrix of products: directions below are those of rounding

@@ -1,4 +1,4 @@
-"""The diagnosis of motion as one object, and as the JSON (mbcacq-diagnosis/1) that other programs read."""
+"""The diagnosis of motion as one object, and as the JSON (mbcacq-diagnosis/3) that other programs read; version 1 is read too."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.result import FORMAT_1 as FORMAT
-from mbcacq.diagnosis.result import plain
+from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, ComparedEffect, ComparedSet, EvidenceSummary, NotSeparable, plain
+from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.errors import ConfigError
 
 Json = dict[str, Any]
@@ -30,19 +30,6 @@ class MotionMismatch:
     def from_json(cls, content: Json) -> MotionMismatch:
         share, p = _number(content["share"]), _number(content["p_value"])
         return cls(content["at"], content["channel"], content["depends_on"], share, p)
-
-
-@dataclass(frozen=True)
-class MotionAlternative:
-    """Another effect that would have explained part of the same mismatch. held_out_gain: as that of the effect."""
-
-    name: str
-    where: tuple[str, ...]
-    held_out_gain: float
-
-    @classmethod
-    def from_json(cls, content: Json) -> MotionAlternative:
-        return cls(content["name"], tuple(content["where"]), _number(content["held_out_gain"]))
 
 
 @dataclass(frozen=True)
@@ -76,7 +63,7 @@ class MotionEffect:
     p_value: float
     held_out_gain: float
     held_out_gain_here: float
-    alternatives: tuple[MotionAlternative, ...]
+    alternatives: tuple[Alternative, ...]
     steps: tuple[MotionStep, ...]
     notes: tuple[str, ...] = ()
 
@@ -85,7 +72,7 @@ class MotionEffect:
 
     @classmethod
     def from_json(cls, content: Json) -> MotionEffect:
-        alternatives = tuple(MotionAlternative.from_json(a) for a in content["alternatives"])
+        alternatives = tuple(_alternative(a) for a in content["alternatives"])
         steps = tuple(MotionStep.from_json(s) for s in content["steps"])
         gains = _number(content["held_out_gain"]), _number(content["held_out_gain_here"])
         where, p = tuple(content["where"]), _number(content["p_value"])
@@ -176,32 +163,6 @@ class ChannelFit:
 
 
 @dataclass(frozen=True)
-class MotionNotSeparable:
-    """Effects that the recordings do not tell apart ('arm' stands for the masses of the links). correlation: of their estimates. odds:
-    posterior odds of the second against the first; None where they were not compared."""
-
-    effects: tuple[str, ...]
-    correlation: float
-    odds: float | None = None
-
-    @classmethod
-    def from_json(cls, content: Json) -> MotionNotSeparable:
-        return cls(tuple(content["effects"]), _number(content["correlation"]), content.get("odds"))
-
-
-@dataclass(frozen=True)
-class MotionAdvice:
-    """What to record next. reason: in words; poses_deg: (k, n) postures between which to move, if any."""
-
-    reason: str
-    poses_deg: tuple[tuple[float, ...], ...] = ()
-
-    @classmethod
-    def from_json(cls, content: Json) -> MotionAdvice:
-        return cls(content["reason"], tuple(tuple(pose) for pose in content["poses_deg"]))
-
-
-@dataclass(frozen=True)
 class BodyInertia:
     """Inertial parameters of a link in its own frame, as found: of a rigid body that can exist. tensor: Ixx, Ixy, Ixz, Iyy, Iyz, Izz about
     the origin of the frame."""
@@ -216,6 +177,14 @@ class BodyInertia:
         return cls(content["body"], content["mass_kg"], tuple(content["first_moment_kg_mm"]), tuple(content["tensor_kg_m2"]))
 
 
+@dataclass(frozen=True)
+class ChannelEvidence:
+    """What decides whether one kind of mismatch (``channel``) shows an effect, and which. poses: of its evidence, is zero."""
+
+    channel: str
+    evidence: EvidenceSummary
+
+
 @dataclass(frozen=True, repr=False)
 class MotionDiagnosis:
     """What was found in recordings of motion.
@@ -223,7 +192,8 @@ class MotionDiagnosis:
     verdict: 'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'. mismatch: by falling share. effects: by falling
     held-out gain. channels: one fit a channel and joint. split: how data were held out, by 'trajectory' or 'time block'.
     not_separable: effects asked for that are not told apart, and advice: what to record for that. inertial: of the links and of a tool
-    that was found. suspicions: what in the description of the data looks wrong, in words.
+    that was found. suspicions: what in the description of the data looks wrong, in words. evidence: of the sets of effects that were
+    compared, one for each kind of mismatch; empty in older files.
     """
 
     verdict: str
@@ -231,10 +201,11 @@ class MotionDiagnosis:
     effects: tuple[MotionEffect | UnmodelledMotionEffect, ...]
     channels: tuple[ChannelFit, ...]
     split: str
-    not_separable: tuple[MotionNotSeparable, ...] = ()
-    advice: tuple[MotionAdvice, ...] = ()
+    not_separable: tuple[NotSeparable, ...] = ()
+    advice: tuple[Advice, ...] = ()
     inertial: tuple[BodyInertia, ...] = ()
     suspicions: tuple[str, ...] = ()
+    evidence: tuple[ChannelEvidence, ...] = ()
 
     @property
     def named_effects(self) -> tuple[MotionEffect, ...]:
@@ -242,7 +213,7 @@ class MotionDiagnosis:
         return tuple(e for e in self.effects if isinstance(e, MotionEffect))
 
     def to_json(self) -> Json:
-        """The contract mbcacq-diagnosis/1; what is not finite is null."""
+        """The contract mbcacq-diagnosis/3; what is not finite is null."""
         return plain(
             {
                 "format": FORMAT,
@@ -258,13 +229,14 @@ class MotionDiagnosis:
                 "advice": [asdict(a) for a in self.advice],
                 "inertial": [asdict(b) for b in self.inertial],
                 "suspicions": list(self.suspicions),
+                "evidence": [{"channel": e.channel, "evidence": asdict(e.evidence)} for e in self.evidence],
             }
         )
 
     @classmethod
     def from_json(cls, content: Json) -> MotionDiagnosis:
         """From what ``to_json`` gave. Raises ConfigError for another format or a diagnosis of poses."""
-        if content.get("format") != FORMAT or "channels" not in content.get("fit", {}):
+        if content.get("format") not in READABLE or "channels" not in content.get("fit", {}):
             raise ConfigError(f"this is not the diagnosis of a motion: it needs format {FORMAT} and fit.channels")
         mismatch = tuple(MotionMismatch.from_json(m) for m in content["mismatch"])
         kinds = ((e, UnmodelledMotionEffect if e["name"] == UnmodelledMotionEffect.name else MotionEffect) for e in content["effects"])
@@ -276,10 +248,11 @@ class MotionDiagnosis:
             effects,
             channels,
             content["fit"]["held_out"]["split"],
-            tuple(MotionNotSeparable.from_json(n) for n in content["not_separable"]),
-            tuple(MotionAdvice.from_json(a) for a in content["advice"]),
+            tuple(NotSeparable(tuple(n["effects"]), _number(n["correlation"]), n.get("odds")) for n in content["not_separable"]),
+            tuple(Advice(a["reason"], tuple(tuple(pose) for pose in a["poses_deg"])) for a in content["advice"]),
             tuple(BodyInertia.from_json(b) for b in content.get("inertial", ())),
             tuple(content.get("suspicions", ())),
+            tuple(ChannelEvidence(e["channel"], _evidence(e["evidence"])) for e in content.get("evidence", ())),
         )
 
     def __repr__(self) -> str:
@@ -307,6 +280,23 @@ def _mean(errors: list[ErrorBeforeAfter]) -> dict[str, float]:
 
 def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
     return "; ".join(f"{name} = {p['value']} +- {p['std']}" for name, p in effect.parameters.items())
+
+
+def _alternative(content: Json) -> Alternative:
+    return Alternative(content["name"], tuple(content["where"]), _number(content["held_out_gain"]), content.get("odds"))
+
+
+def _evidence(content: Json) -> EvidenceSummary:
+    sets = tuple(ComparedSet(tuple(_compared(e) for e in one["effects"]), _number(one["log_odds"])) for one in content["sets"])
+    return EvidenceSummary(content["poses"], _number(content["log_e_value"]), _number(content["least_log_e_value"]), sets)
+
+
+def _compared(content: Json) -> ComparedEffect:
+    def component(value: Any) -> Any:
+        return tuple(map(_number, value)) if isinstance(value, list | tuple) else _number(value)
+
+    parameters = {name: ParameterEstimate(component(p["value"]), component(p["std"])) for name, p in content["parameters"].items()}
+    return ComparedEffect(content["name"], tuple(content["where"]), parameters, content["tried"])
 
 
 def _number(value: float | None) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.motion.result import ChannelEvidence, ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
 from mbcacq.diagnosis.output.text import NOT_DETERMINED, phase_is_undetermined, verdict_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.quantities import K, measured, significant, split_unit, symbol
@@ -17,7 +17,8 @@ CHANNELS = {
     "q_set": "actual angle against set point",
     "tau": "torque against the rigid arm",
 }
-CANNOT_TELL = "Cannot tell: these motions do not let some of the candidates be separated."
+CANNOT_TELL = "Cannot tell: these motions do not let some of the candidates be separated, or show an effect too weakly."
+MOST_LOG_ODDS = 300.0  # whose exponential is a number
 MOST_ROWS = 12  # of the mismatch
 
 
@@ -54,10 +55,16 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
         odds = "" if pair.odds is None else f"; {odds_in_words(pair.odds)} for the second"
         lines.append(f"Not separated: {both} (correlation of the estimates {pair.correlation:.3f}{odds})")
     lines += [f"To tell them apart: {a.reason}." for a in diagnosis.advice]
+    lines += [f"{CHANNELS[e.channel]}: {_evidence(e)}." for e in diagnosis.evidence]
     lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:
         lines.append(f"  {c.at} {CHANNELS[c.channel]}: {_held_out(c)}")
     return "\n".join(lines)
+
+
+def _evidence(e: ChannelEvidence) -> str:
+    odds = odds_in_words(float(np.exp(min(e.evidence.log_e_value, MOST_LOG_ODDS))))
+    return f"effects against none {odds}, {'there is an effect' if e.evidence.significant else 'no effect is shown'}"
 
 
 def _values(name: str, parameter: Mapping[str, Any]) -> str:

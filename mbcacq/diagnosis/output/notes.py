@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, conditioned
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
@@ -171,7 +171,7 @@ def equal_orders(setup: DiagnosisProblem, reported: Hypothesis, member: Member) 
     """
     candidate, own = member.candidate, float(member.hyper or 0.0)
     assert candidate.hyper is not None, "a periodic effect has an order"
-    node = conditioned(reported.point, tuple(m for m in reported.members if m is not member))
+    node = reported.point.conditioned(tuple(m for m in reported.members if m is not member))
     grid = np.sort(candidate.hyper.values)
     weight = dict(zip(grid, log_weights(candidate, grid), strict=True))
     between = min(weight.values())  # of an order between those of the grid

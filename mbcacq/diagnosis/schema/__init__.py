@@ -1,4 +1,4 @@
-"""The JSON Schema of a diagnosis, format mbcacq-diagnosis/2: the contract with programs that read it."""
+"""The JSON Schema of a diagnosis, format mbcacq-diagnosis/3: the contract with programs that read it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 def schema_text() -> str:
     """The schema as it is kept (JSON Schema 2020-12)."""
-    return files(__name__).joinpath("diagnosis-2.schema.json").read_text(encoding="utf-8")
+    return files(__name__).joinpath("diagnosis-3.schema.json").read_text(encoding="utf-8")
 
 
 def diagnosis_schema() -> dict[str, Any]:

@@ -28,7 +28,7 @@ from mbcacq.effects.motion_effect import (
 )
 
 NAME = "drive_lag"
-DECLARED = Declaration(challenge=Challenge(in_motion=2))
+DECLARED = Declaration(every_arm=True, challenge=Challenge(in_motion=2))
 RESOLUTION_S = 2e-6  # neither dead time nor lag is known better: both filters, the arm's and this one, step in time
 LAGS_S = np.concatenate([[1e-5], np.geomspace(0.001, 0.15, 9)])  # time constants of a drive
 LOOPS_S = np.geomspace(0.25, 100.0, 12)  # a time constant above 0.2 s is that of a position loop, not of a drive

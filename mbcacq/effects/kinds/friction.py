@@ -12,7 +12,7 @@ from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
 
 NAME = "friction"
-DECLARED = Declaration(motor_side=True, model_block="friction", challenge=Challenge(in_motion=3))
+DECLARED = Declaration(every_arm=True, motor_side=True, model_block="friction", challenge=Challenge(in_motion=3))
 LEAST_LOAD = 0.05  # change of the load, as a share of the torque's, without which no dependence on it can be seen
 LEAST_SPEED = 1e-3  # rad/s; a joint that is slower throughout stands still
 STRIBECK_SPEEDS = np.geomspace(0.01, 0.4, 8)  # tried, as shares of the fastest speed: outside, it looks like Coulomb or viscous friction

@@ -1,0 +1,175 @@
+"""The search for effects in poses: candidates of the catalogue, effects that show only through others, and unmodelled ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
+from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
+from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
+from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
+from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.effects import catalogue
+from mbcacq.effects.context import Context
+from mbcacq.effects.declaration import EffectCoupling
+from mbcacq.effects.effect import Candidate
+
+
+@dataclass(kw_only=True)
+class PoseSearch(EvidenceSearch):
+    """The candidates of a recording of poses.
+
+    staged: one set is followed, and first the effects that every arm has (elastic joints), so that what they explain is not given to slow
+    periodic errors, then the rest of the catalogue, and no unmodelled ones.
+    """
+
+    candidates: list[Candidate]
+    unmodelled: UnmodelledEffects
+    context: Context
+    staged: bool = False
+
+    def begun(self, best: Hypothesis) -> Hypothesis:
+        return self.relieved(best)
+
+    def climbed_to_the_best(self, best: Hypothesis) -> Hypothesis:
+        if self.staged:
+            self.climbed(best, [c for c in self.candidates if catalogue.declaration(c.name).every_arm])
+            best = self.ranked()[0]
+        return self.climbed(best, self.candidates)
+
+    def improved(self, best: Hypothesis) -> Hypothesis:
+        return self.enriched(self.relieved(self.polished(best)))
+
+    @property
+    def looks_ahead(self) -> bool:
+        return not (self.narrow or self.staged)
+
+    @property
+    def passes(self) -> int:
+        return 1 if self.staged else OPTIONS.passes
+
+    @property
+    def width(self) -> tuple[int, int]:
+        return (1, 2) if self.narrow or self.staged else (OPTIONS.beam, OPTIONS.estimated)
+
+    def further(self, node: Hypothesis, candidates: list[Candidate], least: float) -> list[tuple[float, Member]]:
+        present = [m.candidate for m in node.members]
+        possible = [
+            self.weighted(scored, present)
+            for scored in evidence_of_candidates(node.conditioned, candidates)
+            if self.allowed(scored.candidate, present)
+        ]
+        for candidate in self.dependent(node):
+            if not any(c.name == candidate.name for c in present):
+                possible.append(self.weighted(evidence_of_one(node.conditioned, candidate), present))
+        if not self.staged:
+            found = self.unmodelled.evidence(node.conditioned, least)
+            possible += [(log + self.prior.log_probability(m.candidate, present), m) for log, m in found]
+        return possible
+
+    def dependent(self, node: Hypothesis) -> list[Candidate]:
+        """Candidates that depend on the coefficients of a set: a wrong payload, say, shows through elastic joints."""
+        names = {m.candidate.name for m in node.members}
+        possible = [c for c in catalogue.couplings() if c.through in names]
+        if not possible:
+            return []
+        found, out = coefficients(node), list[Candidate]()
+        for coupling in possible:
+            there = {
+                m.candidate.where: float(f"{found.mean[p.start]:.2g}")
+                for m, p in zip(node.members, found.slices, strict=True)
+                if m.candidate.name == coupling.through
+            }
+            out += coupling.candidates(self.context, there)
+        return out
+
+    def weighted(self, scored: ScoredEffect, present: Sequence[Candidate]) -> tuple[float, Member]:
+        return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member.of(scored)
+
+    def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
+        if candidate.several:
+            return candidate.hyper is not None or not any(c.key == candidate.key for c in present)
+        return not any(c.name == candidate.name and c.where == candidate.where for c in present)
+
+    def polished(self, best: Hypothesis) -> Hypothesis:
+        """A set whose last effect is a further order of a gear, or a further breakpoint, with all of these looked for anew beside each
+        other, and left out where they add nothing: the first were found while the others still disturbed.
+        """
+        members, point, key = best.members, best.point, best.members[-1].candidate.key
+        if not members[-1].candidate.components or sum(m.candidate.key == key for m in members) < 2:
+            return best
+        for _ in range(OPTIONS.rounds):
+            before = [m.key for m in members]
+            for j in reversed([j for j, m in enumerate(members) if m.candidate.key == key]):
+                rest = members[:j] + members[j + 1 :]
+                log, again = self.weighted(scanned_candidate(point.conditioned(rest), members[j].candidate), [m.candidate for m in rest])
+                members = rest if log < 0 else (*members[:j], again, *members[j + 1 :])
+            if [m.key for m in members] == before:
+                break
+        found = self.estimated(members, point)
+        return max(best, found, key=lambda h: h.log_posterior)
+
+    def relieved(self, best: Hypothesis) -> Hypothesis:
+        """A set with a coupled effect, or the one with the other effect at further locations in its place if that is more probable.
+
+        A wrong payload shows through all elastic joints, so it may stand for no more than their elasticity. Every arm is elastic, so
+        that is no less probable beforehand than a wrong payload.
+        """
+        for coupling in couplings_of(best.members):
+            best = self.relieved_of(best, coupling)
+        return best
+
+    def relieved_of(self, best: Hypothesis, coupling: EffectCoupling) -> Hypothesis:
+        rest = tuple(m for m in best.members if m.candidate.name != coupling.name)
+        where = set(coupling.locations(self.context))
+        carriers = [c for c in self.candidates if c.name == coupling.through and c.where in where]
+        while True:
+            present, node = [m.candidate for m in rest], best.point.conditioned(rest)
+            further = [c for c in carriers if self.allowed(c, present)]
+            log, member = max(
+                (self.weighted(evidence_of_one(node, c), present) for c in further), key=lambda one: one[0], default=(0.0, None)
+            )
+            if log <= 0 or member is None:
+                break
+            rest = (*rest, member)
+        found = self.estimated(rest, best.point)
+        found = replace(found, log_prior=max(found.log_prior, best.log_prior))
+        self.known[found.key] = found
+        return max(best, found, key=lambda h: h.log_posterior)
+
+    def enriched(self, best: Hypothesis) -> Hypothesis:
+        """A set whose last effect is unmodelled, or, where that is more probable, the one with a Gaussian process in the place of all
+        unmodelled effects at that location. Whether there is an effect at all is decided without.
+        """
+        last = best.members[-1]
+        there = log_e_value(self.ranked()) > LEAST_LOG_E_VALUE
+        if last.candidate.name != UNMODELLED or not there:
+            return best
+        rest = tuple(m for m in best.members if m.label != last.label)
+        if any(m.candidate.name == UNMODELLED for m in rest):
+            return best  # what is unmodelled at several locations is not described by more detail at one
+        process = self.unmodelled.process(best.point.conditioned(rest), last)
+        if process is None:
+            return best
+        members = (*rest, process)
+        found = self.estimated(members, best.point)
+        return max(best, found, key=lambda h: h.log_posterior)
+
+    def generalise(self, best: Hypothesis) -> None:
+        """Sets without one of the named effects that came last, and with an unmodelled effect in its most general form: a name that only
+        mends the shape of something unmodelled is unnecessary then.
+        """
+        for named in best.catalogued[-OPTIONS.beam :]:
+            for plain in best.unmodelled:
+                others = tuple(m for m in best.members if m is not named and m is not plain)
+                process = self.unmodelled.process(best.point.conditioned(others), plain)
+                members = others if process is None else (*others, process)
+                if process is not None:
+                    self.estimated(members, best.point)
+
+    def exchange(self, best: Hypothesis) -> None:
+        self.generalise(best)
+        super().exchange(best)

@@ -1,0 +1,151 @@
+"""The search for effects in motion: candidates of a group of channels in the shared search over sets, one linearisation at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
+from mbcacq.diagnosis.motion.gram_point import RATIOS, SHARES, ConditionedGram, MotionTerm
+from mbcacq.diagnosis.motion.motion_model import Variant
+from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.effects import catalogue
+
+# Log Bayes factor L at the noise of a set with the effect. Without it the noise of n samples that count grows, and what remains is about
+# n/2 log(1 + 2 L / n): with ten samples still 13, which no prior of a set outweighs.
+BEYOND_DOUBT = 60.0
+
+ODDS_OF_COMMON = 0.5  # that what every arm has is large enough to show, beforehand
+
+Forms = tuple[MotionTerm, ...]  # a candidate at all values of its hyper-parameter
+
+
+def term_of(variant: Variant, prior: np.ndarray, information: np.ndarray) -> MotionTerm:
+    """A variant in typical sizes: its prior where it has one, else what is as large as the noise.
+
+    prior, information: (P,) of all columns.
+    """
+    sigma = prior[variant.ids]
+    if np.isfinite(sigma).all():
+        return MotionTerm(variant, sigma, SHARES)
+    return MotionTerm(variant, 1.0 / np.sqrt(np.maximum(information[variant.ids], 1e-300)), RATIOS)
+
+
+@dataclass(frozen=True)
+class MotionPrior(SetPrior):
+    """Prior probabilities of sets. What every arm has (friction, elastic joints, drives that lag) is half as likely to show as not."""
+
+    def log_probability(self, candidate: Any, present: Sequence[Any]) -> float:
+        return float(np.log(ODDS_OF_COMMON)) if is_common(candidate) else super().log_probability(candidate, present)
+
+
+def is_common(term: MotionTerm) -> bool:
+    """Whether every arm has the effect."""
+    return catalogue.declaration(term.name).every_arm and not term.variant.candidate.extends
+
+
+def log_prior_mass(candidates: Sequence[Forms]) -> float:
+    """Log of the most that the priors of all sets can add up to, by which an e-value is divided: the common effects in any number."""
+    return len({forms[0].variant.candidate.location for forms in candidates if is_common(forms[0])}) * float(np.log1p(ODDS_OF_COMMON))
+
+
+@dataclass(kw_only=True)
+class MotionSearch(EvidenceSearch):
+    """The candidates of a group of channels. Each further effect asks for another linearisation and colour of the noise, so the search
+    itself only leaves out and exchanges (``effect_selection`` makes a set larger).
+
+    periodic: candidates of which a location can have several, each with an order of its own.
+    """
+
+    most_effects: ClassVar[int] = 40  # more have never been found
+
+    candidates: list[Forms]
+    periodic: frozenset[str] = frozenset()
+    settle: bool = False
+
+    def begun(self, best: Hypothesis) -> Hypothesis:
+        return self.pruned(self.settled(best) if self.settle else best)
+
+    def climbed_to_the_best(self, best: Hypothesis) -> Hypothesis:
+        """The set itself; where alternatives are asked for, larger sets count in the e-value."""
+        if self.alternatives:
+            self.grown([best], self.candidates)
+        return best
+
+    def looked_at(self, members: Sequence[Member], best: Hypothesis) -> Hypothesis:
+        """With its own noise: without an effect the noise of a joint may be a hundred times as large, of which a step says nothing."""
+        return self.estimated(members, best.point)
+
+    def may_matter(self, log_posterior: float, best: Hypothesis) -> bool:
+        return log_posterior > best.log_posterior - OPTIONS.reach
+
+    def doubtful(self, best: Hypothesis, member: Member) -> bool:
+        """Not if its Bayes factor is beyond doubt at the noise of the set, with however much noise it is explained without the effect."""
+        rest = best.point.conditioned([m for m in best.members if m is not member])
+        return float(self.log_factors(rest, [member.candidate])[0]) < BEYOND_DOUBT
+
+    def settled(self, best: Hypothesis, first: int = 0) -> Hypothesis:
+        """The set with the most probable value of the hyper-parameters of its effects from number ``first`` on, one after the other, at the
+        noise that they leave: before an effect is there, the noise hides which value fits best.
+        """
+        members = list(best.members)
+        for i, member in list(enumerate(members))[first:]:
+            forms = next((f for f in self.candidates if f[0].form == member.candidate.form and len(f) > 1), ())
+            tried = [Member(term, None, -float(np.log(len(forms))), term.sizes) for term in forms]
+            sets = [under(best.point, (*members[:i], one, *members[i + 1 :]), 0.0) for one in tried]
+            if sets:
+                members[i] = tried[int(np.argmax([h.log_evidence for h in sets]))]
+        found = estimated(tuple(members), best.point, best.log_prior)
+        self.known[found.key] = found
+        return found
+
+    def further(self, node: Hypothesis, candidates: list[Forms], least: float) -> list[tuple[float, Member]]:
+        present = [m.candidate for m in node.members]
+        possible = [forms for forms in candidates if self.allowed(forms[0], present)]
+        logs = self.log_factors(node.conditioned, [term for forms in possible for term in forms])
+        out, first = [], 0
+        for forms in possible:
+            out.append(self.averaged(forms, logs[first : first + len(forms)], present))
+            first += len(forms)
+        return [(log, member) for log, member in out if log > -np.inf]
+
+    def averaged(self, forms: Forms, logs: np.ndarray, present: Sequence[Any]) -> tuple[float, Member]:
+        """Log posterior odds over all values of the hyper-parameter, and the effect at the most probable one.
+
+        The prior is shared by as many values as were compared to find these.
+        """
+        best = int(logs.argmax())
+        total = float(np.logaddexp.reduce(logs)) - float(np.log(max(forms[0].variant.candidate.trials, len(forms))))
+        term = forms[best]
+        return total + self.prior.log_probability(term, present), Member(term, None, total - float(logs[best]), term.sizes)
+
+    def allowed(self, term: MotionTerm, present: Sequence[Any]) -> bool:
+        """Of an effect at a location one plain form, then its refinements, each form once."""
+        candidate = term.variant.candidate
+        if term.form in {other.form for other in present}:
+            return False
+        plain = any(not o.variant.candidate.extends and o.variant.candidate.location == candidate.location for o in present)
+        return plain if candidate.extends else (not plain or candidate.name in self.periodic)
+
+    @staticmethod
+    def log_factors(problem: ConditionedGram, terms: Sequence[MotionTerm]) -> np.ndarray:
+        """(H,) log Bayes factors of single effects, averaged over sizes; -inf where the first coefficient has the wrong sign."""
+        out = np.zeros(len(terms))
+        kinds: dict[tuple, list[int]] = {}
+        for i, term in enumerate(terms):
+            kinds.setdefault((term.k, term.sizes, term.positive), []).append(i)
+        for (k, sizes, positive), own in kinds.items():
+            typical = np.stack([terms[i].typical for i in own])
+            A, a = problem.beyond(np.stack([terms[i].variant.ids for i in own]))
+            A, a = A * typical[:, :, None] * typical[:, None, :], a * typical
+            logs = log_bayes_factors(A, a, np.array(sizes), positive)
+            if positive and k > 1:
+                x = np.linalg.solve(A + np.eye(k) / max(sizes) ** 2, a[:, :, None])[:, 0, 0]
+                logs = np.where(x > 0, logs, -np.inf)
+            out[own] = logs
+        return out

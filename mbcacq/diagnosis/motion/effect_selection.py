@@ -1,0 +1,188 @@
+"""Which effects a group of channels needs: the sets of the evidence search, linearised anew after every effect.
+
+Effects that hide each other (friction of all joints, a tool, a balancer) start together, and what is not needed is left out: one by one,
+each would have to stand out of the structure that the others leave. Whenever a set changes, the delay of the channel, the continuous
+hyper-parameters and the load are estimated anew, and periodic components are looked for in what is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, estimated
+from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
+from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
+from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, term_of
+from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
+from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
+from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect, Variant
+from mbcacq.effects import catalogue
+from mbcacq.effects.motion_effect import MotionCandidate
+
+MOST_PASSES = 60  # linearisations: one an effect, and some more where an effect is left out again
+TRIED = 5  # effects of the most evidence that are compared, each with the colour of the residual that it would leave
+
+
+class EffectSelection:
+    """Selects effects for a model. start: (J,) held-out mean square of the model's base alone. sets: what was compared last."""
+
+    def __init__(self, model: MotionModel, candidates: list[MotionCandidate] | None = None) -> None:
+        """candidates: what may be selected, None for the whole catalogue."""
+        self.model = model
+        self.pool = CandidatePool(model, catalogue.motion_candidates(model.group, model.runs) if candidates is None else candidates)
+        periodic = catalogue.periodic_in(model.group.name)
+        self._periodic = frozenset() if periodic is None else frozenset({periodic[0]})
+        self._mass: dict[tuple, float] = {}
+        self._left_out: set[tuple] = set()
+        chosen = model.chosen()
+        self.start = model.held_out_mean_square(chosen, model.fold_normals(model.weights(chosen)))
+        self.sets: RankedSets | None = None
+
+    def run(self) -> None:
+        """Start with what every arm may have; change the set as long as that makes it more probable; report what the evidence shows."""
+        self.model.selected = [self._selected(variants[len(variants) // 2]) for variants in self.pool.usual()]
+        settle = True
+        for _ in range(MOST_PASSES):
+            best = self._compared(settle=settle).hypotheses[0]
+            before, after = self._forms(), frozenset(m.candidate.form for m in best.members)
+            if not settle and after == before:
+                best = self._grown(best)
+                after = frozenset(m.candidate.form for m in best.members)
+                if after == before:
+                    break
+            self._left_out |= set() if settle else before - after  # what came and went is not asked again
+            settle = False
+            self._take(best)
+        self.sets = self._compared(alternatives=self.model.store.whole)
+        self._report(self.sets)
+        self.pool.forget_step()
+
+    def _forms(self) -> frozenset:
+        return frozenset((e.candidate.location, e.candidate.form) for e in self.model.selected)
+
+    @staticmethod
+    def _selected(variant: Variant) -> SelectedEffect:
+        nothing = np.zeros(0)
+        return SelectedEffect(variant, 1.0, nothing, nothing)
+
+    def _compared(self, settle: bool = False, alternatives: bool = False) -> RankedSets:
+        """The sets near the present one, in the present linearisation."""
+        model, pool, store = self.model, self.pool, self.model.store
+        pool.forget_step()
+        chosen = model.chosen()
+        weights = model.weights(chosen)
+        colour = model.colour(chosen)
+        own = [[e.variant] for e in model.selected]
+        every = [*pool.forms, *pool.periodic(weights, chosen)]
+        offered = [v for v in every if (v[0].candidate.location, v[0].candidate.form) not in self._left_out]
+        problem, prior = GramProblem.of(model, colour), np.array(store.prior)
+        information = np.diag(problem.weighted(weights * colour, corrected=True))[:-1]
+        terms = [tuple(term_of(v, prior, information) for v in variants) for variants in offered]
+        mine = [term_of(v, prior, information) for (v,) in own]
+        self._colour = colour
+        self._search = search = MotionSearch(
+            candidates=terms,
+            prior=MotionPrior.of([forms[0] for forms in terms], 1),
+            alternatives=alternatives,
+            narrow=True,
+            periodic=self._periodic,
+            settle=settle,
+        )
+        total = [float(store.total(j)[0, 0]) for j in range(len(store.numbers))]
+        start = GramPoint(problem, np.log(np.maximum(total / np.maximum(store.count.sum(axis=0), 1.0), model.least_noise**2)))
+        members = tuple(Member(t, None, self._mass.get(t.form, 0.0), t.sizes) for t in mine)
+        there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
+        ranked = search.run(start, there)
+        return RankedSets(tuple(ranked), search.known[()], log_e_value(ranked) - log_prior_mass(terms), LEAST_LOG_E_VALUE)
+
+    def _grown(self, best: Hypothesis) -> Hypothesis:
+        """The set with the further effect that makes it more probable by most, each with the colour of the residual that it would leave.
+
+        What an effect leaves in the residual of a joint counts as coloured noise there, and would hide the effect as long as it is not
+        tried.
+        """
+        search, found, most = self._search, best, 0.0
+        if len(best.members) >= search.most_effects:
+            return best
+        for _, member in search.extensions(best, search.candidates)[:TRIED]:
+            chosen = np.concatenate([self.model.chosen(), member.candidate.variant.ids]).astype(int)
+            problem = best.point.problem.recoloured(np.minimum(self.model.colour(chosen) / self._colour, 1.0))
+            without = estimated(best.members, replace(best.point, problem=problem), best.log_prior)
+            members = (*best.members, member)
+            grown = estimated(members, without.point, search.log_prior(members))
+            gain = grown.log_posterior - without.log_posterior
+            if gain > most:
+                most, found = gain, grown
+        return found if found is best else search.settled(found, first=len(best.members))
+
+    def _take(self, best: Hypothesis) -> None:
+        """Make a set that of the model, and linearise anew."""
+        model, known = self.model, {(e.candidate.location, e.candidate.form): e for e in self.model.selected}
+        kept, new = [], []
+        for member in best.members:
+            term = member.candidate
+            self._mass[term.form] = member.log_mass
+            effect = known.get(term.form)
+            if effect is None:
+                effect = self._selected(term.variant)
+                new.append(effect)
+            elif effect.variant.hyper != term.variant.hyper:
+                effect.variant = term.variant
+            kept.append(effect)
+        for effect in new:
+            effect.variant = self.pool.keep(effect.variant)
+        model.selected = kept
+        if not any(e.candidate.channel_delay for e in kept):
+            model.store.correct_delay(0.0)
+        self.pool.forget_step()
+        if any(_relinearises(e.candidate) for e in new) or len(kept) < len(known):
+            estimate_hyperparameters(model)
+        for effect in kept:
+            self.pool.extend(effect)
+
+    def _report(self, sets: RankedSets) -> None:
+        """Keep what the evidence shows, with the held-out errors without and with each effect, and what else it could be.
+
+        With a part of the recordings held out, nothing is reported but predicted, by the most probable set.
+        """
+        model = self.model
+        if not model.store.whole:
+            return
+        reported = reported_hypothesis(sets) if sets.significant else sets.none
+        forms = {m.candidate.form: m for m in reported.members}
+        model.selected = [e for e in model.selected if (e.candidate.location, e.candidate.form) in forms]
+        if not any(e.candidate.channel_delay for e in model.selected):
+            model.store.correct_delay(0.0)
+        chosen = model.chosen()
+        weights = model.weights(chosen)
+        normals = model.fold_normals(weights)
+        after = model.held_out_mean_square(chosen, normals)
+        for effect in model.selected:
+            member = forms[effect.candidate.location, effect.candidate.form]
+            rest = tuple(m for m in reported.members if m is not member)
+            lost = reported.log_evidence - estimated(rest, reported.point, 0.0).log_evidence
+            effect.p_value = float(np.exp(-max(lost, 0.0)))
+            effect.before, effect.after = self._mean_square_without(effect, weights, normals), after
+            effect.alternatives = [_alternative(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)]
+
+    def _mean_square_without(self, effect: SelectedEffect, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
+        model, chosen = self.model, self.model.chosen(without=effect)
+        if not effect.candidate.channel_delay:
+            return model.held_out_mean_square(chosen, normals)
+        delay = model.store.delay
+        model.store.correct_delay(0.0)
+        out = model.held_out_mean_square(chosen, model.fold_normals(weights))
+        model.store.correct_delay(delay)
+        return out
+
+
+def _relinearises(candidate: MotionCandidate) -> bool:
+    return (candidate.hyper is not None and candidate.continuous) or candidate.channel_delay or candidate.follows_load
+
+
+def _alternative(label: str, odds: float) -> AlternativeEffect:
+    name, _, where = label.partition(":")
+    return AlternativeEffect(name, tuple(where.split("+")), odds)

@@ -1,0 +1,233 @@
+"""The rows of a motion as the evidence sees them: Gram matrices of a group of channels at one noise.
+
+Every joint has a noise of its own, and neighbouring samples are alike: of ``colour`` samples one counts. The normal likelihood of all
+samples of a joint, to the power of one over its colour, is that of so many fewer independent ones; the weights by which coefficients are
+fitted are the same. Offsets and the inertial parameters of the links are integrated over their priors, as the geometry of poses is. A
+delay of the channel is a hyper-parameter: sets with it explain the corrected recording, all others the recording as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from mbcacq.diagnosis.evidence.hypothesis import Member
+from mbcacq.diagnosis.motion.motion_model import MotionModel, Variant
+from mbcacq.diagnosis.motion.normal_store import MISMATCH
+from mbcacq.diagnosis.motion.options import RIDGE
+
+# Signal to noise ratios of a coefficient without a prior of its own: from one that is barely seen to a set point that repeats to the last
+# digit, half a decade apart. Of one with a prior, shares of its standard deviation (as for the sizes of poses, equally probable).
+RATIOS = tuple(float(s) for s in 10.0 ** np.linspace(0.15, 8.0, 16))
+SHARES = (0.03, 0.1, 0.3, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTerm:
+    """A candidate at one value of its hyper-parameter, as the search takes it."""
+
+    variant: Variant
+    typical: np.ndarray
+    sizes: tuple[float, ...]
+
+    rarity = 1.0
+
+    @property
+    def name(self) -> str:
+        return self.variant.candidate.name
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        return self.variant.candidate.where
+
+    @property
+    def form(self) -> tuple:
+        """Name, location and form: what a set can have once."""
+        return self.variant.candidate.location, self.variant.candidate.form
+
+    @property
+    def key(self) -> str:
+        return f"{self.name}:{'+'.join(self.where)}:{self.variant.candidate.form}:{self.variant.hyper!r}"
+
+    @property
+    def k(self) -> int:
+        return len(self.variant.ids)
+
+    @property
+    def positive(self) -> bool:
+        return self.variant.candidate.positive
+
+
+@dataclass(frozen=True, eq=False)
+class GramProblem:
+    """A group of channels at one linearisation.
+
+    numbers[j], gram[j], late[j]: the columns of each joint, mismatch first, their products over all segments divided by the colour, and
+    the products (c,) of the mismatch as it was recorded. count (J,): samples that count; least (J,): smallest variance of a channel's
+    noise. base: columns that are always there; prior (P,): standard deviation of each column's coefficient. delay: columns of the effect
+    that shifts the channel.
+    """
+
+    numbers: tuple[np.ndarray, ...]
+    gram: tuple[np.ndarray, ...]
+    late: tuple[np.ndarray, ...]
+    count: np.ndarray
+    least: np.ndarray
+    base: np.ndarray
+    prior: np.ndarray
+
+    @classmethod
+    def of(cls, model: MotionModel, colour: np.ndarray) -> GramProblem:
+        """colour: (J,) samples that count as one."""
+        store = model.store
+        joints = range(len(store.numbers))
+        gram = tuple(store.total(j) / colour[j] for j in joints)
+        count = np.maximum(store.count.sum(axis=0), 1.0) / colour
+        base = np.asarray(store.base, dtype=int)
+        late = tuple(store.uncorrected(j) / colour[j] for j in joints)
+        return cls(tuple(store.numbers), gram, late, count, model.least_noise**2, base, np.array(store.prior))
+
+    def recoloured(self, ratio: np.ndarray) -> GramProblem:
+        """The same where ratio (J,) times as many samples count as one."""
+        scaled = ([one / r for one, r in zip(each, ratio, strict=True)] for each in (self.gram, self.late))
+        gram, late = (tuple(one) for one in scaled)
+        return replace(self, gram=gram, late=late, count=self.count / ratio)
+
+    def weighted(self, weights: np.ndarray, corrected: bool) -> np.ndarray:
+        """(P + 1, P + 1) normal matrix of all columns, mismatch last. corrected: for its delay."""
+        P = len(self.prior)
+        out = np.zeros((P + 1, P + 1))
+        for numbers, gram, late, weight in zip(self.numbers, self.gram, self.late, weights, strict=True):
+            at = np.where(numbers == MISMATCH, P, numbers)
+            out[np.ix_(at, at)] += weight * self._with_mismatch(gram, late, corrected)
+        return out
+
+    def restricted(self, ids: np.ndarray, corrected: bool) -> np.ndarray:
+        """(J, c + 1, c + 1) products of these columns by joint, mismatch last."""
+        out = np.zeros((len(self.numbers), len(ids) + 1, len(ids) + 1))
+        position = np.full(len(self.prior) + 1, -1)
+        position[ids], position[-1] = np.arange(len(ids)), len(ids)
+        for j, numbers in enumerate(self.numbers):
+            own = np.flatnonzero(position[numbers] >= 0)
+            at = position[numbers[own]]
+            gram = self._with_mismatch(self.gram[j][np.ix_(own, own)], self.late[j][own], corrected)
+            out[j][np.ix_(at, at)] = gram
+        return out
+
+    @staticmethod
+    def _with_mismatch(gram: np.ndarray, late: np.ndarray, corrected: bool) -> np.ndarray:
+        if corrected:
+            return gram
+        out = gram.copy()
+        out[0], out[:, 0] = late, late
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class ExtendedGram:
+    """Gram matrices (J, c + 1, c + 1) of the base and of effects, the latter in typical sizes, mismatch last; base_weight: prior weights
+    of the first columns.
+    """
+
+    gram: np.ndarray
+    base_weight: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class GramPoint:
+    """A group of channels at one noise; theta: (J,) logarithms of the variances."""
+
+    problem: GramProblem
+    theta: np.ndarray
+
+    def extended(self, members: Sequence[Member]) -> ExtendedGram:
+        problem = self.problem
+        ids = np.concatenate([problem.base, *(m.candidate.variant.ids for m in members)]).astype(int)
+        scale = np.concatenate([np.ones(len(problem.base)), *(m.candidate.typical for m in members), [1.0]])
+        gram = problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
+        return ExtendedGram(gram, problem.prior[problem.base] ** -2.0)
+
+    def with_effects(self, extended: ExtendedGram) -> GramSystem:
+        normal = np.einsum("j,jab->ab", np.exp(-self.theta), extended.gram)
+        g = len(extended.base_weight)
+        root = cholesky_of(normal[:g, :g], extended.base_weight)
+        reduced = solve_triangular(root, normal[:g, g:], lower=True, check_finite=False)
+        rest = normal[g:, g:] - reduced.T @ reduced
+        floor = float(self.problem.count @ (self.problem.least * np.exp(-self.theta)))
+        log_det = float(self.problem.count @ self.theta) + 2.0 * float(np.log(np.diag(root)).sum())
+        return GramSystem(self, extended, rest[:-1, :-1], rest[:-1, -1], -0.5 * (log_det + float(rest[-1, -1]) + floor))
+
+    def conditioned(self, members: Sequence[Member]) -> ConditionedGram:
+        return ConditionedGram.of(self, members)
+
+    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[GramPoint, float]:
+        """The variance of each joint by what its residual and the uncertainty of the coefficients add up to (expectation maximisation)."""
+        del information
+        step = np.log(np.maximum(1.0 + 2.0 * gradient / self.problem.count, 1e-12))
+        return replace(self, theta=self.theta + step), float(np.abs(step).max())
+
+
+def corrected(members: Sequence[Member]) -> bool:
+    """Whether a set has the effect that corrects the channel's delay."""
+    return any(m.candidate.variant.candidate.channel_delay for m in members)
+
+
+def cholesky_of(normal: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Lower factor with prior weights; what neither data nor prior determine is held by a ridge far below the rest."""
+    A = normal + np.diag(weight)
+    return np.linalg.cholesky(A + np.diag(RIDGE * np.diag(A) + 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class GramSystem:
+    """Effects beyond the base at one noise (``evidence.hypothesis.NormalSystem``)."""
+
+    point: GramPoint
+    extended: ExtendedGram
+    A: np.ndarray
+    a: np.ndarray
+    log_likelihood: float
+
+    def score(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        gram, problem, inverse_variance = self.extended.gram, self.point.problem, np.exp(-self.point.theta)
+        normal = np.einsum("j,jab->ab", inverse_variance, gram)
+        root = cholesky_of(normal[:-1, :-1], np.r_[self.extended.base_weight, weight])
+        inverse = solve_triangular(root, np.eye(len(root)), lower=True, check_finite=False)
+        covariance = inverse.T @ inverse
+        residual = np.append(-covariance @ normal[:-1, -1], 1.0)
+        squares = inverse_variance * (np.einsum("a,jab,b->j", residual, gram, residual) + problem.count * problem.least)
+        spent = inverse_variance * np.einsum("jab,ab->j", gram[:, :-1, :-1], covariance)
+        gradient = 0.5 * (squares + spent - problem.count)
+        return gradient, np.diag(0.5 * np.maximum(problem.count - spent, 0.1 * problem.count))
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionedGram:
+    """The normal equations of all columns beyond the base and the effects of a set."""
+
+    normal: np.ndarray
+    absorbed: np.ndarray
+
+    @classmethod
+    def of(cls, point: GramPoint, members: Sequence[Member]) -> ConditionedGram:
+        problem = point.problem
+        normal = problem.weighted(np.exp(-point.theta), corrected(members))
+        ids = np.concatenate([problem.base, *(m.candidate.variant.ids for m in members)]).astype(int)
+        known = [(m.size * m.candidate.typical) ** -2.0 for m in members]
+        root = cholesky_of(normal[np.ix_(ids, ids)], np.concatenate([problem.prior[problem.base] ** -2.0, *known]))
+        return cls(normal, solve_triangular(root, normal[ids], lower=True, check_finite=False))
+
+    def beyond(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrices (H, k, k) and right-hand sides (H, k) of blocks of columns (H, k)."""
+        absorbed = self.absorbed[:, ids]  # (c, H, k)
+        A = self.normal[ids[:, :, None], ids[:, None, :]] - np.einsum("chk,chl->hkl", absorbed, absorbed)
+        return A, self.normal[ids, -1] - np.einsum("chk,c->hk", absorbed, self.absorbed[:, -1])
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """(P,) square root of each column's information."""
+        return np.sqrt(np.maximum(np.diag(self.normal)[:-1], 1e-300))
