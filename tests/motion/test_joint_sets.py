@@ -1,4 +1,4 @@
-"""Poses and motion of one run are one problem: evidences add, and what neither tells alone is told by both."""
+"""Poses and motion of one run are one problem: evidences add, and what neither decides alone is decided by both."""
 
 import numpy as np
 import pytest

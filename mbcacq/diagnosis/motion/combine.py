@@ -4,7 +4,7 @@
    the angle by which it winds A2 up.
 2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other.
 3. Where one of them cannot tell two effects apart, and the other names one of these, that one is named.
-4. The evidences of both add (``joint_sets``): what neither tells alone may be told by both.
+4. The evidences of both add (``joint_sets``): what neither decides alone may be decided by both.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
    them are in all of these or in none.
 2. Its log posterior odds are the sum. An effect that is in several has one coefficient: half the squared distance of what they state of it,
    in combined standard deviations, is taken off. The prior of a shared effect counts in each evidence, so that odds are understated.
-3. What neither tells alone, because another set is not excluded there, is told where the joint sets exclude it.
+3. What neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it.
 """
 
 from __future__ import annotations
