@@ -70,7 +70,7 @@ def test_no_page_and_no_text_uses_a_phrase_that_the_terms_replace():
         *(ROOT / "benchmarks").glob("*.md"),
     ]
     pages += [*(ROOT / "examples").rglob("*.md"), *(ROOT / "examples").rglob("*.ipynb")]
-    texts = {path: path.read_text(encoding="utf-8") for path in pages}
+    texts = {path: path.read_text(encoding="utf-8") for path in pages if path.name != "glossary.md"}  # it lists them
     texts |= {
         p: "\n".join(n.value for n in ast.walk(t) if isinstance(n, ast.Constant) and isinstance(n.value, str)) for p, t in sources().items()
     }

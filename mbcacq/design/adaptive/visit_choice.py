@@ -36,7 +36,7 @@ class VisitCosts:
         return int(self.at.get(station.artefact) != station.id)
 
     def seconds(self, station: Station, poses: int) -> float:
-        """Of a visit with so many poses."""
+        """Time of a visit with so many poses."""
         return self.look_s + self.moves(station) * self.move_s + poses * self.pose_s
 
 

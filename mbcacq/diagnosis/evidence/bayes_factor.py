@@ -10,7 +10,7 @@ from mbcacq.diagnosis.nonparametric.bayes_factor import log_twice_normal
 def log_set_bayes_factor(
     A: np.ndarray, a: np.ndarray, slices: list[slice], sizes: list[np.ndarray], positive: list[bool]
 ) -> tuple[float, list[float]]:
-    """Of a set of effects together, and the most probable size of each.
+    """Log Bayes factor of a set of effects together, and the most probable size of each.
 
     A (k, k), a (k,): of all coefficients in typical sizes; slices: of each effect. The average over the sizes of all is taken about the
     most probable ones, one effect at a time.

@@ -23,7 +23,7 @@ from mbcacq.effects.effect import Candidate
 
 
 def couplings_of(members: Sequence[Member]) -> tuple[EffectCoupling, ...]:
-    """Of the effects of a set that show only through another one."""
+    """The couplings of the effects of a set that show only through another one."""
     names = dict.fromkeys(m.candidate.name for m in members)
     return tuple(c for name in names if (c := catalogue.declaration(name).coupling) is not None)
 

@@ -42,7 +42,7 @@ def replaced(base: Hypothesis, rival: UntriedEffect, prior: SetPrior) -> Hypothe
 
 
 def log_prior(rest: Sequence[Member], rival: UntriedEffect, prior: SetPrior) -> float:
-    """Of the set with the effect that the rival stands for."""
+    """Log posterior of the set with the effect that the rival stands for."""
     named = replace(rival.candidate, name=rival.name)
     return prior.log_probability_of_set([*(m.candidate for m in rest), named])
 

@@ -134,7 +134,7 @@ def in_terms_of_poses(poses: Mapping[str, Any], motion: MotionDiagnosis) -> dict
 
 
 def paired(own: Estimates, other: Estimates) -> Iterator[tuple[str, SingleEstimate, SingleEstimate]]:
-    """The parameters that both have. Of a periodic effect with several orders those of one order belong together."""
+    """The parameters that both have. Those of one order of a periodic effect with several belong together."""
     for key in own:
         location = key.rpartition(".")[0]
         orders = f"{location}.order" if location else "order"

@@ -32,7 +32,7 @@ FRICTION_SPEED = 0.02  # share of a joint's fastest speed over which friction ch
 
 @dataclass(frozen=True)
 class Samples:
-    """Of all recordings: q, qd, qdd, torque, moving (N, n); moving: where friction is not that of standstill."""
+    """All recordings, one after the other: q, qd, qdd, torque, moving (N, n); moving: where friction is not that of standstill."""
 
     q: np.ndarray
     qd: np.ndarray

@@ -125,7 +125,7 @@ class MotionSearch(EvidenceSearch):
         return total + self.prior.log_probability(term, present), Member(term, None, total - float(logs[best]), term.sizes)
 
     def allowed(self, term: MotionTerm, present: Sequence[Any]) -> bool:
-        """Of an effect at a location one plain form, then its refinements, each form once."""
+        """One plain form of an effect at a location, then its refinements, each form once."""
         candidate = term.variant.candidate
         if term.form in {other.form for other in present}:
             return False

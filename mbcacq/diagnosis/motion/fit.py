@@ -127,7 +127,7 @@ def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
 
 
 def _covariance(model: MotionModel, weights: np.ndarray, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Of the coefficients x, then of the continuous hyper-parameters, all together."""
+    """Covariance of the coefficients x, then of the continuous hyper-parameters, all together."""
     store = model.store
     derivatives = add_derivatives(model, chosen, x)
     ids = np.concatenate([chosen, *derivatives]).astype(int)

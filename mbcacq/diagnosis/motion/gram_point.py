@@ -21,7 +21,7 @@ from mbcacq.diagnosis.motion.normal_store import MISMATCH
 from mbcacq.diagnosis.motion.options import RIDGE
 
 # Signal to noise ratios of a coefficient without a prior of its own: from one that is barely seen to a set point that repeats to the last
-# digit, half a decade apart. Of one with a prior, shares of its standard deviation (as for the sizes of poses, equally probable).
+# digit, half a decade apart. A coefficient with a prior has shares of its standard deviation (as for the sizes of poses, equally probable).
 RATIOS = tuple(float(s) for s in 10.0 ** np.linspace(0.15, 8.0, 16))
 SHARES = (0.03, 0.1, 0.3, 1.0)
 

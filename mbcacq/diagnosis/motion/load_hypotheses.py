@@ -56,7 +56,7 @@ class _Posterior:
         return [position[int(i)] for i in ids]
 
     def log_bayes_factor(self, ids: np.ndarray, positive: bool) -> float:
-        """Of these columns against none, averaged over sizes, by the normal likelihood that the posterior implies."""
+        """Log Bayes factor of these columns against none, averaged over sizes, by the normal likelihood that the posterior implies."""
         at = self.at(ids)
         sigma = self.sigma[at]
         inverse = np.linalg.inv(self.V[np.ix_(at, at)] / np.outer(sigma, sigma))
