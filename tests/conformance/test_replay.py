@@ -92,7 +92,8 @@ def test_a_modbus_session_gives_the_same_reading_again(saved):
 
 def test_the_beginning_of_an_rsi_session_is_answered_byte_for_byte_the_same(saved):
     trace = Trace()
-    with kuka_rsi(trace) as stand, stand.make(stop_at_close=False) as robot:
+    exact = {"encoder_noise_deg": 0.0, "encoder_step_deg": 0.0}
+    with kuka_rsi(trace, **exact) as stand, stand.make(stop_at_close=False) as robot:
         robot.state()
     lines = lock_step(saved(trace).lines)
     port = free_port()
