@@ -83,6 +83,7 @@ def main() -> None:
     arguments.add_argument("--write", action="store_true", help="write the figures to rsi_latency.md")
     given = arguments.parse_args()
     found: dict[tuple[bool, str], list[np.ndarray]] = {}
+    busy = [os.getloadavg()[0]]
     with tempfile.TemporaryDirectory() as folder:
         metronome, echo = (compiled(name, Path(folder)) for name in ("rsi_metronome", "rsi_echo"))
         programs = {"C, answers only": lambda port: c_echo(echo, port), "mbcacq": ours}
@@ -95,7 +96,8 @@ def main() -> None:
                 with scan_load() if loaded else nullcontext():
                     for name, program in programs.items():
                         found.setdefault((loaded, name), []).append(measure(metronome, program, given.seconds))
-    text = report(found)
+                        busy.append(os.getloadavg()[0])
+    text = report(found, busy)
     print(text)
     if given.write:
         Path(__file__).with_suffix(".md").write_text(text)
@@ -193,13 +195,14 @@ def scan_load() -> Iterator[None]:
         load.communicate()
 
 
-def report(found: dict[tuple[bool, str], list[np.ndarray]]) -> str:
+def report(found: dict[tuple[bool, str], list[np.ndarray]], busy: list[float]) -> str:
+    """A page; busy: load averages of the computer meanwhile, which include whatever else it had to do."""
     lines = [
         "# Reply latency of the RSI cycle",
         "",
         f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from sending a "
         "telegram to having the answer, at the controller's side, us. The programs took turns. 'Missed': cycles without an answer within "
-        "4 ms. Made by `python benchmarks/rsi_latency.py --write`.",
+        f"4 ms. Load average meanwhile: {min(busy):.0f} to {max(busy):.0f}. Made by `python benchmarks/rsi_latency.py --write`.",
         "",
         "| other load | program | cycles | median | 99 % | 99.9 % | missed | median / floor |",
         "|---|---|--:|--:|--:|--:|--:|--:|",

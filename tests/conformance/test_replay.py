@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from bench_bus import modbus_sensor
 from bench_gocator import gocator
+from bench_gopxl import gopxl
 from bench_kuka import HOME_DEG, LIMITS_DEG, kuka_rsi
 from mbcacq_bus.modbus import ModbusSensor
 from mbcacq_fakes.cell.ports import free_port
 from mbcacq_gocator.driver import Gocator
+from mbcacq_gocator.gopxl.driver import GoPxL
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 from mbcacq.conformance import Replay, Trace
@@ -62,6 +64,21 @@ def test_a_gocator_session_gives_the_same_scan_again(saved):
     assert (scans[0].frame, scans[0].time_s) == (scans[1].frame, scans[1].time_s)
 
 
+def test_a_gopxl_session_gives_the_same_scan_again(saved):
+    """What stands in for a sensor is every byte that came from one; what the driver sends is compared with what was sent then."""
+    trace, scans = Trace(), []
+    with gopxl(trace) as stand, stand.make(timeout_s=10.0) as scanner:
+        scans.append(scanner.capture(900.0))
+    with Replay(saved(trace)) as replay:
+        ports = {"control_port": replay.ports["control"], "data_port": replay.ports["data"]}
+        with GoPxL("scanner", "3504", {"address": "127.0.0.1", "timeout_s": 10.0, **ports}) as scanner:
+            scans.append(scanner.capture(900.0))
+    assert replay.differences == []
+    for name in ("points", "pixel", "intensity"):
+        np.testing.assert_array_equal(getattr(scans[0], name), getattr(scans[1], name))
+    assert len(scans[0].points) == 228
+
+
 def test_a_modbus_session_gives_the_same_reading_again(saved):
     trace = Trace()
     with modbus_sensor(trace) as stand, stand.make(timeout_s=5.0) as sensor:
@@ -75,7 +92,8 @@ def test_a_modbus_session_gives_the_same_reading_again(saved):
 
 def test_the_beginning_of_an_rsi_session_is_answered_byte_for_byte_the_same(saved):
     trace = Trace()
-    with kuka_rsi(trace) as stand, stand.make(stop_at_close=False) as robot:
+    exact = {"encoder_noise_deg": 0.0, "encoder_step_deg": 0.0}
+    with kuka_rsi(trace, **exact) as stand, stand.make(stop_at_close=False) as robot:
         robot.state()
     lines = lock_step(saved(trace).lines)
     port = free_port()

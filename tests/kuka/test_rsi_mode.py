@@ -182,6 +182,16 @@ def test_an_arm_stands_whatever_the_noise_of_its_encoders(arm, noise_deg):
     assert one.ended
 
 
+def test_an_arm_that_hums_more_where_it_arrived_is_seen_to_stand(arm):
+    one = arm(lag_s=0.012, noise_deg=1e-4)
+    one.connect()
+    one.move((20.0, *START[1:]))
+    one.cycle(60)
+    one.noise = 0.005
+    one.cycle(400)
+    assert not moving(one)
+
+
 def test_the_bench_is_absolute():
     one = Bench()
     try:

@@ -321,5 +321,5 @@ class KukaRsi:
             axis = int(np.argmax(outside))
             raise SafetyStop(
                 f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f} deg, outside the {where} "
-                f"{low[axis]:g}..{high[axis]:g} deg; nothing was moved"
+                f"{round(low[axis], 2):g}..{round(high[axis], 2):g} deg; nothing was moved"
             )
