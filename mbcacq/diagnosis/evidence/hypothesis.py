@@ -226,8 +226,8 @@ class SetPrior:
         return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1))
 
     def log_probability(self, candidate: SearchedEffect, present: Sequence[SearchedEffect]) -> float:
-        """Log prior of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm are of one
-        make; of the first, given that there is one.
+        """Log prior of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm
+        are of one make; of the first, given that there is one.
         """
         return self._of_kind_and_location(candidate, present) + float(np.log(candidate.rarity))
 
