@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 from test_diagnose_trajectories import recording
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
-from mbcacq.diagnosis.evidence.hypothesis import Member, estimated
+from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion import diagnose
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
@@ -85,14 +85,3 @@ def test_the_evidence_stands_in_the_json():
     best = found.evidence[0].evidence.sets[0]
     assert {(e.name, e.where) for e in best.effects} == {("friction", ("A1",)), ("friction", ("A2",))}
     assert all(abs(e.parameters[f"{e.where[0]}.coulomb_Nm"].value - 5.0) < 0.1 for e in best.effects)
-
-
-def test_the_noise_of_no_effect_is_settled_before_sets_are_compared():
-    """Seen from the noise of no effect itself, its evidence is what it is in the comparison; else every set would seem better than it."""
-    model = torque_model(recording(1))
-    selection = EffectSelection(model)
-    selection.run()
-    none = selection.sets.none
-    again = estimated((), none.point, 0.0, rounds=60)
-    assert again.log_evidence == pytest.approx(none.log_evidence, abs=0.1)
-    assert not model.selected
