@@ -91,8 +91,9 @@ class EffectSelection:
             periodic=self._periodic,
             settle=settle,
         )
-        total = [float(store.total(j)[0, 0]) for j in range(len(store.numbers))]
-        start = GramPoint(problem, np.log(np.maximum(total / np.maximum(store.count.sum(axis=0), 1.0), model.least_noise**2)))
+        alone = np.asarray(store.base, dtype=int)
+        # Where the search starts matters: from much more noise than there is, the noise of no effect would not settle in a few rounds.
+        start = GramPoint(problem, -np.log(model.weights(alone) * model.colour(alone)))
         members = tuple(Member(t, None, self._mass.get(t.form, 0.0), t.sizes) for t in mine)
         there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
         ranked = search.run(start, there)
