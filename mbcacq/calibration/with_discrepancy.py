@@ -31,6 +31,7 @@ LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no p
 LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
 EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the model lacks something: further kinds of groups are tried
+FAR = 3.0  # times the data sheet's: beyond what arms in good order reach under other conditions than the sheet's (load, time)
 FURTHER: tuple[Callable[[Covariates], list[EffectTerm]], ...] = (discrepancy.couplings, discrepancy.pairs)
 
 
@@ -92,8 +93,8 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
 
 
 def noise_beyond_sheet(fitted: Adjustment) -> bool:
-    """Whether the joints of an adjusted arm repeat worse than its data sheet, or arms of its class, allow."""
-    return _excess(fitted.noise, variance_components.first_noise(fitted.lineariser.obs.cell)) > EXCESS
+    """Whether the joints of an adjusted arm repeat far worse than its data sheet, or arms of its class, allow."""
+    return _excess(fitted.noise, variance_components.first_noise(fitted.lineariser.obs.cell)) > FAR
 
 
 def _excess(noise: Noise, allowed: Noise) -> float:

@@ -178,10 +178,9 @@ def _chain(cell: Cell, options: CalibrationOptions) -> ParameterBlock:
 
 
 def usual_sizes(cell: Cell) -> dict[str, float]:
-    """sigma (rad, mm) that the errors of each group of links usually have in an arm of this size."""
+    """sigma (rad, mm) that each kind of errors usually has in an arm of this size that is to be identified."""
     length = USUAL_SHARE * 2 * float(cell.robot.chain.lever.max())
-    by_kind = {kind: length if kind == "lengths" else USUAL_ANGLE for kind in KINDS_START}
-    return {LENGTHS: length, ANGLES: USUAL_ANGLE} | by_kind
+    return {kind: length if kind == "lengths" else USUAL_ANGLE for kind in KINDS_START}
 
 
 def arm_prior(cell: Cell, options: CalibrationOptions) -> ArmPrior | None:

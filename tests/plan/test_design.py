@@ -23,6 +23,7 @@ from mbcacq.design.plan_rewriter import with_views
 from mbcacq.design.predicted_accuracy import predicted_accuracy, predicted_calibration
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state, simulated_recording
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.plan import expand, load, path
 from mbcacq.plan.feasibility import check
 from mbcacq.plan.schema import View
@@ -185,7 +186,8 @@ def test_information_blocks_agree_with_the_full_calibration(published):
     kept = [p for p in poses if p.phase != "verification"]
     problem = DesignProblem(loaded, kept, [], poses)
     C = np.linalg.inv(problem.base)[: problem.layout.size, : problem.layout.size]
-    full = predicted_calibration(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses))
+    free = CalibrationOptions(refuse=False, random_links=False)  # a design asks what the poses alone determine
+    full = predicted_calibration(loaded, planned_observations(loaded, poses), planned_noise(loaded, poses), free)
     arm = [i for i, name in enumerate(full.names) if not name.startswith("ball_")]
     # the certificate's 1 um makes the full problem a little less certain
     ratio = np.sqrt(np.diag(full.covariance)[arm] / np.diag(C))
