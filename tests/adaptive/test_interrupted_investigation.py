@@ -18,7 +18,7 @@ from mbcacq.errors import ConfigError
 
 def killed(*arguments: object) -> None:
     script = [sys.executable, simulated_cell.__file__, *map(str, arguments)]
-    done = subprocess.run(script, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(script, capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == -signal.SIGKILL, done.stderr
 
 
