@@ -67,6 +67,9 @@ def without_installing(script: str) -> str:
 # physics is as long again and has a test of its own: here that of kuka.yaml stands for it.
 DRY_RUN = re.compile(r"^(?:\.venv/bin/)?mbcacq run plans/((?:quick|kuka|concealed)\.yaml) --dry-run(?: --out runs/(\w+))?(?:\s+#.*)?$")
 
+# All of it takes two minutes; benchmarks/investigate.py has what it finds. Here its first block is executed.
+INVESTIGATION = re.compile(r"^(?:\.venv/bin/)?mbcacq investigate plans/\w+\.yaml --dry-run$")
+
 
 def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun]) -> str:
     """The script with the dry runs of shipped plans replaced by copies of them."""
@@ -74,6 +77,8 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun]) ->
     for line in script.splitlines():
         if line.strip() == "sleep 2":  # stands for: until the fake cell says that it is up
             lines.append("until grep -q 'in another terminal' printed; do sleep 0.2; done")
+        elif INVESTIGATION.match(line.strip()):
+            lines.append(f"{line} --poses 24")
         elif found := DRY_RUN.match(line.strip()):
             run = finished_run(found[1].replace("concealed", "kuka"))
             lines.append(f"cp -a '{run.desk / 'runs'}' .")
