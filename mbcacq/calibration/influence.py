@@ -18,6 +18,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.estimation.outliers import chi2_quantile
 from mbcacq.estimation.solver import Solution, solve
 from mbcacq.estimation.variance_components import first_noise
+from mbcacq.model.cell import Cell
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,11 @@ def deletions(solution: Solution, which: np.ndarray) -> Deletion:
     return out
 
 
+def joint_factor(noise: Noise, cell: Cell) -> float:
+    """The joints' noise in units of what the arm's data sheet, or its class, allows; the median over the joints."""
+    return float(np.median(noise.joint / first_noise(cell).joint))
+
+
 def joint_noise_check(
     lineariser: Lineariser, solution: Solution, noise: Noise, covariance: np.ndarray, options: InfluenceOptions | None = None
 ) -> dict[str, Any] | None:
@@ -72,7 +78,7 @@ def joint_noise_check(
     """
     options, obs = options or InfluenceOptions(), lineariser.obs
     allowed = first_noise(obs.cell).joint
-    factor = float(np.median(noise.joint / allowed))
+    factor = joint_factor(noise, obs.cell)
     if not obs.cell.robot.repeatability_mm or factor <= options.noise_factor:
         return None
     found: dict[str, Any] = {"joint_factor": factor, "allowed_joint_rad": allowed.tolist(), "pose": None}

@@ -12,12 +12,12 @@ from mbcacq.calibration.causes import misdescribed
 from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
 from mbcacq.calibration.estimates import with_estimates
-from mbcacq.calibration.influence import joint_noise_check, joint_noise_sentence
+from mbcacq.calibration.influence import InfluenceOptions, joint_factor, joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.uncertainty import expected_accuracy
-from mbcacq.calibration.with_discrepancy import noise_beyond_sheet, with_discrepancy
+from mbcacq.calibration.with_discrepancy import with_discrepancy
 from mbcacq.calibration.with_effects import refitted
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
@@ -130,7 +130,7 @@ def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Ad
         result = _collected(obs, options, fitted)
     else:
         result, fitted = _with_discrepancy(obs, options, fitted)
-        if noise_beyond_sheet(fitted):
+        if joint_factor(fitted.noise, obs.cell) > InfluenceOptions.noise_factor:
             result, fitted = _unless_it_loses(obs, options, result, fitted)
     result = _with_joint_noise_check(result, fitted)
     check = result.extra.get("joint_noise_check")

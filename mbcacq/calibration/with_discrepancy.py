@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mbcacq.calibration.influence import joint_factor
 from mbcacq.effects import discrepancy
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
@@ -31,7 +32,6 @@ LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no p
 LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
 EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the model lacks something: further kinds of groups are tried
-FAR = 3.0  # times the data sheet's: beyond what arms in good order reach under other conditions than the sheet's (load, time)
 FURTHER: tuple[Callable[[Covariates], list[EffectTerm]], ...] = (discrepancy.couplings, discrepancy.pairs)
 
 
@@ -70,7 +70,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     best = _Groups.none(problem, prior, alone.noise)
     allowed = variance_components.first_noise(obs.cell)
     for kind in (discrepancy.own_errors, *FURTHER):
-        if kind is not discrepancy.own_errors and _excess(best.noise, allowed) < EXCESS:
+        if kind is not discrepancy.own_errors and joint_factor(best.noise, obs.cell) < EXCESS:
             break
         tried = _Groups.first(best, kind(here), here, learnt)
         if tried is None:
@@ -90,15 +90,6 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
     model = EffectModel(obs.cell.robot, best.terms, learnt, obs.cell.measurement)
     return WithDiscrepancy(final, chosen, model, best.evidence - best.alone)
-
-
-def noise_beyond_sheet(fitted: Adjustment) -> bool:
-    """Whether the joints of an adjusted arm repeat far worse than its data sheet, or arms of its class, allow."""
-    return _excess(fitted.noise, variance_components.first_noise(fitted.lineariser.obs.cell)) > FAR
-
-
-def _excess(noise: Noise, allowed: Noise) -> float:
-    return float(np.median(noise.joint / allowed.joint))
 
 
 @dataclass(frozen=True)

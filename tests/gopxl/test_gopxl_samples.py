@@ -108,9 +108,9 @@ def test_a_subscriber_hears_of_the_start_and_of_the_stop_and_then_no_more(client
     client.ask("sub", "/system")
     for command, state in (("start", 1), ("stop", 0)):
         client.ask("call", f"/system/commands/{command}", {})
-        told = client.next_between()
-        assert (told["type"], told["eventType"], told["path"]) == ("notification", "updated", "/system")
-        assert told["payload"] == {"runState": state}
+        notified = client.next_between()
+        assert (notified["type"], notified["eventType"], notified["path"]) == ("notification", "updated", "/system")
+        assert notified["payload"] == {"runState": state}
     client.ask("unSub", "/system")
     client.ask("call", "/system/commands/start", {})
     client.ask("call", "/system/commands/stop", {})
