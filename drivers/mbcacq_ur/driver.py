@@ -25,7 +25,7 @@ from mbcacq.devices import (
     SafetyStop,
 )
 from mbcacq_ur.link import RtdeLink, Values
-from mbcacq_ur.options import AXES, parse
+from mbcacq_ur.options import AXES, UrOptions, parse
 from mbcacq_ur.safety import PLAYING, not_ready, safety_stop
 
 PROGRAM = 20261  # which mbcacq_ur.script this driver works with
@@ -36,8 +36,13 @@ COLUMNS = {"q": "actual_q", "q_set": "target_q", "current_A": "actual_current", 
 
 
 class UrRtdeRobot:
-    """Implements mbcacq.devices.Robot. Options: see UrOptions. Losing the connection stops the arm: its program has a watchdog."""
+    """Implements mbcacq.devices.Robot. Options: see UrOptions. Losing the connection stops the arm: its program has a watchdog.
 
+    Under the option follow it only listens: it needs no program on the controller, and it never moves the arm.
+    """
+
+    plan_facts = ("follow",)
+    options_model = UrOptions
     verified_on_hardware = False
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
@@ -126,6 +131,8 @@ class UrRtdeRobot:
         speed, acceleration = float(np.min(limits.speed)), float(np.min(limits.acceleration))
         if not (np.isfinite([speed, acceleration]).all() and min(speed, acceleration) > 0):
             raise ConfigError(f"{self._name}: speed and acceleration limits must be positive")
+        if self._options.follow:
+            raise SafetyStop(f"{self._name} is only followed (robot: follow); nothing was moved")
         with self._changed:
             self._check()
             self._command((*target.tolist(), speed, acceleration), MOVE)
@@ -138,6 +145,8 @@ class UrRtdeRobot:
             latest, wanted = self._latest, self._wanted
             assert latest is not None, "a connected robot has a state"
             taken = latest["output_int_register_0"] == self._number
+            if self._options.follow:
+                return RobotState(float(latest["timestamp"]), np.array(latest["actual_q"]), bool(np.any(latest["actual_qd"])), False)
             moving = bool(latest["output_int_register_1"]) or (self._target is not None and not taken)
             rested = self._near_since is not None and wanted is not None and latest["timestamp"] - self._near_since >= wanted.settle_s
             arrived = self._target is not None and taken and not moving and rested
@@ -149,9 +158,9 @@ class UrRtdeRobot:
         return Cycles({name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {})
 
     def stop(self) -> None:
-        """Commands a stop, and waits for a moment until the controller took it up."""
+        """Commands a stop, and waits for a moment until the controller took it up; an arm that is only followed is not ours to stop."""
         with self._changed:
-            if self._link is None or not self._link.open or self._error is not None:
+            if self._options.follow or self._link is None or not self._link.open or self._error is not None:
                 return
             self._target = None
             self._command(self._registers[:8], STOP)
@@ -189,7 +198,9 @@ class UrRtdeRobot:
 
     def _why(self) -> str:
         """Why it is not ready, '' if it is."""
-        return "sends no data; restart the controller" if self._latest is None else not_ready(self._latest, PROGRAM)
+        if self._latest is None:
+            return "sends no data; restart the controller"
+        return "" if self._options.follow else not_ready(self._latest, PROGRAM)
 
     def _check_payload(self) -> None:
         wanted = self._options.payload_kg
@@ -223,7 +234,10 @@ class UrRtdeRobot:
             return {**doubles, "input_int_register_0": number, "input_int_register_1": kind, "input_int_register_2": self._life}
 
     def _judge(self, values: Values) -> None:
-        """Raises SafetyStop or DeviceFault once it was ready and something stopped it."""
+        """Raises SafetyStop or DeviceFault once it was ready and something stopped it. What stops an arm that is only followed is up to
+        whoever moves it."""
+        if self._options.follow:
+            return
         if self._ready and (stop := safety_stop(values)):
             raise SafetyStop(f"{self._name} {stop}; then resume the run")
         if self._ready and values["runtime_state"] != PLAYING:

@@ -13,6 +13,9 @@ import numpy as np
 from mbcacq.devices import Cycles, Scan
 
 
+OPERATOR = "operator"  # source of a message that a person at the arm waits for
+
+
 @dataclass(frozen=True)
 class Event:
     time_s: float
@@ -137,7 +140,7 @@ class Gap(Event):
 
 @dataclass(frozen=True)
 class Message(Event):
-    """level: 'info', 'warning' or 'error'."""
+    """level: 'info', 'warning' or 'error'. source: who says it; OPERATOR: it tells a person what to do next."""
 
     level: str
     text: str

@@ -66,7 +66,7 @@ _log = logging.getLogger("mbcacq.kuka_rsi")
 class KukaRsi:
     """A six-axis KUKA arm under RSI joint correction. ``options``: see options.Options. Implements mbcacq.devices.Robot."""
 
-    plan_facts = ("dynamics",)
+    plan_facts = ("dynamics", "follow")
 
     options_model = RsiOptions
 
@@ -128,7 +128,10 @@ class KukaRsi:
             raise
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
-        """Start a joint motion to q (6,) rad. Raises SafetyStop for a target outside the limits, and any fault met so far."""
+        """Start a joint motion to q (6,) rad. Raises SafetyStop for a target outside the limits and for an arm that is only followed, and
+        any fault met so far."""
+        if self._options.follow:
+            raise SafetyStop(f"robot '{self._name}' is only followed (robot: follow); nothing was moved")
         self._mover = threading.get_ident()
         process = self._check()
         target = np.degrees(np.asarray(q, dtype=float))
