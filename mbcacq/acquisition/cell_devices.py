@@ -13,6 +13,7 @@ import numpy as np
 
 from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, SystemRefused, create, load_driver
 from mbcacq.plan import LoadedPlan
+from mbcacq.plan.controller_joints import matrix
 from mbcacq.plan.motion_limits import axis_limits
 from mbcacq.plan.schema import DeviceUse
 from mbcacq.spheres.cloud_files import CloudFormat, read_points
@@ -118,6 +119,7 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
 
     What else of the model the driver needs it names in ``plan_facts``: 'kinematics', rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
     beta_deg); 'dynamics', acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not state them;
+    'controller_joints', controller_matrix (n, n) and controller_offset_deg (n,) of ``controller_joints.matrix``, where the plan has them;
     'follow', follow: True where the plan says so, and the driver then never moves the arm. Raises ConfigError where the plan asks the
     driver to follow and it cannot, or to move and it only follows (``only_follows``).
     """
@@ -136,6 +138,8 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
         if "follow" not in wanted:
             raise ConfigError(f"driver '{use.driver}' cannot follow an arm that others move; remove follow from robot, or take another driver")
         facts["follow"] = True
+    if "controller_joints" in wanted and use.controller_joints is not None:
+        facts["controller_matrix"], facts["controller_offset_deg"] = (part.tolist() for part in matrix(loaded))
     if "dynamics" in wanted and robot.speed is not None:
         limits = axis_limits(loaded)
         facts["acceleration_deg_s2"] = np.degrees(limits.acceleration).tolist()
