@@ -28,6 +28,13 @@ class FolderScanner:
     plan_facts = ("cloud_reader",)
     verified_on_hardware = False
 
+    first_contact = (
+        "The scanner's program saves a cloud into the folder by hand: note its name, size and how long it takes to be written.",
+        "The trigger alone makes it save one cloud; note what it answers.",
+        "The balls of that cloud are round and of the certified diameter: unit and axes are right, z points to the scanner.",
+        "Trigger while the program is closed: the run ends with a sentence that names it.",
+    )
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model, self._options = name, model, parse(name, options)
         self._stop, self._connected, self._count = threading.Event(), False, 0

@@ -29,6 +29,12 @@ class OpcUaRobot:
     plan_facts = ("follow", "controller_joints")
     only_follows = True
     options_model = OpcUaOptions
+    first_contact = (
+        "The controller's OPC UA server is on, with the companion specification for robots; note its product, version and licence.",
+        "`mbcacq doctor {plan} --arm` names maker, model, axes and payload; compare each with the pendant.",
+        "The angles agree with the pendant's to its last digit, axis by axis, signs too. If not: axes, angle_unit, controller_joints.",
+        "Jog one axis: the angle follows within a second. Note how often it changes; if it comes in steps, note their size.",
+    )
     verified_on_hardware = False
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:

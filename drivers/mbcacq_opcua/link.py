@@ -24,8 +24,8 @@ logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what is wrong is said
 
 
 class OpcUaLink:
-    """``on_reading(time_s, angles)`` is called with every reading: seconds since the server's start, by its clock, and angles in its own units; ``on_error`` with what
-    ended the conversation. Only read, browse and session services are used."""
+    """``on_reading(time_s, angles)`` is called with every reading: seconds since the server's start, by its clock, and angles in its own
+    units; ``on_error`` with what ended the conversation. Only read, browse and session services are used."""
 
     def __init__(self, name: str, options: OpcUaOptions, on_reading: Reading, on_error: Callable[[MbcacqError], None]) -> None:
         self._name, self._options, self._on_reading, self._on_error = name, options, on_reading, on_error
@@ -120,7 +120,9 @@ class OpcUaLink:
             raise IdentityError(f"{self._place} is a '{model}', not a '{o.expect_model}'; correct the address or the option expect_model")
         if "" in found.units and o.angle_unit is None:
             axis = found.names[found.units.index("")]
-            raise ConfigError(f"{self._place} states no unit of axis '{axis}'; look at the values and give the option angle_unit: deg or rad")
+            raise ConfigError(
+                f"{self._place} states no unit of axis '{axis}'; look at the values and give the option angle_unit: deg or rad"
+            )
         if o.payload_kg is None:
             return
         if found.payload_kg is None or abs(found.payload_kg - o.payload_kg) > o.payload_tolerance_kg:
@@ -134,7 +136,9 @@ class OpcUaLink:
         values = await client.uaclient.read_attributes([*(p.nodeid for p in robot.positions), CLOCK], ua.AttributeIds.Value)
         for axis, value in zip(robot.names, values, strict=False):
             if value.StatusCode is not None and not value.StatusCode.is_good():
-                raise DeviceFault(f"{self._place} marks the angle of '{axis}' as {value.StatusCode.name}; look at the controller's messages")
+                raise DeviceFault(
+                    f"{self._place} marks the angle of '{axis}' as {value.StatusCode.name}; look at the controller's messages"
+                )
         *angles, clock = [None if value.Value is None else value.Value.Value for value in values]
         if not isinstance(clock, datetime) or not all(isinstance(a, int | float) for a in angles):
             raise ProtocolError(f"{self._place} sends angles or a time that are none; is the OPC UA server of this controller up to date?")

@@ -43,6 +43,14 @@ class UrRtdeRobot:
 
     plan_facts = ("follow",)
     options_model = UrOptions
+    first_contact = (
+        "RTDE is enabled (Settings, Security, Services); `ping` answers in under 1 ms. Note the software version.",
+        "`mbcacq controller-files {plan} --out files`; mbcacq_ur.script is loaded in a Script node and plays, in reduced mode at first.",
+        "`mbcacq doctor {plan} --arm` names software, speed slider, payload and safety; compare each with the pendant.",
+        "The angles in the viewer agree with the pendant's Move screen to 0.01 deg, base to wrist 3, signs too.",
+        "Push against the arm until it stops protectively: the run ends with the sentence 'is protective stopped'.",
+        "Stop the program on the pendant: the run ends with the sentence that its program was stopped.",
+    )
     verified_on_hardware = False
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:

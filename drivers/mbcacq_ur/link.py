@@ -16,7 +16,17 @@ from mbcacq_ur.options import UrOptions
 from mbcacq_ur.wire import BadPackage, DataLayout
 
 SENT = (
-    *("timestamp", "actual_q", "actual_qd", "target_q", "actual_current", "joint_temperatures", "robot_mode", "safety_status_bits", "runtime_state"),
+    *(
+        "timestamp",
+        "actual_q",
+        "actual_qd",
+        "target_q",
+        "actual_current",
+        "joint_temperatures",
+        "robot_mode",
+        "safety_status_bits",
+        "runtime_state",
+    ),
     *("target_speed_fraction", "payload", "output_int_register_0", "output_int_register_1", "output_int_register_2"),
 )
 TAKEN = (*(f"input_double_register_{k}" for k in range(8)), *(f"input_int_register_{k}" for k in range(3)))
@@ -105,15 +115,19 @@ class RtdeLink:
             self._buffer += data
         raise TimeoutError
 
+    def _answer(self, connection: socket.socket) -> None:
+        """Hand on every package that has come, and answer it by the registers, but for an arm that is only followed."""
+        for kind, payload in wire.split(self._buffer):
+            if kind == wire.DATA:
+                answer = self._on_values(self._sent.read(payload))
+                if self._taken is not None:
+                    connection.sendall(self._taken.write(answer))
+
     def _exchange(self, connection: socket.socket) -> None:
         """Thread: every package, until the connection ends or something is wrong."""
         try:
             while not self._quit.is_set():
-                for kind, payload in wire.split(self._buffer):
-                    if kind == wire.DATA:
-                        answer = self._on_values(self._sent.read(payload))
-                        if self._taken is not None:
-                            connection.sendall(self._taken.write(answer))
+                self._answer(connection)
                 data = connection.recv(65536)
                 if not data:
                     raise ConnectionResetError("the controller ended it")

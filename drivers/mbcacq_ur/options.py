@@ -14,8 +14,8 @@ AXES = 6
 
 class UrOptions(BaseModel):
     """address, port: of the controller. frequency_hz: of its packages. silence_s: without a package for so long it counts as lost.
-    payload_kg: what the controller must have set; None: whatever it has. limits_deg, speed_deg_s: from the plan's robot file; follow: of its robot section:
-    only listen, and send nothing that the arm could move by."""
+    payload_kg: what the controller must have set; None: whatever it has. limits_deg, speed_deg_s: from the plan's robot file;
+    follow: of its robot section: only listen, and send nothing that the arm could move by."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

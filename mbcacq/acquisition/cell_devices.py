@@ -136,7 +136,9 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
         )
     if use.follow is not None:
         if "follow" not in wanted:
-            raise ConfigError(f"driver '{use.driver}' cannot follow an arm that others move; remove follow from robot, or take another driver")
+            raise ConfigError(
+                f"driver '{use.driver}' cannot follow an arm that others move; remove follow from robot, or take another driver"
+            )
         facts["follow"] = True
     if "controller_joints" in wanted and use.controller_joints is not None:
         facts["controller_matrix"], facts["controller_offset_deg"] = (part.tolist() for part in matrix(loaded))

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbcacq.devices import Cycles, Scan
-
+from mbcacq.devices import Cycles, Description, Scan
 
 OPERATOR = "operator"  # source of a message that a person at the arm waits for
 
@@ -37,6 +36,15 @@ class RunStarted(Event):
     urdf: str = ""
     simulated: bool = False
     plan_files: str = ""
+
+
+@dataclass(frozen=True)
+class DeviceConnected(Event):
+    """What a device says of itself once it is connected. role: 'robot', 'scanner', 'positioner', 'sensor 1'..; driver: its class."""
+
+    role: str
+    driver: str
+    about: Description
 
 
 @dataclass(frozen=True)

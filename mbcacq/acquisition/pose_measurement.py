@@ -12,9 +12,9 @@ from mbcacq.acquisition.cell_devices import CellDevices
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
 from mbcacq.acquisition.expected_view import mean_centres
+from mbcacq.acquisition.follower import Follower
 from mbcacq.acquisition.gate_options import GateOptions
 from mbcacq.acquisition.gated_exposures import GatedExposures
-from mbcacq.acquisition.follower import Follower
 from mbcacq.acquisition.mover import Mover
 from mbcacq.acquisition.reconnect_policy import read_sensor
 from mbcacq.devices import DeviceFault, MbcacqError, SafetyStop

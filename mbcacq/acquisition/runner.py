@@ -110,6 +110,7 @@ class Runner:
     def _describe(self) -> None:
         for name, device in self.devices.all.items():
             about = device.describe()
+            self.bus.emit(events.DeviceConnected, name, f"{type(device).__module__}:{type(device).__name__}", about)
             self.bus.message("info", " ".join(part for part in (f"{name}:", about.model, about.serial, about.firmware) if part))
             if about.settings:
                 self.bus.message("info", f"{name}: " + "; ".join(f"{key}: {value}" for key, value in about.settings.items()))

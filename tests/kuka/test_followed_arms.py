@@ -47,7 +47,10 @@ def test_eki_needs_the_link_program_alone_and_sends_signs_of_life_only():
     sent = []
     note = lambda link, sender, data: sent.append(data) if sender == "driver" else None  # noqa: E731
     controller = FakeEkiController(**settings("kss", start_deg=START_DEG, realtime=False, running=False).to_json())
-    with controller as krc, TcpProxy(Channel("eki", note), ("127.0.0.1", krc.port), cut=ended(b"</Robot>"), cut_driver=ended(b"</Command>")) as proxy:
+    with (
+        controller as krc,
+        TcpProxy(Channel("eki", note), ("127.0.0.1", krc.port), cut=ended(b"</Robot>"), cut_driver=ended(b"</Command>")) as proxy,
+    ):
         options = {"address": "127.0.0.1", "port": proxy.port, "limits_deg": EKI_LIMITS_DEG, "speed_deg_s": SPEED_DEG_S, "kinematics": DH}
         with KukaEki("arm", "KR 10 R1100-2", {**options, "follow": True, "silence_s": 3.0, "connect_timeout_s": 20.0}) as robot:
             refuses_to_move(robot, target)

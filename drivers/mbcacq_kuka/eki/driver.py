@@ -32,6 +32,14 @@ class KukaEki:
     plan_facts = ("kinematics", "follow")
 
     options_model = EkiOptions
+    first_contact = (
+        "`mbcacq controller-files {plan} --out files`; programs and channel are on the controller, the link program in its submit "
+        "interpreter.",
+        "`mbcacq doctor {plan} --arm` names model, machine data, tool and load; compare each with the smartPAD. Note KSS and EKI versions.",
+        "The angles in the viewer agree with the smartPAD's axis display to 0.001 deg, A1 to A6, signs too.",
+        "In T1 start mbcacq_eki: doctor says that the program is ready; its first move waits for the start key.",
+        "Stop the program on the smartPAD: the run ends with the sentence that the program was stopped.",
+    )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model

@@ -69,6 +69,15 @@ class KukaRsi:
     plan_facts = ("dynamics", "follow")
 
     options_model = RsiOptions
+    first_contact = (
+        "The cable goes from a network card of this computer straight to the controller's KLI or RSI port; `ping` answers in under 1 ms.",
+        "`mbcacq controller-files {plan} --out files`; the files are on the controller, and WARNINGS.txt is absent or understood.",
+        "In T1 select the RSI program and start it. The smartPAD shows no message of RSI; `mbcacq doctor {plan} --arm` finds the robot. "
+        "Note KSS and RSI versions.",
+        "The angles that doctor and the viewer show agree with the smartPAD's axis display to 0.001 deg, A1 to A6, signs too.",
+        "Delay stays 0 for a minute (column delay of the recording); note the largest gap between telegrams.",
+        "Stop the program on the smartPAD: the run ends with the sentence that the controller fell silent.",
+    )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model

@@ -361,7 +361,9 @@ class RsiSession:
         return self._layout
 
     def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
-        correction = ZERO if self._relative or self._follows else tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
+        correction = (
+            ZERO if self._relative or self._follows else tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
+        )
         return self._composer.compose(correction, digits, stop)
 
     def _poll_command(self, now: float) -> None:

@@ -115,7 +115,9 @@ class SimulatedRobot:
             if self._led is not None and (target := self._led.take()) is not None:
                 self._begin(target, [np.full(len(target), v) for v in LED])
             waited = 0.0 if self._clock is None else self._clock.take()
-            for _ in range(round(waited / CYCLE_S) + (CYCLES_AT_ONCE if self._motion is not None or self._wanted is not None or self._follow else 1)):
+            for _ in range(
+                round(waited / CYCLE_S) + (CYCLES_AT_ONCE if self._motion is not None or self._wanted is not None or self._follow else 1)
+            ):
                 self._step()
             wanted = self._wanted
             arrived = (

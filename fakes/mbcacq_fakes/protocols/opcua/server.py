@@ -146,4 +146,11 @@ def start_in_cell(
     port = 0 if ports == "free" else int(plan_options.get("port", 4840))
     fake = FakeOpcUaServer(state, start_deg=start_deg, realtime=realtime, port=port, arm=arm).start()
     plain = {"user": None, "password_env": None, "security": None, "path": "", "arm": None, "silence_s": 30.0}
-    return fake, {"address": "127.0.0.1", "port": fake.port, "rate_hz": 50.0, "controller_matrix": None, "controller_offset_deg": None, **plain}
+    return fake, {
+        "address": "127.0.0.1",
+        "port": fake.port,
+        "rate_hz": 50.0,
+        "controller_matrix": None,
+        "controller_offset_deg": None,
+        **plain,
+    }
