@@ -17,6 +17,7 @@ from mbcacq.devices import (
     Cycles,
     Description,
     DeviceFault,
+    DeviceTimeout,
     Field,
     MbcacqError,
     MotionLimits,
@@ -146,6 +147,19 @@ class UrRtdeRobot:
             self._command((*target.tolist(), speed, acceleration), MOVE)
             self._target, self._wanted, self._near_since, self._idle_since = target, limits, None, None
 
+    def set_output(self, number: int, value: bool) -> None:
+        """Switch a standard digital output, one of the option digital_outputs; returns once it was sent. Raises ConfigError, and what
+        stopped the arm."""
+        if number not in self._options.digital_outputs:
+            raise ConfigError(f"{self._name}: output {number} may not be switched from here; add it to the option digital_outputs")
+        with self._changed:
+            self._check()
+            self._outputs = self._outputs | 1 << number if value else self._outputs & ~(1 << number)
+            sent = self._life + 2  # the answer to the next package carries it
+            if not self._changed.wait_for(lambda: self._error is not None or self._life >= sent, self._options.silence_s):
+                raise DeviceTimeout(f"{self._name}: output {number} could not be switched, no package came; check controller and cable")
+            self._check()
+
     def state(self) -> RobotState:
         """The latest state. Raises what stopped the arm."""
         with self._changed:
@@ -195,7 +209,7 @@ class UrRtdeRobot:
         self._near_since: float | None = None
         self._idle_since: float | None = None
         self._rows: list[dict[str, Any]] = []
-        self._ready, self._number, self._life = False, 0, 0
+        self._ready, self._number, self._life, self._outputs = False, 0, 0, 0
         self._registers: tuple[float, ...] = (*(0.0,) * 8, 0, STOP)
 
     def _check(self) -> None:
@@ -239,7 +253,9 @@ class UrRtdeRobot:
             self._changed.notify_all()
             doubles = {f"input_double_register_{k}": float(v) for k, v in enumerate(self._registers[:8])}
             number, kind = self._registers[8:]
-            return {**doubles, "input_int_register_0": number, "input_int_register_1": kind, "input_int_register_2": self._life}
+            switched = {"standard_digital_output_mask": sum(1 << k for k in self._options.digital_outputs)}
+            switched["standard_digital_output"] = self._outputs
+            return {**doubles, **switched, "input_int_register_0": number, "input_int_register_1": kind, "input_int_register_2": self._life}
 
     def _judge(self, values: Values) -> None:
         """Raises SafetyStop or DeviceFault once it was ready and something stopped it. What stops an arm that is only followed is up to

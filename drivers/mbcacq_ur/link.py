@@ -29,6 +29,7 @@ SENT = (
     ),
     *("target_speed_fraction", "payload", "output_int_register_0", "output_int_register_1", "output_int_register_2"),
 )
+SWITCHED = ("standard_digital_output_mask", "standard_digital_output")  # where digital outputs may be switched
 TAKEN = (*(f"input_double_register_{k}" for k in range(8)), *(f"input_int_register_{k}" for k in range(3)))
 Values = Mapping[str, Any]
 
@@ -94,7 +95,8 @@ class RtdeLink:
         wanted = struct.pack(">d", self._options.frequency_hz) + ",".join(SENT).encode()
         self._sent = DataLayout(SENT, self._ask(wire.OUTPUTS, wanted))
         if not self._options.follow:
-            self._taken = DataLayout(TAKEN, self._ask(wire.INPUTS, ",".join(TAKEN).encode()))
+            taken = (*TAKEN, *(SWITCHED if self._options.digital_outputs else ()))
+            self._taken = DataLayout(taken, self._ask(wire.INPUTS, ",".join(taken).encode()))
         if self._ask(wire.START) != b"\x01":
             raise BadPackage("the exchange is refused")
 

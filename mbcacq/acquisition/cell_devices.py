@@ -83,7 +83,15 @@ def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> Ce
     made = {role: make() for role, make in device_makers(loaded, overrides).items()}
     sensors = tuple(device for role, device in made.items() if role.startswith("sensor "))
     refuse_equal_names(sensors)
+    hand_on_outputs(made["robot"], made["scanner"])
     return CellDevices(made["robot"], made["scanner"], made["positioner"], sensors, (overrides or {}).get("person", {}).get("lead"))
+
+
+def hand_on_outputs(robot: Robot, scanner: Scanner) -> None:
+    """Give a scanner that can be triggered by a digital output of the robot (``use_outputs``) what switches one (``set_output``). Raises
+    ConfigError where the scanner needs one and the robot's driver has none."""
+    if (use_outputs := getattr(scanner, "use_outputs", None)) is not None:
+        use_outputs(getattr(robot, "set_output", None))
 
 
 def device_makers(loaded: LoadedPlan, overrides: Overrides | None = None) -> dict[str, Callable[[], Any]]:

@@ -21,7 +21,7 @@ _OPTION = re.compile(r"(?P<key>[\w-]+)(?P<between>\s*:\s*)(?P<value>\"[^\"\n]*\"
 
 
 def evidence(run: Path, anonymous: bool = False) -> dict[str, Any]:
-    """Of a run folder: devices as they described themselves, each part of the run, poses, gaps, the log, the plan, versions.
+    """What a run folder holds of it: devices as they described themselves, parts of the run, poses, gaps, the log, the plan, versions.
 
     anonymous: addresses, host names, users and serial numbers are replaced by ``(removed)`` wherever they stand.
     Raises RecordingError where the folder holds no run.

@@ -6,7 +6,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -55,6 +55,8 @@ class FakeUrController:
         self.port = int(self._server.getsockname()[1])
         self._quit = threading.Event()
         self._led: np.ndarray | None = None
+        self.outputs = 0  # bits of the standard digital outputs
+        self.on_output: Callable[[int, bool], None] | None = None  # called with number and value of one that changes
         self.led = False  # somebody moves it: a client that only listens need not be served by the clock
         self._thread = threading.Thread(target=self._serve, name="fake-ur-controller", daemon=True)
 
@@ -119,6 +121,12 @@ class FakeUrController:
         self.arm.advance(seconds)
 
     def obey(self, registers: Mapping[str, Any]) -> None:
+        mask = registers.get("standard_digital_output_mask", 0)
+        wanted = (self.outputs & ~mask) | (registers.get("standard_digital_output", 0) & mask)
+        changed, self.outputs = wanted ^ self.outputs, wanted
+        for number in range(8):
+            if changed >> number & 1 and self.on_output is not None:
+                self.on_output(number, bool(wanted >> number & 1))
         if self._active["runtime_state"] == 2 and not self._active["safety_bits"] & ~3:
             self.arm.obey(registers, self._active["speed_fraction"])
 
@@ -141,6 +149,7 @@ class FakeUrController:
             "speed_scaling": a["speed_fraction"],
             "target_speed_fraction": a["speed_fraction"],
             "payload": a["payload"],
+            "actual_digital_output_bits": self.outputs,
             "output_int_register_0": arm.taken,
             "output_int_register_1": int(arm.moving),
             "output_int_register_2": a["program"] if a["runtime_state"] == 2 else 0,
