@@ -110,7 +110,7 @@ class CellInvestigation:
             acquisition = plan_acquisition(grown, poses, done, before.part, cell)
             acquisition.simulated = self.dry_run or on_loopback_only(grown.plan.robot.options)
             operator.progress("")
-            if not self.dry_run:
+            if not self.dry_run and grown.plan.robot.follow is None:
                 operator.allow_motion(grown, [p for p in poses if p.number not in done], acquisition.sweep())
             acquisition.folder = self.folder
             acquisition.weighed = self._weighed([p for p in poses if p.number not in done])
