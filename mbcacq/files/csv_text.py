@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import read_bounded
 
 SPREADSHEETS = (".xlsx", ".xls", ".ods")
 SEPARATORS = (",", ";", "\t")
@@ -198,8 +199,7 @@ def _outside_quotes(line: str) -> str:
 
 def _bytes(path: Path, max_bytes: int) -> bytes:
     try:
-        with path.open("rb") as file:
-            data = file.read(max_bytes + 1)
+        data = read_bounded(path, max_bytes)
     except OSError as error:
         cure = next((f"save {path.stem}{s} as CSV" for s in SPREADSHEETS if path.with_suffix(s).exists()), "check the path")
         raise ConfigError(f"{path} cannot be read: {error.strerror}; {cure}") from None

@@ -86,7 +86,9 @@ def bag_targets() -> list[Target]:
     """All of them."""
     mcap, sqlite = bag_files("MCAP"), bag_files("SQLITE3")
 
-    def in_folder(name: str, text: str, read: Callable[[Path], object], others: dict[str, bytes] | None = None) -> Callable[[bytes], object]:
+    def in_folder(
+        name: str, text: str, read: Callable[[Path], object], others: dict[str, bytes] | None = None
+    ) -> Callable[[bytes], object]:
         """A bag of one MCAP file, or of a folder with other files."""
         cell = {"cell.yaml": text.replace("RUN", name if others is None else "run").encode()}
         if others is None:

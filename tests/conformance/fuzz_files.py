@@ -119,6 +119,7 @@ def result_json(path: Path) -> object:
 def plan_text(data: bytes) -> object:
     return yaml_source.parse(data.decode("utf-8", "replace"), Path("plan.yaml"))
 
+
 def file_targets() -> list[Target]:
     """All of them."""
     cell = parse_cell(CELL.decode())
@@ -144,9 +145,7 @@ def file_targets() -> list[Target]:
         Target("journal", (JOURNAL,), in_file("journal.jsonl", lambda path: (read_lines(path), find_gaps(path.parent)))),
         Target("checksums", (CHECKSUMS,), in_file("checksums.jsonl", lambda path: read_stretches(path.parent))),
         Target(
-            "plan kept in a run folder",
-            (kept,),
-            in_file("plan.files.json", lambda path: read_kept_plan(path.parent), {"plan.yaml": PLAN}),
+            "plan kept in a run folder", (kept,), in_file("plan.files.json", lambda path: read_kept_plan(path.parent), {"plan.yaml": PLAN})
         ),
         Target("result JSON", (RESULT,), in_file("result.json", result_json)),
     ]

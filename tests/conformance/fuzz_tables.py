@@ -18,12 +18,12 @@ from mbcacq.geometry import se3
 from mbcacq.model import shipped
 from mbcacq.model.robot_import import import_robot
 from mbcacq.plan import expand, load
-from mbcacq.workflow.robot_program import plan_digest
 from mbcacq.recording.datasets import merge
 from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table
 from mbcacq.recording.datasets.trajectory_set import read_trajectory_set
 from mbcacq.workflow.collect import _slots
 from mbcacq.workflow.joint_log import read_joint_log
+from mbcacq.workflow.robot_program import plan_digest
 
 KUKA = TableOptions(flange="kuka", target="kuka", measurement="artefact_in_scanner")
 TRAJECTORY = b"""time_s,q1_deg,q2_deg,q1_set_deg,q2_set_deg,i1_A,tau2_Nm,motor_C,note
@@ -49,7 +49,9 @@ POINTS = b"name,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\nhome,0,-90,90,0,0,0\n
 POINTS_HERE = b"X (mm);Y (mm);Z (mm);A (deg);B (deg);C (deg)\r\n500;0,5;600;0;90;0\r\n510;1,5;600;0;90;10\r\n"
 FLEET = b"recording,arm,time\na,arm-1,2026-03-01\nb/c.rrd,arm-2,2026-03-02T08:30:00+01:00\n"
 LOG = b"time_s,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n" + b"".join(b"%.3f,%d.5,%d,0,1,2,3\n" % (0.1 * k, k, -k) for k in range(22))
-LOG_OF_FLANGE = b"timestamp;x [mm];y [mm];z [mm];a [deg];b [deg];c [deg]\n" + b"".join(b"0,%d;%d,5;%d;3;0;1;2\n" % (k, k, -k) for k in range(10, 34))
+LOG_OF_FLANGE = b"timestamp;x [mm];y [mm];z [mm];a [deg];b [deg];c [deg]\n" + b"".join(
+    b"0,%d;%d,5;%d;3;0;1;2\n" % (k, k, -k) for k in range(10, 34)
+)
 
 
 @cache

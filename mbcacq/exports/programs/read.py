@@ -9,6 +9,7 @@ from pathlib import Path
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs import fanuc_ls, krl, rapid, urscript
 from mbcacq.exports.programs.program import RobotProgram
+from mbcacq.files.bounded_read import read_bounded
 
 MAX_BYTES = 16 << 20
 MOST_PROGRAMS = 200  # beside a public data list, that may use it
@@ -60,8 +61,7 @@ def _programs(path: Path, text: str) -> Iterator[str]:
 
 def _text(path: Path) -> tuple[str, Callable[[str], bytes]]:
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        data = read_bounded(path, MAX_BYTES)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; give a robot program or a CSV file") from error
     if len(data) > MAX_BYTES:

@@ -146,10 +146,10 @@ def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray,
     frames = chain.frames(np.zeros((1, chain.n)))[0]
     com = se3.apply(se3.inverse(frames[1:]), se3.apply(se3.inverse(rows.T_given_base), source.com))
     lines = [
-        f"# Imported from {path.name}, {source.base} to {source.flange}: {', '.join(source.joints)}.",
+        _comment(f"Imported from {path.name}, {source.base} to {source.flange}: {', '.join(source.joints)}"),
         "# H_i = Rz(sign*q_i + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta); q as the file counts the joints' angles.",
         "# Centres of gravity stand in the frame of their own link (behind its row).",
-        *(f"# {remark}." for remark in remarks),
+        *map(_comment, remarks),
         f"name: {yaml12.dump(name, width=1000).splitlines()[0]}",
     ]
     down = rows.T_given_base[:3, :3].T @ np.array([0.0, 0.0, -1.0])
@@ -171,6 +171,11 @@ def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray,
             line = f"     mass_kg: {_short(source.mass[i], 6)}, com_mm: [{', '.join(_short(v, 3) for v in com[i])}]"
         lines.append(line + "}")
     return "\n".join(lines) + "\n"
+
+
+def _comment(sentence: str) -> str:
+    """A line of YAML that says nothing to a reader of YAML, whatever characters names of the source have: U+2028 ends a line there."""
+    return f"# {' '.join(''.join(c if c.isprintable() else ' ' for c in sentence).split())}."
 
 
 def _short(value: float, digits: int = 9) -> str:

@@ -287,15 +287,15 @@ def _points(bag: Bag, topic: str, message: Any) -> np.ndarray:
     if not all(axis in fields and fields[axis].datatype in FLOATS for axis in "xyz"):
         raise ConfigError(f"{bag.path}: the clouds of {topic} have no x, y, z of floating point; record them as such")
     order = ">" if message.is_bigendian else "<"
-    dtype = np.dtype(
-        {
-            "names": list("xyz"),
-            "formats": [order + FLOATS[fields[a].datatype] for a in "xyz"],
-            "offsets": [fields[a].offset for a in "xyz"],
-            "itemsize": message.point_step,
-        }
-    )
-    cloud = np.frombuffer(np.asarray(message.data, dtype=np.uint8).tobytes(), dtype=dtype, count=message.width * message.height)
+    formats = [np.dtype(order + FLOATS[fields[a].datatype]) for a in "xyz"]
+    step, count, data = message.point_step, message.width * message.height, np.asarray(message.data, dtype=np.uint8).tobytes()
+    if any(fields[a].offset + f.itemsize > step for a, f in zip("xyz", formats, strict=True)) or step * count > len(data):
+        raise ConfigError(
+            f"{bag.path}: a cloud of {topic} announces {count} points of {step} bytes and holds {len(data)} bytes; it is damaged, "
+            "remove it from the bag"
+        )
+    dtype = np.dtype({"names": list("xyz"), "formats": formats, "offsets": [fields[a].offset for a in "xyz"], "itemsize": step})
+    cloud = np.frombuffer(data, dtype=dtype, count=count)
     points = np.stack([cloud[a].astype(float) for a in "xyz"], axis=1)
     return points[np.isfinite(points).all(axis=1)]
 
