@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.calibration.sealed_json import sealed_text, unsealed
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import ConfigError
 from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask
 from mbcacq.fleet.recordings import FleetRecording
 
@@ -84,26 +84,28 @@ class FleetStore:
         write_file(self.path(recording), outcome.text)
         return outcome.row
 
-    def write_table(self, rows: Sequence[Mapping[str, Any]]) -> Path:
-        """All rows as one Parquet table, in the order given. Raises RecordingError."""
-        import pyarrow as pa
-        from pyarrow import parquet
+    def write(self, rows: Sequence[Mapping[str, Any]], page: str) -> tuple[Path, Path]:
+        """All rows as one Parquet table, in the order given, and the page about them (HTML), as a set. Raises RecordingError."""
+        from mbcacq.files.atomic_write import write_files
 
-        from mbcacq.files.atomic_write import publish
+        def table(partial: Path) -> None:
+            from pyarrow import parquet
 
-        parameters = dict.fromkeys(name for row in rows for name in row if name.startswith(("error.", "std.")))
-        types = {name: pa.string() for name in TEXTS} | {name: pa.int64() for name in COUNTS}
-        types |= {name: pa.float64() for name in (*NUMBERS, *parameters)}
-        types |= {name: pa.list_(pa.string() if kind == "string" else pa.float64()) for name, kind in LISTS.items()}
-        table = pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema(list(types.items())))
-        path = self.folder / TABLE
-        made = path.with_suffix(".part")
-        try:
-            parquet.write_table(table, made)
-            publish(made, path)
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be written ({error.strerror or error}); free space or give another --out") from error
-        return path
+            parquet.write_table(as_table(rows), partial)
+
+        written = write_files(self.folder, {TABLE: table, PAGE: page})
+        return written[0], written[1]
+
+
+def as_table(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Rows as a table of Arrow, of the same columns whatever the recordings have."""
+    import pyarrow as pa
+
+    parameters = dict.fromkeys(name for row in rows for name in row if name.startswith(("error.", "std.")))
+    types = {name: pa.string() for name in TEXTS} | {name: pa.int64() for name in COUNTS}
+    types |= {name: pa.float64() for name in (*NUMBERS, *parameters)}
+    types |= {name: pa.list_(pa.string() if kind == "string" else pa.float64()) for name, kind in LISTS.items()}
+    return pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema(list(types.items())))
 
 
 def read_table(fleet: Path) -> list[dict[str, Any]]:

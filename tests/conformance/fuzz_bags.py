@@ -79,7 +79,7 @@ def cloud_bag() -> bytes:
 def clouds(path: Path) -> object:
     """Points of every cloud of a bag."""
     found = Bag(path.parent, BagSpec(file=path.name))
-    return [_points(found, "/cloud", m) for _, m in found.messages("/cloud", ("sensor_msgs/msg/PointCloud2",))]
+    return list(found.messages("/cloud", ("sensor_msgs/msg/PointCloud2",), lambda _, message: _points(found, "/cloud", message)))
 
 
 def bag_targets() -> list[Target]:
