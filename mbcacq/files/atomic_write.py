@@ -179,6 +179,8 @@ def _replace_set(folder: Path, files: Mapping[str, Content], on_disk: Callable[[
         for name, partial in partials.items():
             on_disk(name, partial)
         if len(partials) > 1:
+            for parent in {target.parent for target in targets.values()}:
+                sync_folder(parent)  # a list of files whose temporary names a power cut may take would list nothing
             _list_set(folder, partials)
     except BaseException:
         if not (folder / INCOMPLETE).exists():  # else the set is the new one, whatever else happens

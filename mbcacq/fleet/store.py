@@ -11,9 +11,11 @@ from typing import Any
 
 from mbcacq.calibration.sealed_json import sealed_text, unsealed
 from mbcacq.errors import ConfigError
-from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask
+from mbcacq.fleet.evaluation import EVALUATED, FAILED, FORMAT, FleetTask
 from mbcacq.fleet.recordings import FleetRecording
+from mbcacq.geometry.chain import PARAMETERS
 
+LARGEST = 1e100  # of a figure of a table: its square is a number too
 TABLE, PAGE, RECORDINGS = "fleet.parquet", "fleet.html", "recordings"
 TEXTS = ("recording", "arm", "time", "robot", "status", "reason", "verdict")
 COUNTS = ("poses", "centres", "rejected")
@@ -116,9 +118,33 @@ def read_table(fleet: Path) -> list[dict[str, Any]]:
     path = fleet / TABLE if fleet.is_dir() else fleet
     try:
         rows = parquet.read_table(path).to_pylist()
-    except (OSError, ArrowException) as error:
+    except (OSError, ArrowException, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read as the table of a fleet ({error}); give what mbcacq fleet wrote") from error
     needed = {"recording", "arm", "status", "names", "covariance", "nominal"}
     if not rows or not needed <= set(rows[0]):
         raise ConfigError(f"{path} is no table of a fleet; give what mbcacq fleet wrote")
+    for number, row in enumerate(rows, 1):
+        if row["status"] == EVALUATED and not is_evaluated(row):
+            raise ConfigError(f"{path}: row {number} is damaged; evaluate the fleet anew")
     return rows
+
+
+def is_evaluated(row: Mapping[str, Any]) -> bool:
+    """Whether a row has the figures of a calibrated arm, each of its kind: errors of its parameters, their covariance, the nominal arm."""
+    names, figures = row["names"], [row[name] for name in row if name.startswith(("error.", "std."))]
+    lists = [names, row["covariance"], row["nominal"]]
+    return (
+        all(isinstance(row.get(name), str) for name in ("recording", "arm", "robot"))
+        and isinstance(row.get("time"), str | None)
+        and all(isinstance(values, list) for values in lists)
+        and all(isinstance(name, str) and _is_figure(row.get(f"error.{name}")) for name in names)
+        and len(row["covariance"]) == len(names) ** 2
+        and len(row["nominal"]) % len(PARAMETERS) == 0
+        and all(map(_is_figure, (*row["covariance"], *row["nominal"])))
+        and all(figure is None or _is_figure(figure) for figure in figures)
+        and all(row.get(name) is None or isinstance(row[name], int | float) for name in NUMBERS)
+    )
+
+
+def _is_figure(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) <= LARGEST

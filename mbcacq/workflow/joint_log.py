@@ -56,7 +56,7 @@ def _table(path: Path, n: int) -> tuple[np.ndarray, list[int] | None]:
 def _krl(path: Path, n: int) -> tuple[np.ndarray, None]:
     rows: list[list[float]] = []
     for match in _AT.finditer(_text(path)):
-        values = [re.search(rf"\bA{k}\s+({_NUMBER})\s*(?:,|$)", match[2], re.IGNORECASE) for k in range(1, n + 1)]
+        values = [re.search(rf"\bA{k}\s+({_NUMBER})\s*(?:,|$)", match[2], re.IGNORECASE | re.ASCII) for k in range(1, n + 1)]
         if not all(v is not None and np.isfinite(float(v[1])) for v in values):
             raise ConfigError(f"{path}: mb_at[{match[1]}] has not the angles of {n} axes; copy the file from the controller anew")
         rows.append([float(v[1]) for v in values if v is not None])
@@ -66,9 +66,9 @@ def _krl(path: Path, n: int) -> tuple[np.ndarray, None]:
 
 
 def _messages(path: Path, n: int) -> tuple[np.ndarray, None]:
-    rows = [match[1].split(",") for match in _TEXT_MESSAGE.finditer(_text(path))]
+    rows = [[cell.strip() for cell in match[1].split(",")] for match in _TEXT_MESSAGE.finditer(_text(path))]
     for row in rows:
-        if len(row) != n or not all(re.fullmatch(_NUMBER, v.strip()) and np.isfinite(float(v)) for v in row):
+        if len(row) != n or not all(re.fullmatch(_NUMBER, v, re.ASCII) and np.isfinite(float(v)) for v in row):
             raise ConfigError(f"{path}: a message 'mbcacq joints' has not {n} angles that are numbers; save the log anew")
     return np.degrees(np.array(rows, dtype=float)), None
 

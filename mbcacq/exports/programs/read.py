@@ -6,6 +6,8 @@ import codecs
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
+
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs import fanuc_ls, krl, rapid, urscript
 from mbcacq.exports.programs.program import RobotProgram
@@ -42,6 +44,8 @@ def read_program(path: Path, n: int) -> tuple[RobotProgram, Callable[[str], byte
             else ""
         )
         raise ConfigError(f"{path}: has no absolute target with all {n} joint angles{why}; give the file that holds such points")
+    if endless := next((point for point in program.points if not np.isfinite(point.angles).all()), None):
+        raise ConfigError(f"{path}:{endless.line}: {endless.name} has an angle that is no finite number; correct the program")
     return program, encode
 
 

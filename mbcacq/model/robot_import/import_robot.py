@@ -26,6 +26,7 @@ POSTURES = 200  # random ones at which both forward kinematics are compared
 FIRST_BYTES = 100_000  # of a file, within which its first element stands
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _ELEMENT = re.compile(r"<([A-Za-z_][\w.-]*)")
+LARGEST = 1e7  # mm or kg: ten kilometres, ten thousand tons
 LARGEST_MISS_MM, LARGEST_MISS_RAD = 1e-3, 1e-6  # the file's rounding stays far below
 
 
@@ -64,7 +65,9 @@ def import_robot(
     Raises ConfigError for a file that is not understood, or whose forward kinematics the rows do not repeat.
     """
     path = Path(path)
-    source = _read(path, base, flange, convention, packages, arguments)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers without bound are refused by the next line
+        source = _read(path, base, flange, convention, packages, arguments)
+    _refuse_endless(path, source)
     rows = chain_from_axes(source.direction, source.point, source.T_base_flange)
     remarks = [*source.remarks, *_frame_remarks(rows)]
     speed = source.speed
@@ -111,8 +114,19 @@ def _read(
     if element == "mujocoinclude":
         raise ConfigError(f"{path}: is a part of an MJCF file (<mujocoinclude>); import the file that includes it")
     if element == "mujoco":
-        return read_mjcf(path, base, flange)
+        try:
+            return read_mjcf(path, base, flange)
+        except UnicodeDecodeError:
+            raise ConfigError(f"{path}: a name in it is not UTF-8; save the file in UTF-8") from None
     return read_urdf(path, base, flange, packages, arguments)
+
+
+def _refuse_endless(path: Path, source: ArmSource) -> None:
+    """Raises ConfigError for an arm with a length or a mass that no arm has, or one that is no number."""
+    sizes = {"place of a joint": source.point, "flange": source.T_base_flange, "centre of gravity": source.com, "mass": source.mass}
+    for what, values in {**sizes, "axis of a joint": source.direction}.items():
+        if not (np.abs(values) <= LARGEST).all():
+            raise ConfigError(f"{path}: a {what} is beyond all bounds, or no number; correct the numbers in the file")
 
 
 def _first_element(path: Path) -> str:
