@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from disturbed_run import preload
-from power_cut import Disk, File, Record, records
+from power_cut import Disk, Record, records
 from strike_commands import Case, Work, cases, make_inputs, make_run
 
 PAGE = Path(__file__).with_suffix(".md")
@@ -149,9 +149,7 @@ class Struck:
     def replay(self, moments: Sequence[int], rng: random.Random) -> Counter:
         """Outcomes of kills and power cuts at moments among the records."""
         out: Counter = Counter()
-        disk = Disk()
-        disk.names = {path: File(bytearray(data), data) for path, data in self.old.items()}
-        disk.durable_names = dict(disk.names)
+        disk = Disk(self.old)
         done = 0
         checked = set(rng.sample(list(moments), min(CHECKED, len(moments)))) if self.case.run_folder else set()
         for moment in sorted(moments):

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from kill_and_resume import plan_file
+
 ROOT = Path(__file__).parents[1]
 JOINTS = "0,-90,90,0,30,0"
 Work = Callable[[], object]
@@ -66,8 +68,8 @@ def make_inputs(work: Path, run: Callable[[Work], int]) -> None:
 
 
 def make_run(work: Path, run: Callable[[Work], int]) -> None:
-    """A finished run of the quick plan, and one whose recording is torn in its middle."""
-    assert run(command("run", ROOT / "plans" / "quick.yaml", "--dry-run", "--out", work / "run")) == 0
+    """A finished run of 16 poses, and one whose recording is torn in its middle."""
+    assert run(command("run", plan_file(work), "--dry-run", "--out", work / "run")) == 0
     shutil.copytree(work / "run", work / "torn", ignore=shutil.ignore_patterns("result*", "report*"))
     data = (work / "torn" / "run.rrd").read_bytes()
     (work / "torn" / "run.rrd").write_bytes(data[: len(data) * 2 // 3])

@@ -137,7 +137,8 @@ def is_evaluated(row: Mapping[str, Any]) -> bool:
         all(isinstance(row.get(name), str) for name in ("recording", "arm", "robot"))
         and isinstance(row.get("time"), str | None)
         and all(isinstance(values, list) for values in lists)
-        and all(isinstance(name, str) and _is_figure(row.get(f"error.{name}")) for name in names)
+        and all(isinstance(name, str) for name in names)
+        and all(_is_figure(row.get(f"error.{name}")) for name in names if name.rpartition("_")[0] in PARAMETERS)
         and len(row["covariance"]) == len(names) ** 2
         and len(row["nominal"]) % len(PARAMETERS) == 0
         and all(map(_is_figure, (*row["covariance"], *row["nominal"])))
