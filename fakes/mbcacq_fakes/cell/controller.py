@@ -18,6 +18,7 @@ from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
+from mbcacq_fakes.stall import STALL_S
 
 CLOCK_START_MS = 1_000_000
 HANGING_S = 30.0
@@ -86,6 +87,8 @@ def start_controller(
 
         given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
     given = {("clock_ms" if kind == EKI else "ipoc"): clock_ms, **given}
+    if not realtime and ports == "free" and kind == RSI:
+        given = {"answer_wait_s": (STALL_S, KrcSettings.answer_wait_s[1]), **given}
     krc, address = (_eki if kind == EKI else _rsi)(loaded, state, settings, given, ports, seed)
     if not realtime and ports == "free" and "silence_s" not in use.options:
         address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent
