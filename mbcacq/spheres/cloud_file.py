@@ -71,7 +71,7 @@ def in_mm(path: str | Path, points: np.ndarray, unit: str | None) -> np.ndarray:
 
 def _ply(path: Path) -> dict[str, np.ndarray]:
     header = read_header(path)
-    at = next(i for i, element in enumerate(header.elements) if element.name == "vertex")
+    at = next(i for i, element in enumerate(header.elements) if element.name == "vertex" and element.count)
     vertex, before = header.elements[at], header.elements[:at]
     if any(p.counted for element in (vertex, *before) for p in element.properties):
         raise ConfigError(f"{path}: has lists before or in its vertices, which are not read; export the points alone")
