@@ -43,6 +43,8 @@ def read_cloud_file(path: str | Path) -> CloudFile:
     if path.stat().st_size > MAX_BYTES:
         raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one cloud")
     columns = _ply(path) if kind == ".ply" else _pcd(path)
+    if any(columns[axis].dtype.kind not in "fiu" for axis in "xyz"):
+        raise ConfigError(f"{path}: its x, y, z are no numbers; export the cloud anew")
     points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
     if points.dtype not in (np.float32, np.float64):
         points = points.astype(np.float64)

@@ -179,7 +179,7 @@ class CheckedChannel:
 
 @dataclass(frozen=True)
 class MotionCheck:
-    """What was learnt, tried on a recording that took no part in selecting, fitting or refusing anything. recording: its name, or ''."""
+    """What was learnt, tried on a recording by which nothing was selected, fitted or refused. recording: its name, or ''."""
 
     recording: str
     channels: tuple[CheckedChannel, ...]
