@@ -19,7 +19,7 @@ from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
-from mbcacq_fakes.stall import STALL_S
+from mbcacq_fakes.protocols.stall import STALL_S
 
 CLOCK_START_MS = 1_000_000
 HANGING_S = 30.0

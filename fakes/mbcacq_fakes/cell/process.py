@@ -21,7 +21,7 @@ from mbcacq.spheres.cloud_files import read_points
 from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
-from mbcacq_fakes.stall import STALL_S
+from mbcacq_fakes.protocols.stall import STALL_S
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.frame import ScannerFrame

@@ -14,7 +14,7 @@ import numpy as np
 
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
-from mbcacq_fakes.stall import STALL_S
+from mbcacq_fakes.protocols.stall import STALL_S
 
 PROGRAM = 20261
 WATCHDOG_S = 0.4
