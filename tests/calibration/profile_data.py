@@ -5,8 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from hand_eye_data import POSE_SIGMA, frame
 
+from mbcacq.calibration.profile_start import find_start
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
+from mbcacq.recording.datasets.line_profiles import Sections, sphere_observations
+from mbcacq.spheres.circles import circles_in
 
 RADIUS = 15.0
 POINT_SIGMA = 0.02
@@ -61,3 +64,12 @@ def _section(rng, s, noise, background):
         beside = np.abs(across - s[0]) > RADIUS + 2
         out = np.concatenate([out, np.column_stack([across[beside], np.full(beside.sum(), s[2] + 20.0)])])
     return out + noise * POINT_SIGMA * rng.normal(size=out.shape)
+
+
+def observed(shown, measurement):
+    """The profiles as observations."""
+    circles, noise = circles_in(shown.points, RADIUS)
+    count = np.arange(len(circles))
+    sections = Sections(count, count + 1, circles, noise, 0)
+    hand = shown.reported if measurement == ARTEFACT_IN_SCANNER else se3.inverse(shown.reported)
+    return sphere_observations(shown.reported, measurement, find_start(hand, circles, RADIUS), sections, RADIUS, "simulated")

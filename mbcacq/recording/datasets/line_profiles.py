@@ -124,7 +124,8 @@ def read_profiles(table: Table, options: TableOptions, poses: Table | None = Non
         )
     moving = best.hand if best.measurement == ARTEFACT_IN_SCANNER else se3.inverse(best.hand)
     best = replace(best, start=find_start(moving, sections.circles, radius))
-    return UnderstoodTable(_observations(best, sections, radius, str(table.path)), tuple(_sentences(best, sections, columns, options)))
+    obs = sphere_observations(best.hand, best.measurement, best.start, sections, radius, str(table.path))
+    return UnderstoodTable(obs, tuple(_sentences(best, sections, columns, options)))
 
 
 def _tried(
@@ -156,21 +157,22 @@ def _sentences(best: _Reading, sections: Sections, columns: ProfileTable, option
     yield "a profile's centre across the laser plane comes from the size of its circle: each measurement has a covariance of its own"
 
 
-def _observations(reading: _Reading, sections: Sections, radius: float, source: str) -> Observations:
-    """One sphere, seen in each profile. Raises ConfigError where the poses do not decide the transform."""
-    start = reading.start
+def sphere_observations(
+    hand: np.ndarray, measurement: str, start: ProfileStart, sections: Sections, radius: float, source: str
+) -> Observations:
+    """One sphere, seen in each profile. hand: (P, 4, 4) T_base_flange. Raises ConfigError where the poses do not decide the transform."""
     if start.ambiguous:
         raise ConfigError(
             f"{source}: two hand-eye transforms fit the profiles (residuals {start.misfit_mm:.3g} and {start.other_mm:.3g} mm); sweep "
             "across the sphere with four orientations and more, turned by 20 deg about two axes"
         )
     xyz, covariance = measured_centres(start, sections.circles, radius, sections.noise_mm)
-    q, count = flange_coordinates(reading.hand), len(xyz)
+    q, count = flange_coordinates(hand), len(xyz)
     artefact = Artefact("sphere", "", (1,), np.zeros((1, 3)), np.array([2 * radius]), 0.0)
-    at_flange = start.T_hand_eye if reading.measurement == ARTEFACT_IN_SCANNER else se3.transform(np.eye(3), start.sphere)
+    at_flange = start.T_hand_eye if measurement == ARTEFACT_IN_SCANNER else se3.transform(np.eye(3), start.sphere)
     noise = np.sqrt(np.median(np.einsum("mii->mi", covariance), axis=0))
     robot = arm_of_flange_poses("arm of flange poses", None, q)
-    cell = Cell(robot, at_flange, (artefact,), (Station("s1", "sphere"),), noise_mm=noise, measurement=reading.measurement)
+    cell = Cell(robot, at_flange, (artefact,), (Station("s1", "sphere"),), noise_mm=noise, measurement=measurement)
     nothing = np.zeros(count, dtype=int)
     return Observations(cell, sections.numbers, nothing, q, np.arange(count), nothing, xyz, covariance=covariance)
 
