@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.instrument_forms import as_one_table
 
 SPREADSHEETS = (".xlsx", ".xls", ".ods")
 SEPARATORS = (",", ";", "\t")
@@ -68,7 +69,9 @@ def read_csv_text(
     comments = tuple(line.strip() for line in lines if comment and line.lstrip().startswith(comment))
     if comment:
         lines = ["\n" if line.lstrip().startswith(comment) else line for line in lines]
-    if hint is None and (blank := _blanks_as_tabs(lines, score)) is not None:
+    if score is not None and (made := as_one_table(lines)) is not None:
+        lines = made
+    elif hint is None and (blank := _blanks_as_tabs(lines, score)) is not None:
         lines = blank
     start, separator = _headings_at(lines, hint[1] if hint else None, score)
     preamble = tuple(line.strip() for line in lines[:start] if line.strip())

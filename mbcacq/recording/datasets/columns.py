@@ -19,7 +19,10 @@ from mbcacq.recording.datasets.yaml_text import read_yaml_text
 
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
 _JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
+_WORD = re.compile(r"[$A-Za-z]+\d*|\d+")
 _UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*|length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
+# Words that traces and scopes write before the axis: $AXIS_ACT.A1, "Actual position A1", ActPos_J1, Istposition Achse 1.
+_MEASURED = r"(?:\$?axis_act|actual(?:_position|_angle)?|act_?(?:pos(?:ition)?)?|measured(?:_position)?|ist_?position|position)_"
 STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
 
 
@@ -38,6 +41,7 @@ def flange_group(table: Table) -> PoseHeadings | None:
     """The columns of the flange's pose: named so, or the only whole pose without a name."""
     found = [g for g in groups(table) if g.rotation]
     named = [g for g in found if role(g) == "flange"]
+    named = [g for g in named if "actual" in g.thing] or named  # beside it a controller records where the arm was sent
     return next(iter(named or [g for g in found if role(g) == ""]), None)
 
 
@@ -114,12 +118,30 @@ def unit_above(table: Table) -> str | None:
 
 
 def joints_among(headings: Sequence[str]) -> list[str]:
-    found: dict[int, str] = {}
-    for name in headings:
-        part = heading(name)
-        m = _JOINT.match("_".join(filter(None, (part.thing, part.component))))
-        if m and int(m[2]) not in found:
-            found[int(m[2])] = name
+    found = _numbered_joints(headings, "") or _numbered_joints(headings, _MEASURED)
     n = len(found)
     first = min(found, default=1)  # RTDE counts from 0
     return [found[i + first] for i in range(n)] if n >= LEAST_AXES and sorted(found) == list(range(first, n + first)) else []
+
+
+def _numbered_joints(headings: Sequence[str], before: str) -> dict[int, str]:
+    """Number -> heading of the columns of joints whose names stand behind ``before``, a pattern; the first of two alike."""
+    found: dict[int, str] = {}
+    for name in headings:
+        words = "_".join(w.lower() for w in _WORD.findall(heading_text(name)))
+        m = re.match(before, words) if before else None
+        bare = words[m.end() :] if m else ("" if before else _whole(name))
+        number = _JOINT.match(bare)
+        if number and int(number[2]) not in found:
+            found[int(number[2])] = name
+    return found
+
+
+def heading_text(name: str) -> str:
+    """A heading without a unit in brackets at its end."""
+    return re.sub(r"\s*[\[(][^\])\d]*[\])]\s*$", "", name)
+
+
+def _whole(name: str) -> str:
+    part = heading(name)
+    return "_".join(filter(None, (part.thing, part.component)))
