@@ -71,8 +71,11 @@ def _of_points(lines: Sequence[str]) -> list[str] | None:
     own = next((row for row in said if len(row) == len(rows[0]) and {"x", "y", "z"} <= {cell.lower()[:1] for cell in row}), None)
     headings = own or [*_POINT_WORDS.get(named or 0, ()), "X", "Y", "Z", *(f"more_{k + 1}" for k in range(len(rows[0]) - (named or 0) - 3))]
     out = [line if line.lstrip().startswith("//") else "\n" for line in lines]
-    if body[0] == 0:
+    if body[0] < 2:  # the headings take the line before the first row, whose text goes to the line before that
         return None
+    if own is None:
+        out[body[0] - 2] = out[body[0] - 2].rstrip("\r\n") + " " + out[body[0] - 1]
+    out = ["\n" if own and i in comments and said[comments.index(i)] == own else line for i, line in enumerate(out)]
     out[body[0] - 1] = "\t".join(headings) + "\n"
     for i, row in zip(body, rows, strict=True):
         out[i] = "\t".join(row) + "\n"

@@ -82,7 +82,7 @@ def test_a_scope_has_one_time_for_all_its_channels(tmp_path):
 @pytest.mark.parametrize("separator", [" ", ", "])
 def test_points_of_spatialanalyzer_need_no_headings(tmp_path, separator):
     rows = [("A", "Tracker", f"p{k}", f"{1000.5 + k}", "200.25", "-3.0") for k in range(3)]
-    text = "// SpatialAnalyzer 2023.1\n// Units: mm\n\n" + "".join(separator.join(row) + "\n" for row in rows)
+    text = "// SpatialAnalyzer 2023.1\n// Units: Millimeters\n" + "".join(separator.join(row) + "\n" for row in rows)
     (tmp_path / "a.txt").write_text(text)
     table = read_table(tmp_path / "a.txt", headings=names_poses)
     assert unit_above(table) == "mm"

@@ -112,6 +112,7 @@ def unit_above(table: Table) -> str | None:
     if found is None:
         return None
     unit = unit_named(found[1])
+    unit = unit if unit in LENGTHS else unit_named(found[1].lower().rstrip("s"))  # Millimeters, Inches
     if unit not in LENGTHS:
         raise ConfigError(f"{table.path}: the unit '{found[1]}' above the headings is no length that is known; give mm, cm, m, um or inch")
     return unit
