@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from mbcacq.files.clock import is_clock
+
 SCOPE_MARK = re.compile(r"(start|end)[- ]?time of export", re.IGNORECASE)
 SA_MARK = re.compile(r"\bSpatial\s?Analyzer\b|\bSA\b")
 MARK_LINES = 40  # at the begin of a file, in which its form is looked for
@@ -69,7 +71,7 @@ def _of_points(lines: Sequence[str]) -> list[str] | None:
         return None
     said = [_cells_of(lines[i].strip().lstrip("/ ")) for i in comments]
     own = next((row for row in said if len(row) == len(rows[0]) and {"x", "y", "z"} <= {cell.lower()[:1] for cell in row}), None)
-    headings = own or [*_POINT_WORDS.get(named or 0, ()), "X", "Y", "Z", *(f"more_{k + 1}" for k in range(len(rows[0]) - (named or 0) - 3))]
+    headings = own or [*_POINT_WORDS.get(named or 0, ()), "X", "Y", "Z", *_extra(rows[0][(named or 0) + 3 :])]
     out = [line if line.lstrip().startswith("//") else "\n" for line in lines]
     if body[0] < 2:  # the headings take the line before the first row, whose text goes to the line before that
         return None
@@ -80,6 +82,12 @@ def _of_points(lines: Sequence[str]) -> list[str] | None:
     for i, row in zip(body, rows, strict=True):
         out[i] = "\t".join(row) + "\n"
     return out
+
+
+def _extra(cells: Sequence[str]) -> list[str]:
+    """Headings of what follows x, y, z: the first date or time of day is that of the point."""
+    clock = next((k for k, cell in enumerate(cells) if is_clock(cell)), -1)
+    return ["Time" if k == clock else f"more_{k + 1}" for k in range(len(cells))]
 
 
 def _cells_of(line: str) -> list[str]:

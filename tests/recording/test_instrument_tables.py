@@ -1,11 +1,12 @@
 """Tables as instruments and controllers write them: headings behind lines of other text, columns apart by blanks, joints from 0."""
 
+import numpy as np
 import pytest
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import read_table
 from mbcacq.recording.datasets.bag import in_order_of_axes
-from mbcacq.recording.datasets.columns import flange_group, joint_columns, names_poses, target_columns, unit_above
+from mbcacq.recording.datasets.columns import flange_group, joint_angles, joint_columns, names_poses, target_columns, unit_above
 
 LOGS = {
     "RTDE": ("timestamp actual_q_0 actual_q_1 actual_q_2 actual_q_3 actual_q_4 actual_q_5\n1.0 0.1 0.2 0.3 0.4 0.5 0.6\n", None, 6),
@@ -108,3 +109,11 @@ def test_joints_of_drivers_are_put_into_the_order_of_the_axes():
     ]
     assert in_order_of_axes(["joint_a2", "joint_a1", "joint_a3"]) == ["joint_a1", "joint_a2", "joint_a3"]
     assert in_order_of_axes(["waist", "elbow"]) == ["waist", "elbow"]
+
+
+@pytest.mark.parametrize(("heading", "rad"), [("actual_q_{}", True), ("J{}", False), ("J{} [rad]", True)])
+def test_joints_are_in_the_unit_that_their_names_say(tmp_path, heading, rad):
+    names = [heading.format(i) for i in range(6)] if "q_" in heading else [heading.format(i) for i in range(1, 7)]
+    (tmp_path / "a.csv").write_text(",".join(names) + "\n0.5,-7,1,1,1,1\n")
+    table = read_table(tmp_path / "a.csv", headings=names_poses)
+    assert joint_angles(table, joint_columns(table))[0, 1] == (-7 if rad else np.radians(-7.0))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from mbcacq.errors import ConfigError
@@ -14,7 +15,16 @@ from mbcacq.files.table import Table
 from mbcacq.files.units import unit_named
 from mbcacq.model.cell import Cell
 from mbcacq.recording.datasets.csv_columns import XYZ, numbered
-from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, pose_groups, role
+from mbcacq.recording.datasets.pose_columns import (
+    ANGLES,
+    LENGTHS,
+    RADIANS_BELOW,
+    PoseHeadings,
+    heading,
+    named_convention,
+    pose_groups,
+    role,
+)
 from mbcacq.recording.datasets.yaml_text import read_yaml_text
 
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
@@ -23,6 +33,7 @@ _WORD = re.compile(r"[$A-Za-z]+\d*|\d+")
 _UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*|length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
 # Words that traces and scopes write before the axis: $AXIS_ACT.A1, "Actual position A1", ActPos_J1, Istposition Achse 1.
 _MEASURED = r"(?:\$?axis_act|actual(?:_position|_angle)?|act_?(?:pos(?:ition)?)?|measured(?:_position)?|ist_?position|position)_"
+RTDE_JOINT = "actual_q"
 STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
 
 
@@ -99,6 +110,17 @@ def joint_columns(table: Table) -> list[str]:
     """The columns of joint angles in the order of the axes: q1_deg .., J1 .., A1 .., joint_1 .., axis 1 .., actual_q_0 ..; [] where there
     are none."""
     return joints_among(list(table.columns))
+
+
+def joint_angles(table: Table, joints: Sequence[str], said: str | None = None) -> np.ndarray:
+    """(rows, n) rad of columns of joint angles, in the unit that was said, that of the headings, rad of UR's actual_q, or by the size."""
+    unit = said or next((heading(name).unit for name in joints if heading(name).unit in ANGLES), None)
+    if unit is None and all(name.strip().lower().startswith(RTDE_JOINT) for name in joints):
+        unit = "rad"
+    if unit is None:
+        unit = "rad" if np.abs(table.group(joints)).max(initial=0.0) < RADIANS_BELOW else "deg"
+    in_deg = ANGLES[unit] == ANGLES["deg"]
+    return table.group(joints, angle=True) if in_deg else table.group(joints)
 
 
 def names_poses(headings: Sequence[str]) -> bool:

@@ -21,7 +21,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, RobotModel, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
-from mbcacq.recording.datasets.columns import flange_group, groups, joint_columns, names_poses, unit_above
+from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, names_poses, unit_above
 from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, role
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 
@@ -305,8 +305,7 @@ def _arm(table: Table, reading: TableReading, options: TableOptions) -> tuple[Ro
     columns = joint_columns(table)
     if len(columns) != options.robot.n:
         raise ConfigError(f"{table.path}:1: {len(columns)} columns of joint angles, and {options.robot.name} has {options.robot.n} axes")
-    rad = any(heading(name).unit.startswith("rad") for name in columns) or options.angle == "rad"
-    return options.robot, table.group(columns) if rad else table.group(columns, angle=True)
+    return options.robot, joint_angles(table, columns, options.angle)
 
 
 def robot_of(name: str) -> RobotModel:
