@@ -79,6 +79,7 @@ def read_csv_text(
     newline = "\r\n" if "\r\n" in text else "\n" if "\n" in text or "\r" not in text else "\r"
     headings, rows, numbers, at = _parsed(path, lines, separator)
     headings, rows = _without_empty_columns(path, at, headings, rows)
+    rows = [_without_empty_end(row, len(headings)) for row in rows]
     _refuse_ragged(path, headings, rows, numbers)
     return CsvText(headings, rows, numbers, at, replace(dialect, separator=separator, newline=newline), preamble, comments)
 
@@ -127,6 +128,13 @@ def _without_empty_columns(path: Path, line: int, headings: list[str], rows: lis
     if twice := next((name for name in headings if headings.count(name) > 1), None):
         raise ConfigError(f"{path}:{line}: column {twice} appears twice; remove one")
     return headings, rows
+
+
+def _without_empty_end(row: list[str], width: int) -> list[str]:
+    """A row without the empty cells that separators at its end make."""
+    while len(row) > width and not row[-1].strip():
+        row = row[:-1]
+    return row
 
 
 def _refuse_ragged(path: Path, headings: list[str], rows: list[list[str]], line: list[int]) -> None:
