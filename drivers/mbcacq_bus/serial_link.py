@@ -115,7 +115,7 @@ class SerialLink:
     def _asked(self, text: str) -> str:
         if self._unanswered:
             self._wait_for_silence(0.0)
-        waiting_bytes(self._opened())
+        self._heard()  # is late or unasked, and nobody's answer
         sent = time.monotonic()
         self._write(text)
         try:
@@ -147,13 +147,7 @@ class SerialLink:
         while (now := time.monotonic()) < silent_at and not self._stopped.is_set():
             if now > max(end, until):
                 raise DeviceTimeout(f"{self.name} does not fall silent after a question it had not answered; does it talk unasked?")
-            try:
-                came = waiting_bytes(self._opened())
-            except ConnectError:
-                raise
-            except Exception as error:
-                raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
-            if came:
+            if came := self._heard():
                 heard, silent_at = (heard + came)[-MAX_LINE:], max(now + quiet_s, until)
             self._stopped.wait(_STEP_S)
         return heard
@@ -170,6 +164,14 @@ class SerialLink:
                 return
             time.sleep(min(_QUIET_S, self._options.timeout_s))
         raise IdentityError(f"{self.name} answered '{line[:60]}' where '{identity.expect}' was expected; is this the right device?")
+
+    def _heard(self) -> bytes:
+        """What has come and was not read. Raises DeviceTimeout where the line is lost, or another thread closes it meanwhile."""
+        port = self._opened()
+        try:
+            return waiting_bytes(port)
+        except Exception as error:  # pyserial raises TypeError too, where another thread closes the port
+            raise DeviceTimeout(f"{self.name} was lost: {error}; check the cable") from error
 
     def _write(self, text: str) -> None:
         port = self._opened()

@@ -8,6 +8,7 @@ import struct
 import threading
 
 import pytest
+import serial
 from late_peers import LatePeer, crc, line_cut, rtu_cut, rtu_registers
 from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
 from mbcacq_bus.serial import SerialSensor
@@ -131,3 +132,26 @@ def test_a_late_line_is_no_new_reading_of_a_sensor_that_is_asked():
                 sensor.read()
             given_up.set()
             assert [sensor.read() for _ in range(3)] == [{"air_C": 1.0}, {"air_C": 2.0}, {"air_C": 3.0}]
+
+
+class ClosedMeanwhile:
+    """A port that another thread closes between a look at it and a question: pyserial's own answer to that."""
+
+    def __init__(self):
+        self.looks = iter([0])
+
+    @property
+    def in_waiting(self):
+        for waiting in self.looks:
+            return waiting
+        raise serial.PortNotOpenError
+
+    def close(self):
+        pass
+
+
+def test_a_line_closed_while_it_is_asked_is_reported_as_lost():
+    link = SerialLink("lift", SerialConnection.model_validate({"port": "COM3", "timeout_s": LIMIT_S}))
+    link._port = ClosedMeanwhile()
+    with pytest.raises(DeviceTimeout, match="was lost"):
+        link.ask("POS?\n")
