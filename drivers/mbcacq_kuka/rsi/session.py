@@ -74,6 +74,7 @@ class RsiSession:
         self._layout: Layout | None = None
         self.over = False
         self._muted = self._closing = self._relative = False
+        self._follows = bool(settings["follow"])  # others move the arm
         self._seq = shared.command_seq
         self._arrival = Arrival()
         self.last_heard = self._close_began = 0.0
@@ -197,7 +198,7 @@ class RsiSession:
 
     def _reply_next(self, layout: Layout, digits: bytes, row: list[float], taken: Taken) -> bytes:
         steps, in_time = taken.steps, taken.in_time
-        if steps > 1 and set_point_moved(layout, row):
+        if steps > 1 and not self._follows and set_point_moved(layout, row):
             raise SessionFault("restart", "ASPos has changed, so the RSI program was restarted during the run", muted=True)
         self._unanswered += steps - 1
         delay = nan if layout.delay is None else row[layout.delay]
@@ -335,6 +336,8 @@ class RsiSession:
                 f"the controller reports that A{jumped[0] + 1} jumped by {jumped[1]:.2f} deg within {steps * self.cycle_s * 1e3:.0f} ms, "
                 "faster than it can turn; look at the arm, its resolvers and the RSI Ethernet configuration",
             )
+        if self._follows:
+            return
         if not self._runaway.sure and (axis := self._runaway.check(self._used, measured)) is not None:
             raise SessionFault(
                 "relative",
@@ -358,7 +361,9 @@ class RsiSession:
         return self._layout
 
     def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
-        correction = ZERO if self._relative else tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
+        correction = (
+            ZERO if self._relative or self._follows else tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
+        )
         return self._composer.compose(correction, digits, stop)
 
     def _poll_command(self, now: float) -> None:
@@ -372,6 +377,8 @@ class RsiSession:
         elif command.kind == STOP:
             self._motion.stop()
             self._arrival.abandon()
+        elif command.kind == MOVE and self._follows:
+            self._fail(SessionFault("refused", "the arm is only followed; nothing was moved"))
         elif command.kind == MOVE:
             self._arrival.begin(command)
             self._used_moving = self._sent_moving = True  # nothing of it has been sent yet

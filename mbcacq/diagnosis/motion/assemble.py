@@ -18,6 +18,7 @@ from mbcacq.diagnosis.motion.result import (
     BodyInertia,
     ChannelEvidence,
     ChannelFit,
+    CheckedChannel,
     ErrorBeforeAfter,
     MotionDiagnosis,
     MotionEffect,
@@ -147,17 +148,27 @@ def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Mo
 
 
 def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
-    fit = table.fit
-    scale, floor = _scale(fit), float(fit.floor[j])
-
-    def error(before: float, after: float) -> ErrorBeforeAfter:
-        rms = scale * float(np.sqrt(before)), scale * float(np.sqrt(after))
-        return ErrorBeforeAfter(*rms, float(before / floor**2), float(after / floor**2))
-
-    unit = "deg" if fit.group.unit == "rad" else fit.group.unit
-    train = error(fit.train_before[j], fit.train_after[j])
+    fit, scale = table.fit, _scale(table.fit)
+    train, held_out = _error(fit, j, fit.train_before[j], fit.train_after[j]), _error(fit, j, table.before[j], table.after[j])
     refused = scale * float(np.sqrt(refused_after)) if table.refused[j] else None
-    return ChannelFit(fit.group.name, _axis(fit, j), unit, scale * floor, train, error(table.before[j], table.after[j]), refused)
+    return ChannelFit(fit.group.name, _axis(fit, j), _unit(fit), scale * float(fit.floor[j]), train, held_out, refused)
+
+
+def checked_channels(fit: MotionFit, before: np.ndarray, after: np.ndarray) -> list[CheckedChannel]:
+    """What a fit leaves of another recording, joint by joint; before, after: mean squares (J,) without and with its effects."""
+    each = ((_axis(fit, j), _error(fit, j, before[j], after[j])) for j in range(len(fit.group.joints)))
+    return [CheckedChannel(fit.group.name, at, _unit(fit), error) for at, error in each]
+
+
+def _unit(fit: MotionFit) -> str:
+    return "deg" if fit.group.unit == "rad" else fit.group.unit
+
+
+def _error(fit: MotionFit, j: int, before: float, after: float) -> ErrorBeforeAfter:
+    """before, after: mean squares of joint j."""
+    scale, floor = _scale(fit), float(fit.floor[j])
+    rms = scale * float(np.sqrt(before)), scale * float(np.sqrt(after))
+    return ErrorBeforeAfter(*rms, float(before / floor**2), float(after / floor**2))
 
 
 def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:

@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.assemble import assemble
+from mbcacq.diagnosis.motion.assemble import assemble, checked_channels
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.description_check import suspicions
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.fit import MotionFit, fit_selected
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.motion.result import CheckedChannel, MotionCheck, MotionDiagnosis
 from mbcacq.diagnosis.motion.segments import Part, held_out_parts
 from mbcacq.diagnosis.motion.signals import prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
@@ -77,15 +77,49 @@ def _other_payload(found: MotionDiagnosis, robot: RobotModel) -> list[str]:
     return [f"with {m['value'] - described:+.3g} +- {m['std']:.2g} kg at the flange the torque is explained better" for m in masses]
 
 
-class _Recordings:
-    """Signals of recordings of one robot."""
+def check_trajectories(learnt: Sequence[Trajectory], others: Sequence[tuple[str, Trajectory]]) -> tuple[MotionCheck, ...]:
+    """What the effects that are selected and fitted in some recordings leave of others of the same robot.
 
-    def __init__(self, trajectories: Sequence[Trajectory]) -> None:
+    Parameters
+    ----------
+    learnt : sequence of Trajectory
+        The recordings from which everything is learnt, torque constants included.
+    others : sequence of (str, Trajectory)
+        The recordings on which it is tried, with their names. Only what is a convention of a recording (the zero of an encoder) is
+        estimated there.
+
+    Returns
+    -------
+    tuple of MotionCheck
+        One for each of the others, with every channel that all recordings have.
+
+    Raises
+    ------
+    ConfigError
+        The recordings are of robots with different numbers of axes, or there is nothing to compare.
+    """
+    recordings = _Recordings([*learnt, *(t for _, t in others)], len(learnt))
+    fits, _ = recordings.explain()
+    out = []
+    for run, (name, _) in enumerate(others, len(learnt)):
+        channels: list[CheckedChannel] = []
+        for fit in fits:
+            squares, samples = _errors_of(fit, [(run, slice(0, len(recordings.runs[run].q)))])
+            channels += checked_channels(fit, *(squares / np.maximum(samples, 1.0)))
+        out.append(MotionCheck(name, tuple(channels)))
+    return tuple(out)
+
+
+class _Recordings:
+    """Signals of recordings of one robot. learnt: number of those, the first ones, from which anything is learnt (None: all)."""
+
+    def __init__(self, trajectories: Sequence[Trajectory], learnt: int | None = None) -> None:
         if not trajectories:
             raise ConfigError("no trajectory was given")
         if len({t.robot.n for t in trajectories}) > 1:
             raise ConfigError("the trajectories belong to robots with different numbers of axes; diagnose them separately")
-        prepared = [prepare(t) for t in with_torque(list(trajectories))]
+        prepared = [prepare(t) for t in with_torque(list(trajectories), learnt)]
+        self.learnt = learnt
         self.runs = _common([run for run, _ in prepared])
         self.inertial = [inertial for _, inertial in prepared]
         self.robot: RobotModel = trajectories[0].robot
@@ -100,7 +134,7 @@ class _Recordings:
             )
         fits: list[MotionFit] = []
         for group in groups:
-            selection = EffectSelection(MotionModel(group, runs, held))
+            selection = EffectSelection(MotionModel(group, runs, held, self.learnt))
             selection.run()
             fits.append(fit_selected(selection))
             if group.name == "tau":

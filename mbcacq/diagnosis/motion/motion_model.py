@@ -61,10 +61,10 @@ class SelectedEffect:
 class MotionModel:
     """Columns of a group of channels and the effects selected among them. floor: (J,) standard deviation of the channels' noise."""
 
-    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None) -> None:
-        """held: a part of the recordings (``segments.held_out_parts``) that takes no part in anything."""
+    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None, learnt: int | None = None) -> None:
+        """held, learnt: what takes part, as ``segments.segments`` has it."""
         self.group, self.runs = group, runs
-        self.store = NormalStore(group, runs, held)
+        self.store = NormalStore(group, runs, held, learnt)
         self.selected: list[SelectedEffect] = []
         joints = range(len(group.joints))
         measured = group.signal or group.mismatch  # where there is no delay to be found, there is no signal beside the mismatch

@@ -24,17 +24,18 @@ Factor = tuple[np.ndarray, bool]
 class NormalStore:
     """Columns by number. The offset of a joint is its first column after the mismatch.
 
-    held: a part of the recordings (``segments.held_out_parts``) that takes no part in anything.
+    held: a part of the recordings (``segments.held_out_parts``) that takes no part in anything; learnt: number of the recordings, the first
+    ones, that take part (None: all).
     matrix[j]: (Ttot, c) mismatch and columns of one joint of the group, numbers[j]: (c,) their numbers; products[j]: (S, c, c) by
     segment; count: (S, J) samples used; prior: standard deviation of each column's coefficient.
     """
 
-    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None) -> None:
+    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None, learnt: int | None = None) -> None:
         self.group = group
-        self.whole = held is None
+        self.whole = held is None and learnt is None
         self.steps = [run.step_s for run in runs]
         self.lengths = [len(run.q) for run in runs]
-        self.segments, self.split = segments(runs, held)
+        self.segments, self.split = segments(runs, held, learnt)
         self.folds = sorted({s.fold for s in self.segments})
         self._start = np.cumsum([0, *self.lengths])
         self._slices = [slice(self._start[s.run] + s.samples.start, self._start[s.run] + s.samples.stop) for s in self.segments]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ class NormalSegment:
     fold: int
 
 
-def held_out_parts(runs: tuple[MotionSignals, ...]) -> tuple[list[Part], str]:
+def held_out_parts(runs: Sequence[MotionSignals]) -> tuple[list[Part], str]:
     """What is held out in turn: whole trajectories (several at once where there are many), or blocks in time where there is only one.
 
     The second value names the split, 'trajectory' or 'time block'.
@@ -33,12 +34,13 @@ def held_out_parts(runs: tuple[MotionSignals, ...]) -> tuple[list[Part], str]:
     return [[(0, block)] for block in _blocks(slice(0, lengths[0]), NUMBERS.held_out_parts)], "time block"
 
 
-def segments(runs: tuple[MotionSignals, ...], held: int | None = None) -> tuple[list[NormalSegment], str]:
-    """All segments, and the name of the split. held: number of a part that is left out altogether.
+def segments(runs: Sequence[MotionSignals], held: int | None = None, learnt: int | None = None) -> tuple[list[NormalSegment], str]:
+    """All segments, and the name of the split. held: number of a part that is left out altogether; learnt: number of the trajectories, the
+    first ones, from which anything is learnt (None: all).
 
     Folds are the remaining trajectories; of a single one, interleaved blocks.
     """
-    parts, split = held_out_parts(runs)
+    parts, split = held_out_parts(runs[:learnt])
     remaining = [part for i, part in enumerate(parts) if i != held]
     by_trajectory = split == "trajectory" and len(remaining) > 1
     number = NUMBERS.interleaved_blocks if split == "trajectory" else NUMBERS.interleaved_blocks // NUMBERS.held_out_parts

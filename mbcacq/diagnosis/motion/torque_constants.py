@@ -12,12 +12,15 @@ from mbcacq.geometry.dynamics import nominal_parameters, regressor
 from mbcacq.model.trajectory import Trajectory
 
 
-def with_torque(trajectories: list[Trajectory]) -> list[Trajectory]:
-    """The trajectories with ``torque`` (T, n) N m from ``current`` where all of them have only that, and the robot's masses are known."""
+def with_torque(trajectories: list[Trajectory], learnt: int | None = None) -> list[Trajectory]:
+    """The trajectories with ``torque`` (T, n) N m from ``current`` where all of them have only that, and the robot's masses are known.
+
+    learnt: number of the trajectories, the first ones, by which the torque constants are estimated (None: all).
+    """
     lacking = all(t.torque is None and t.motor_torque is None and t.current is not None for t in trajectories)
     if not lacking or not all(t.robot.mass.any() for t in trajectories):
         return trajectories
-    ratio = current_per_torque(trajectories)
+    ratio = current_per_torque(trajectories[:learnt])
     return trajectories if np.isnan(ratio).all() else [replace(t, torque=np.asarray(t.current) / ratio) for t in trajectories]
 
 
