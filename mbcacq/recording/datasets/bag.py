@@ -7,6 +7,7 @@ PoseStamped, PointStamped or TransformStamped; a cloud is a sensor_msgs/PointClo
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, valid
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9
 FASTEST_RAD_S = 15.0  # of a joint: above the wrists of the fastest small arms (about 12 rad/s)
+UR_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 SHORTEST_S = 1e-3  # between messages, for stamps are not exact
 T = TypeVar("T")
 FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
@@ -37,7 +39,8 @@ class StandstillSpec(Strict):
 
 
 class BagSpec(Strict):
-    """file: a rosbag2 folder or an .mcap file, beside cell.yaml; joints: names in the order of the axes, as in the message if not given."""
+    """file: a rosbag2 folder or an .mcap file, beside cell.yaml; joints: names in the order of the axes;
+    if not given, that which the names tell, or that of the message."""
 
     file: str
     joint_states: str = "/joint_states"
@@ -166,7 +169,21 @@ class Bag:
                 f"{self.path}: the topic {topic} has the joints {', '.join(present)}, the robot {n} axes; "
                 "list the joints in the order of the axes under bag: joints"
             )
-        return [present.index(name) for name in wanted]
+        return [present.index(name) for name in (wanted if names else in_order_of_axes(wanted))]
+
+
+def in_order_of_axes(names: list[str]) -> list[str]:
+    """Names of joints from the base on, where they tell: those of UR, or with the same words and one number each; else as they are.
+
+    Drivers send them in any order, often by the alphabet, in which UR's elbow comes first.
+    """
+    ends = [next((k for k, end in enumerate(UR_JOINTS) if name.endswith(end)), None) for name in names]
+    if None not in ends and len(set(ends)) == len(names):
+        return [name for _, name in sorted(zip(ends, names, strict=True), key=lambda pair: pair[0] or 0)]
+    apart = [re.fullmatch(r"(.*?)(\d+)(\D*)", name) for name in names]
+    if all(apart) and len({(m[1], m[3]) for m in apart if m}) == 1:
+        return sorted(names, key=lambda name: int(re.findall(r"\d+", name)[-1]))
+    return names
 
 
 def trajectory_columns(folder: Path, spec: BagSpec, n: int) -> dict[str, Any]:
