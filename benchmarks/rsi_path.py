@@ -33,6 +33,7 @@ SLOW = 0.1  # s: lag of relative arms instead; an absolute one with such a lag i
 JUMPS = 0.05  # share of the motions in which the reported angles jump once
 CYCLES = 340
 QUIET = 120  # cycles after a stop, or after a fault: braking takes no longer
+AT_ONCE = ("relative", "connect")  # faults after which not even that
 ROUNDING_DEG = 1e-6  # of the answers
 _AXES = re.compile(rb'A\d="([^"]+)"')
 
@@ -54,6 +55,7 @@ class Controller:
         self.ipoc, self.delay, self.behind, self.deaf, self.ended = 1000, 0, 0.0, False, False
         self.path: list[np.ndarray] = []
         self.given: list[bool] = []
+        self.woken = 0  # the cycle of the first answer that was carried out
 
     def cycle(self, event: str = "good", jump_deg: float = 0.0) -> None:
         self.ipoc += 4
@@ -66,6 +68,7 @@ class Controller:
         used = answer is not None and event in ("good", "burst") and self.behind < 0.9 * T and not self.ended
         self.delay += not used and not self.ended
         if used and answer is not None and not self.deaf:
+            self.woken = self.woken or len(self.path)
             self.ended = b"<Stop>1<" in answer
             if not self.ended:
                 self.set_point = np.array([float(v) for v in _AXES.findall(answer)]) + (self.set_point if self.relative else START)
@@ -114,7 +117,7 @@ def drive(seed: int, number: int) -> Found:
         one.deaf = awake_at > 0
         if one.shared.fault() is None:
             one.move()
-        begin, stopped = len(one.path), CYCLES
+        begin, still_from = len(one.path), CYCLES
         stop_at, turn_at = rng.integers(20, CYCLES - QUIET), rng.integers(20, CYCLES)
         jump_at = rng.integers(20, CYCLES) if rng.random() < JUMPS else -1
         for cycle in range(CYCLES):
@@ -123,18 +126,17 @@ def drive(seed: int, number: int) -> Found:
                 one.move()
             elif cycle == stop_at:
                 one.shared.send(RsiCommand(STOP))
-                stopped = min(stopped, cycle)
+                still_from = min(still_from, cycle + QUIET)
             one.cycle(str(rng.choice(EVENTS, p=SHARES)) if not one.behind else "good", 30.0 if cycle == jump_at else 0.0)
-            if one.shared.fault() is not None:
-                stopped = min(stopped, cycle)
+            if (fault := one.shared.fault()) is not None:
+                still_from = min(still_from, cycle + (1 if fault["kind"] in AT_ONCE else QUIET))
         fault = one.shared.fault()
     finally:
         one.shared.close()
     path, given = np.array(one.path), np.array(one.given)
     if asleep and not relative:
-        given[: begin + awake_at + 3] = False  # it wakes where the proof's bump is: a jump of 0.016 deg, of its own doing
-    quiet = 1 if relative and fault else QUIET
-    after = float(np.abs(np.diff(path[begin + stopped + quiet :], axis=0)).max(initial=0.0))
+        given[: one.woken + 3] = False  # it wakes where the proof's bump is: a jump of 0.016 deg, of its own doing
+    after = float(np.abs(np.diff(path[begin + still_from :], axis=0)).max(initial=0.0))
     steps, changes = np.abs(np.diff(path, axis=0)), np.abs(np.diff(path, 2, axis=0)).max(axis=1)
     speed = (steps.max() - 2 * ROUNDING_DEG) / (SPEED * T)
     acceleration = (changes[given[2:]].max(initial=0.0) - 4 * ROUNDING_DEG) / (ACCELERATION * T**2)

@@ -5,6 +5,7 @@ tests wait; answers that are not late have many tries.
 """
 
 import struct
+import termios
 import threading
 
 import pytest
@@ -14,7 +15,7 @@ from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
 from mbcacq_bus.serial import SerialSensor
 from mbcacq_bus.serial_link import SerialConnection, SerialLink
 
-from mbcacq.devices import DeviceTimeout
+from mbcacq.devices import DeviceTimeout, ProtocolError
 
 VALUES = {"robot_C": 301, "air_C": 215, "bar_C": 184}
 WANTED = {"robot_C": 30.1, "air_C": 21.5, "bar_C": 18.4}
@@ -155,3 +156,67 @@ def test_a_line_closed_while_it_is_asked_is_reported_as_lost():
     link._port = ClosedMeanwhile()
     with pytest.raises(DeviceTimeout, match="was lost"):
         link.ask("POS?\n")
+
+
+class LostPort:
+    """A port that raises what libraries do where it is lost or another thread closes it: nothing of that is an OSError."""
+
+    def __init__(self, error):
+        self._error, self.timeout = error, 0.0
+
+    @property
+    def in_waiting(self):
+        return 0
+
+    def write(self, data):
+        raise self._error
+
+    def read_until(self, end, most):
+        raise self._error
+
+    def recv(self, most):
+        raise self._error
+
+    def flush(self):
+        pass
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize("error", [TypeError("no descriptor"), ValueError("descriptor -1"), termios.error(5, "lost"), AttributeError("None")])
+def test_whatever_a_library_raises_of_a_lost_port_is_reported_as_lost(error):
+    link = SerialLink("lift", SerialConnection.model_validate({"port": "COM3", "timeout_s": LIMIT_S}))
+    link._port = LostPort(error)
+    with pytest.raises(DeviceTimeout, match="was lost"):
+        link.ask("POS?\n")
+    sensor = SerialSensor("s", "", {"port": "COM3", "line": r"T=(?P<air_C>\d+)", "ask": "T?\n", "timeout_s": LIMIT_S})
+    sensor._port = LostPort(error)
+    with pytest.raises(ProtocolError, match="connection was lost"):
+        sensor.read()
+
+
+@pytest.mark.parametrize("error", [TypeError("no descriptor"), ValueError("descriptor -1"), termios.error(5, "lost"), AttributeError("None")])
+def test_whatever_a_library_raises_under_a_modbus_request_is_a_broken_connection(error):
+    def lost(request):
+        raise AssertionError("never asked")
+
+    options = {"stations": {1: 5.0}, "position": {"address": 10}, "in_position": {"address": 3}, "timeout_s": 20.0, "parity": "N"}
+    with LatePeer(lost, rtu_cut, {}) as peer, ModbusPositioner("p", "", {"serial": peer.url, **options}) as positioner:
+        positioner._link._transport._client.write_registers = lambda *_, **__: (_ for _ in ()).throw(error)
+        with pytest.raises(DeviceTimeout, match="broke the connection while writing holding 10"):
+            positioner.go_to("1", "")
+
+
+def test_what_was_closed_while_it_was_asked_is_not_opened_again():
+    class Closing(LostPort):
+        @property
+        def in_waiting(self):
+            link.close()
+            raise serial.PortNotOpenError
+
+    link = SerialLink("lift", SerialConnection.model_validate({"port": "loop://", "timeout_s": LIMIT_S}))
+    link._wanted, link._port = True, Closing(OSError())
+    with pytest.raises(DeviceTimeout, match="was closed"):
+        link.ask("POS?\n")
+    assert not link.connected

@@ -215,8 +215,9 @@ class Handshake:
 
     def _finish(self, probe: ModeProbe) -> Layout:
         assert self.layout is not None  # as above
-        carries_out = probe.response.came_and_went(10.0**-self._decimals)
-        return replace(self.layout, noise_deg=tuple(noise_of(self._rows)), decimals=self._decimals, carries_out=carries_out)
+        noise = tuple(noise_of(self._rows))
+        carries_out = probe.response.came_and_went(10.0**-self._decimals, noise[AXIS])
+        return replace(self.layout, noise_deg=noise, decimals=self._decimals, carries_out=carries_out)
 
     def _with_step(self, layout: Layout) -> Layout:
         cycle_ms, known = self._settings["cycle_ms"], self._ipocs

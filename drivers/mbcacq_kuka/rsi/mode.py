@@ -23,6 +23,7 @@ _SUM_DEG = 0.5 * PEAK_DEG * BUMP_CYCLES  # how far a relative arm turns: 0.048 d
 _SHARE = 0.25  # of that: more than rounding to 0.01 deg can show, less than what an arm with a lag of 0.1 s has done in time
 _MEAN_CYCLES = 8
 _SIGMAS = 5.0
+_SURE_SIGMAS = 8.0  # of the largest of many means, with a standard deviation from some 60 telegrams
 _STEPS = 1.9  # of the written angles: one step up and one down may be the rounding of an arm that stands
 _SMALLEST_DEG, _LARGEST_DEG = 0.016, 0.25  # of the proof; a tenth of a degree is the coarsest that controllers write
 _CLEAR = 5.0  # times what can just be seen: an arm with a lag of 0.1 s shows 0.4 of it
@@ -35,9 +36,8 @@ class Response:
     """``take`` what the last axis does while it is sent a bump: means of eight telegrams against where it stood. ``moved``: deg in the
     bump's direction."""
 
-    def __init__(self, before: Sequence[float], noise_deg: float, direction: float) -> None:
-        """before: angles of the last axis (n,) in front of the bump; noise_deg: their standard deviation."""
-        self.noise_deg = noise_deg
+    def __init__(self, before: Sequence[float], direction: float) -> None:
+        """before: angles of the last axis (n,) in front of the bump."""
         self._before, self._direction, self._peak = sum(before) / len(before), direction, 0.0
         self.recent: deque[float] = deque(maxlen=_MEAN_CYCLES)
         self.moved = 0.0
@@ -52,14 +52,15 @@ class Response:
     def full(self) -> bool:
         return len(self.recent) == _MEAN_CYCLES
 
-    def came_and_went(self, step_deg: float) -> bool:
-        """Whether the arm was seen to do what an absolute controller does. step_deg: of the written angles."""
-        return self._peak - max(0.0, self.moved) >= max(visible(self.noise_deg), _STEPS * step_deg)
+    def came_and_went(self, step_deg: float, noise_deg: float) -> bool:
+        """Whether the arm was seen to do what an absolute controller does. step_deg: of the written angles; noise_deg: their standard
+        deviation, of so many telegrams that it is known."""
+        return self._peak - max(0.0, self.moved) >= max(visible(noise_deg), _STEPS * step_deg)
 
 
 def visible(noise_deg: float) -> float:
     """The smallest difference of two means of eight that is none of the noise."""
-    return _SIGMAS * noise_deg * (2.0 / _MEAN_CYCLES) ** 0.5
+    return _SURE_SIGMAS * noise_deg * (2.0 / _MEAN_CYCLES) ** 0.5
 
 
 class ModeProbe:
@@ -68,7 +69,7 @@ class ModeProbe:
     def __init__(self, before: Sequence[Sequence[float]], noise_deg: float, wait_cycles: int, direction: float) -> None:
         """before: measured joints (n, 6) of the last telegrams; noise_deg: their standard deviation; wait_cycles: how far an arm may lag;
         direction: +1 or -1, where the last axis has room."""
-        self.response = Response([q[AXIS] for q in before], noise_deg, direction)
+        self.response = Response([q[AXIS] for q in before], direction)
         mean_of = 1.0 / len(before) + 1.0 / _MEAN_CYCLES
         self._threshold = max(_SHARE * _SUM_DEG, _SIGMAS * noise_deg * mean_of**0.5)
         self._direction, self._cycle, self._last_cycle = direction, 0, BUMP_CYCLES + wait_cycles + _MEAN_CYCLES
@@ -106,7 +107,7 @@ class Proof:
         self.seen = self.relative = False
 
     def _begin(self) -> None:
-        self._response = Response([self._reference[AXIS]], self._noise, self._direction)
+        self._response = Response([self._reference[AXIS]], self._direction)
         self._attempt = self._rested = 0
         self._out = False
 
@@ -143,12 +144,12 @@ class Proof:
             self._out = False
             self._move(motion, 0.0)
             return
-        self.seen = self._attempt > 0 and response.came_and_went(self._step)
+        self.seen = self._attempt > 0 and response.came_and_went(self._step, self._noise)
         if self.seen:
             return
         self._attempt += 1
         if not self.in_vain:
-            self._response = Response(response.recent, self._noise, self._direction)
+            self._response = Response(response.recent, self._direction)
             self._out, self._rested = True, 0
             self._move(motion, self._peak)
 

@@ -36,7 +36,7 @@ from mbcacq_kuka.rsi.telegram import Composer, Malformed, finite
 
 _REST_CYCLES = 5  # standing still so long is being at rest
 _END_CYCLES = 12  # and so long, before the session is ended
-_STOP_CYCLES = 125
+_STOP_CYCLES = 50  # a rising edge is enough; some are lost, and a controller that ignores it ends by its own Timeout
 _SETTLE_S = 0.5  # after the last set point a session is ended in any case
 _AT_ONCE = ("follow", "relative")  # faults of an arm that does not do what it is told: no set point may move it any more
 _DELAY = re.compile(rb"<Delay[\s/>][^<]*")
