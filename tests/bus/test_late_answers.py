@@ -1,7 +1,7 @@
 """An answer that comes after its time-out is never taken for that to another question, on any line or connection.
 
 What is late leaves its device once whoever asked has given it up, not after a time: a busy machine changes nothing. LIMIT_S is what these
-tests wait; answers that are not late have many tries.
+tests wait; answers that are not late have many tries. Lines of text have time and answers of their own (scripted_line).
 """
 
 import struct
@@ -14,6 +14,7 @@ from late_peers import LatePeer, crc, line_cut, rtu_cut, rtu_registers
 from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
 from mbcacq_bus.serial import SerialSensor
 from mbcacq_bus.serial_link import SerialConnection, SerialLink
+from scripted_line import ScriptedLine
 
 from mbcacq.devices import DeviceTimeout, ProtocolError
 
@@ -21,10 +22,10 @@ VALUES = {"robot_C": 301, "air_C": 215, "bar_C": 184}
 WANTED = {"robot_C": 30.1, "air_C": 21.5, "bar_C": 18.4}
 REGISTERS = {name: {"address": k, "scale": 0.1, "unit": "C"} for k, name in enumerate(VALUES)}
 HELD = dict(enumerate(VALUES.values()))
-LIMIT_S = 0.4
+LIMIT_S, TRIES = 0.2, 20
 
 
-def rtu(late, retries=8):
+def rtu(late, retries=TRIES):
     """A peer, and the options of a sensor that asks it."""
     peer = LatePeer(rtu_registers(HELD), rtu_cut, late)
     return peer, {"serial": peer.url, "parity": "N", "timeout_s": LIMIT_S, "retries": retries, "values": REGISTERS}
@@ -57,7 +58,7 @@ def test_a_line_that_gave_up_once_is_in_step_again():
             with pytest.raises(DeviceTimeout, match="gave no valid answer while reading holding 0"):
                 sensor.read()
             given_up.set()
-            sensor._link._options = sensor._link._options.model_copy(update={"retries": 8})
+            sensor._link._options = sensor._link._options.model_copy(update={"retries": TRIES})
             first = sensor._options.values["air_C"]
             assert sensor._link.read(first) == pytest.approx(21.5)
             assert sensor.read() == pytest.approx(WANTED)
@@ -75,7 +76,7 @@ def test_a_line_that_gave_up_once_is_in_step_again():
 def test_an_answer_of_another_unit_function_or_length_is_none(foreign):
     answer, first = rtu_registers(HELD), [foreign + crc(foreign)]
     with LatePeer(lambda request: first.pop() if first else answer(request), rtu_cut, {}) as peer:
-        options = {"serial": peer.url, "parity": "N", "timeout_s": LIMIT_S, "retries": 8, "values": REGISTERS}
+        options = {"serial": peer.url, "parity": "N", "timeout_s": LIMIT_S, "retries": TRIES, "values": REGISTERS}
         with ModbusSensor("s", "", options) as sensor:
             assert sensor.read() == pytest.approx(WANTED)
 
@@ -88,7 +89,7 @@ def test_a_late_answer_of_modbus_tcp_ends_with_its_connection():
         return struct.pack(">HHHBBBH", number, 0, 5, unit, function, 2, HELD[address])
 
     with LatePeer(answer, lambda pending: 12, {1: lambda: peer.connections > 1}) as peer:
-        options = {"host": peer.host, "port": peer.port, "timeout_s": LIMIT_S, "retries": 8, "values": REGISTERS}
+        options = {"host": peer.host, "port": peer.port, "timeout_s": LIMIT_S, "retries": TRIES, "values": REGISTERS}
         with ModbusSensor("s", "", options) as sensor:
             for _ in range(3):
                 assert sensor.read() == pytest.approx(WANTED)
@@ -110,24 +111,22 @@ def test_a_halt_does_not_wait_for_a_line_to_fall_silent():
         assert [request[:6] for request in peer.requests] == [bytes.fromhex("01 10 0005 0001")]
 
 
-def test_a_late_line_is_not_taken_for_the_answer_to_the_next_question():
-    said = {b"POS?": b"POS=152.5\n", b"READY?": b"1\n"}
-    options = SerialConnection.model_validate({"port": "", "timeout_s": LIMIT_S})
-    given_up = threading.Event()
-    with LatePeer(lambda request: said[request.strip()], line_cut, {0: given_up.is_set}) as peer:
-        link = SerialLink("lift", options.model_copy(update={"port": peer.url}))
-        link.open()
-        with pytest.raises(DeviceTimeout, match=r"answered nothing to 'POS\?'"):
-            link.ask("POS?\n")
-        given_up.set()
-        assert [link.ask("READY?\n"), link.ask("POS?\n"), link.ask("READY?\n")] == ["1", "POS=152.5", "1"]
-        link.close()
+def test_a_late_line_is_not_taken_for_the_answer_to_the_next_question(monkeypatch):
+    said, delays = {"POS?": b"POS=152.5\n", "READY?": b"1\n"}, iter([0.6])
+    line = ScriptedLine(lambda heard: (next(delays, 0.01), said[heard]))
+    line.install(monkeypatch)
+    link = SerialLink("lift", SerialConnection.model_validate({"port": "COM3", "timeout_s": LIMIT_S}), line.stopped())
+    link.open()
+    with pytest.raises(DeviceTimeout, match=r"answered nothing to 'POS\?'"):
+        link.ask("POS?\n")
+    assert [link.ask("READY?\n"), link.ask("POS?\n"), link.ask("READY?\n")] == ["1", "POS=152.5", "1"]
+    link.close()
 
 
 def test_a_late_line_is_no_new_reading_of_a_sensor_that_is_asked():
     count, given_up = iter(range(100)), threading.Event()
     with LatePeer(lambda request: b"T=%d\n" % next(count), line_cut, {0: given_up.is_set}) as peer:
-        options = {"port": peer.url, "line": r"T=(?P<air_C>\d+)", "ask": "T?\n", "timeout_s": LIMIT_S}
+        options = {"port": peer.url, "line": r"T=(?P<air_C>\d+)", "ask": "T?\n", "timeout_s": 0.5}
         with SerialSensor("s", "", options) as sensor:
             with pytest.raises(DeviceTimeout):
                 sensor.read()
@@ -184,7 +183,9 @@ class LostPort:
         pass
 
 
-@pytest.mark.parametrize("error", [TypeError("no descriptor"), ValueError("descriptor -1"), termios.error(5, "lost"), AttributeError("None")])
+@pytest.mark.parametrize(
+    "error", [TypeError("no descriptor"), ValueError("descriptor -1"), termios.error(5, "lost"), AttributeError("None")]
+)
 def test_whatever_a_library_raises_of_a_lost_port_is_reported_as_lost(error):
     link = SerialLink("lift", SerialConnection.model_validate({"port": "COM3", "timeout_s": LIMIT_S}))
     link._port = LostPort(error)
@@ -196,7 +197,9 @@ def test_whatever_a_library_raises_of_a_lost_port_is_reported_as_lost(error):
         sensor.read()
 
 
-@pytest.mark.parametrize("error", [TypeError("no descriptor"), ValueError("descriptor -1"), termios.error(5, "lost"), AttributeError("None")])
+@pytest.mark.parametrize(
+    "error", [TypeError("no descriptor"), ValueError("descriptor -1"), termios.error(5, "lost"), AttributeError("None")]
+)
 def test_whatever_a_library_raises_under_a_modbus_request_is_a_broken_connection(error):
     def lost(request):
         raise AssertionError("never asked")
