@@ -46,6 +46,7 @@ class ScriptedLine:
         found = self._arrived().find(end)
         if found < 0:
             self.now += self.timeout
+            found = self._arrived().find(end)
         return self.read(min(most, found + len(end) if found >= 0 else most))
 
     def write(self, data: bytes) -> None:
