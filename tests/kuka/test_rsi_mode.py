@@ -131,6 +131,39 @@ def test_stop_ends_the_wait_for_an_arm_that_carries_nothing_out(arm):
     assert not moving(one)
 
 
+@pytest.mark.parametrize("relative", [False, True])
+def test_whoever_goes_away_during_the_bump_leaves_a_correction_of_zero_and_stop(arm, relative):
+    one = arm(relative=relative)
+    one.cycle(18)
+    assert np.abs(one.set_point - START).max() > 1e-4  # the bump is under way
+    one.session.close(one.ipoc * 1e-3)
+    one.cycle(1)
+    assert one.ended
+    decided = one.set_point
+    one.cycle(60)
+    np.testing.assert_array_equal(one.set_point, decided)
+    assert one.session.over
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.1])
+@pytest.mark.parametrize("how", [STOP, CLOSE])
+def test_a_stop_during_the_proof_goes_back_to_zero_at_which_a_relative_arm_stands(arm, lag_s, how):
+    one = arm(relative=True, lag_s=lag_s)
+    one.deaf = True
+    one.connect()
+    one.move()
+    one.cycle(13)
+    one.deaf = False
+    one.cycle(2)
+    assert np.abs(one.set_point - START).max() > 1e-4
+    one.shared.send(RsiCommand(how))
+    one.cycle(30)
+    stands = one.set_point
+    one.cycle(300)
+    np.testing.assert_array_equal(one.set_point, stands)
+    assert np.abs(stands - START).max() < 0.35
+
+
 @pytest.mark.parametrize(("noise_deg", "decimals"), [(0.0, 6), (0.0005, 4), (0.002, 3), (0.0005, 2)])
 @pytest.mark.parametrize("lag_s", [0.0, 0.03])
 def test_a_motion_is_not_refused_for_angles_that_are_noisy_or_rounded(arm, noise_deg, decimals, lag_s):

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mbcacq_kuka.rsi.handshake import SessionFault
+from mbcacq_kuka.rsi.mode import Proof
 from mbcacq_kuka.rsi.watch import Follow, Jump
 
 _MOVED_DEG = 0.2  # more than noise and rounding
 _LIMITED = "look for a correction limit of the controller (AXISCORR, AXISCORRMON) or a stopped program"
-IGNORED = (
+_IGNORED = (
     "no axis has moved at all. Compare sen_type '{sen_type}' with SENTYPE, and correction '{correction}' with the names in the RECEIVE "
     "section, of the controller's RSI Ethernet configuration; see that RSI_MOVECORR runs (in T1 its message must be "
     "acknowledged) and that AXISCORR is connected and not limited to 0 deg"
@@ -44,5 +45,18 @@ class Plausibility:
             raise SessionFault(
                 "follow",
                 f"A{axis + 1} does not follow: commanded {sent[axis]:.3f} deg, measured {measured[axis]:.3f} deg; "
-                + (_LIMITED if self._moved else IGNORED.format(**self._settings)),
+                + (_LIMITED if self._moved else _IGNORED.format(**self._settings)),
             )
+
+
+def proof_fault(proof: Proof, settings: Mapping[str, Any]) -> SessionFault | None:
+    """Why no motion may begin; None as long as that is not decided, and where one may."""
+    if proof.relative:
+        return SessionFault(
+            "relative",
+            "the controller adds each correction to the ones before, as RSI_ON(#RELATIVE) does; use RSI_ON(#ABSOLUTE) in its program. The "
+            "motion was not begun",
+        )
+    if proof.in_vain:
+        return SessionFault("follow", f"before the first motion {_IGNORED.format(**settings)}")
+    return None

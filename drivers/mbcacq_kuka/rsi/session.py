@@ -26,7 +26,7 @@ from mbcacq_kuka.rsi.handshake import WAITING_CYCLES, ZERO, Handshake, Layout, S
 from mbcacq_kuka.rsi.lateness import Lateness
 from mbcacq_kuka.rsi.mode import Proof
 from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
-from mbcacq_kuka.rsi.plausibility import IGNORED, Plausibility
+from mbcacq_kuka.rsi.plausibility import Plausibility, proof_fault
 from mbcacq_kuka.rsi.punctuality import Punctuality
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
 from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, Shared
@@ -66,7 +66,8 @@ class RsiSession:
         self._punctuality = Punctuality(self.cycle_s)
         self._layout: Layout | None = None
         self.over = False
-        self._muted = self._closing = self._relative = False
+        self._muted = self._closing = False
+        self._unproven = False  # a fault came before the controller was seen to be absolute: only zero is safe
         self._seq = shared.command_seq
         self._arrival = Arrival()
         self.last_heard = self._close_began = 0.0
@@ -332,16 +333,8 @@ class RsiSession:
     def _prove(self, proof: Proof) -> None:
         """No motion begins before an absolute correction was seen to be carried out. Raises MotionRefused."""
         proof.advance(self._motion, self._measured)
-        if proof.relative:
-            self._fail(
-                SessionFault(
-                    "relative",
-                    "the controller adds each correction to the ones before, as RSI_ON(#RELATIVE) does; use RSI_ON(#ABSOLUTE) in its "
-                    "program. The motion was not begun",
-                )
-            )
-        elif proof.in_vain:
-            self._fail(SessionFault("follow", f"before the first motion {IGNORED.format(**self._settings)}"))
+        if (fault := proof_fault(proof, self._settings)) is not None:
+            self._fail(fault)
         elif proof.seen and proof.wanted is not None:
             self._proof = None
             self._motion.move(proof.wanted)
@@ -352,7 +345,9 @@ class RsiSession:
         return self._layout
 
     def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
-        correction = ZERO if self._relative and self._at_once else tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
+        if self._unproven and self._at_once:
+            return self._composer.compose(ZERO, digits, stop)
+        correction = tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
         return self._composer.compose(correction, digits, stop)
 
     def _poll_command(self, now: float) -> None:
@@ -419,7 +414,7 @@ class RsiSession:
         if fault.muted:
             self._muted, self._ready = True, None
         if self.connected and not self._faulted:
-            self._faulted, self._at_once, self._relative = True, fault.kind in _AT_ONCE, self._proof is not None
+            self._faulted, self._at_once, self._unproven = True, fault.kind in _AT_ONCE, self._proof is not None
             if self._at_once:
                 self._motion.freeze(self._sent)
                 self._step_limits.rest(self._sent)
