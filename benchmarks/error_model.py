@@ -14,22 +14,22 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
-from cells import iiwa, kr10, measure, random_errors, scanner_cell  # noqa: E402
+from cells import iiwa, kr10, measure, scanner_cell  # noqa: E402
+from erring_arms import JOINT, LAWS, NOISE, erring_arm, placed_wrong  # noqa: E402
 from mbcacq_fakes.cell import computed_run  # noqa: E402
 
 from mbcacq import load_observations
 from mbcacq.calibration import CalibrationOptions, calibrate
-from mbcacq.calibration.held_out_poses import prediction_error  # noqa: E402
+from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error  # noqa: E402
 from mbcacq.calibration.uncertainty import point_columns, to_base  # noqa: E402
 from mbcacq.errors import CalibrationError, MbcacqError  # noqa: E402
-from mbcacq.estimation import forward_model, parameters  # noqa: E402
+from mbcacq.estimation import parameters  # noqa: E402
 from mbcacq.estimation.linearization import Lineariser  # noqa: E402
 from mbcacq.estimation.options import Noise  # noqa: E402
 from mbcacq.estimation.parameters import Estimate  # noqa: E402
@@ -40,7 +40,6 @@ from mbcacq.model.observations import Observations  # noqa: E402
 from mbcacq.plan import expand, load  # noqa: E402
 from mbcacq.workflow.acquire import solver_cell  # noqa: E402
 
-NOISE, JOINT = (0.005, 0.005, 0.009), 8e-6
 ALONE = CalibrationOptions(kinematics=False)
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -159,80 +158,12 @@ def strikes(count: int) -> None:
         print(f"| {kind} | {' | '.join(f'{n} of {count}' for n in shown)} |", flush=True)
 
 
-MASS = np.array([50.0, 35, 30, 10, 6, 3])  # kg, point masses in the middle of the links; 8 kg 100 mm before the flange
-
-
-def torque(chain, q: np.ndarray) -> np.ndarray:
-    """(P, n) N m of gravity about the joints: the potential energy of point masses, differentiated by finite differences."""
-
-    def energy(q):
-        F = chain.frames(q)
-        middle = 0.5 * (F[:, :-1, :3, 3] + F[:, 1:, :3, 3])
-        return 9.80665e-3 * (middle[:, :, 2] @ MASS + 8 * (F[:, -1, 2, 3] + 100 * F[:, -1, 2, 2]))
-
-    h = 1e-6
-    return np.stack([(energy(q - e) - energy(q + e)) / (2 * h) for e in h * np.eye(q.shape[1])], axis=1)
-
-
-def at(n: int, **of: np.ndarray) -> np.ndarray:
-    """(P, n) rad: errors of the joints that are named, 'a2' for A2."""
-    out = np.zeros((len(next(iter(of.values()))), n))
-    for name, value in of.items():
-        out[:, int(name[1:]) - 1] = value
-    return out
-
-
-Law = Callable[[object, np.ndarray, np.ndarray], np.ndarray]
-LAWS: dict[str, Law] = {
-    "nothing further": lambda c, q, d: np.zeros_like(q),
-    "elastic A2, A4": lambda c, q, d: at(6, a2=1.2e-6 * torque(c, q)[:, 1], a4=6e-6 * torque(c, q)[:, 3]),
-    "backlash of A2, A3, directions recorded": lambda c, q, d: at(6, a2=1e-4 * d[:, 1], a3=7e-5 * d[:, 2]),
-    "gear errors of orders 2 to 4": lambda c, q, d: at(
-        6, a1=5e-5 * np.sin(4 * q[:, 0]), a2=6e-5 * np.sin(2 * q[:, 1] + 1), a3=7e-5 * np.sin(3 * q[:, 2] + 2)
-    ),
-    "motion that goes with another axis": lambda c, q, d: at(6, a5=2e-4 * q[:, 3], a6=3e-4 * q[:, 4]),
-    "a product of two angles": lambda c, q, d: at(6, a3=1.5e-4 * np.sin(q[:, 1]) * np.cos(q[:, 4])),
-    "gear errors of orders 57 and 101": lambda c, q, d: at(6, a2=1e-4 * np.sin(57 * q[:, 1]), a3=1e-4 * np.sin(101 * q[:, 2])),
-}
-
-
-def arm(law: Law, seed: int, places: int = 8, further: int = 6):
-    """A recording to learn from, exact poses at further places, and where their centres truly are in the base."""
-    rng = np.random.default_rng(seed)
-    cell = scanner_cell(rng, stations=places + further, per_station=12, errors=random_errors(kr10(), rng))
-    obs, direction = cell.observations, np.sign(rng.normal(size=cell.observations.q.shape))
-    middle = 0.5 * np.linalg.inv(obs.cell.robot.chain.link_transforms(np.zeros((1, 6)))[0])[:, :3, 3]
-    robot = replace(obs.cell.robot, mass=MASS, com=middle, payload_mass=8.0, payload_com=np.array([0, 0, 100.0]))
-    obs = replace(obs, cell=replace(obs.cell, robot=robot), direction=direction if "directions" in law_name(law) else None)
-    off = law(cell.truth.chain, obs.q, direction)
-    exact = forward_model.predict(obs, cell.truth, forward_model.Displacements(joint=off)).xyz
-    noisy = forward_model.Displacements(joint=off + rng.normal(size=off.shape) * JOINT)
-    xyz = forward_model.predict(obs, cell.truth, noisy).xyz + rng.normal(size=exact.shape) * NOISE
-    new = obs.station >= places
-    T = cell.truth.chain.frames(obs.q + off)[:, -1] @ cell.truth.T_flange_scanner
-    return replace(obs, xyz=xyz).select(~new), replace(obs, xyz=exact).select(new), se3.apply(T[obs.pose], exact)[new[obs.pose]]
-
-
-def law_name(law: Law) -> str:
-    return next(name for name, one in LAWS.items() if one is law)
-
-
-def placed_wrong(found, obs, truth: np.ndarray) -> float:
-    """3D rms (um) of centres at new places from where they are, after the best rigid motion."""
-    frames = found.effects.frames(found.state.chain, obs.q, obs) if found.effects else found.state.chain.frames(obs.q)
-    p = se3.apply((frames[:, -1] @ found.state.T_flange_scanner)[obs.pose], obs.xyz)
-    a, b = p - p.mean(axis=0), truth - truth.mean(axis=0)
-    u, _, vt = np.linalg.svd(a.T @ b)
-    R = (u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt).T
-    return 1e3 * float(np.sqrt(np.mean(np.sum((a @ R.T - b) ** 2, axis=1))))
-
-
 def arms(cells: int) -> None:
     print("| arm | without smooth errors, um | calibrate, um | residual, um | groups | time over that without |\n|---|---|---|---|---|---|")
     for name, law in LAWS.items():
         rows = []
         for seed in range(cells):
-            learn, new, truth = arm(law, seed)
+            learn, new, truth = erring_arm(law, seed)
             begin = time.process_time()
             alone = calibrate(learn, CalibrationOptions(discrepancy=False))
             between = time.process_time()
@@ -306,21 +237,31 @@ METHODS = {
 }
 
 
+def parts(obs: Observations) -> tuple[list[np.ndarray], bool]:
+    """Five parts, and whether they are whole stations: five groups of these where there are so many, else blocks of the order."""
+    stations = np.unique(obs.station)
+    if len(stations) < 5:
+        return held_out_masks(obs, "block", None, 5, 0), False
+    return [np.isin(obs.station, some) for some in np.array_split(stations, 5)], True
+
+
 def recordings(folders: list[Path], most: int) -> None:
-    """Five blocks of the order of measuring, each predicted by the others; 3D rms mm over all, and of the worst block."""
+    """Five parts, each predicted by the others; 3D rms mm over all, and of the worst part. The place of a station left out is fitted."""
     print(f"| recording | poses | {' | '.join(METHODS)} |\n|---|---|{'---|' * len(METHODS)}")
     for folder in folders:
         obs = select_phases(load_observations(folder), CalibrationOptions())
         keep = np.zeros(obs.n_poses, bool)
         keep[np.unique(np.linspace(0, obs.n_poses - 1, most).astype(int))] = True
         obs = obs.select(keep)
+        masks, whole = parts(obs)
         cells = []
         for method in METHODS.values():
             try:
                 squares = []
-                for part in np.array_split(np.arange(obs.n_poses), 5):
-                    test = np.isin(np.arange(obs.n_poses), part)
-                    squares.append(np.mean(prediction_error(obs.select(test), method(obs.select(~test))) ** 2))
+                for test in masks:
+                    held, found = obs.select(test), method(obs.select(~test))
+                    off = about_best_station(held, found)[0] if whole else prediction_error(held, found)
+                    squares.append(np.mean(off**2))
                 cells.append(f"{np.sqrt(np.mean(squares)):.3f} ({np.sqrt(max(squares)):.3f})")
             except MbcacqError as error:
                 cells.append(str(error)[:40])

@@ -12,18 +12,23 @@ import sys
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
 from mbcacq.design.adaptive.investigation import Decision
 
 OUT = Path(__file__).parents[1] / "investigation.svg"
-WIDTH, LEFT, TOP, ROW = 760, 150, 46, 34
+WIDTH, LEFT, TOP, LINE = 760, 150, 46, 16
 NAMED, HIDING = "#1f5fa8", "#b9c3d0"
 OPEN = 260  # px of the bar of the whole catalogue
+MOST_NAMES = 5  # lines of names in a row
 
 
 def draw(decisions: list[Decision]) -> str:
     """SVG: a row for each look, with its poses, the effects of the most probable set, and the share of the catalogue that could hide."""
-    height = TOP + ROW * len(decisions) + 44
-    rows = [_row(TOP + ROW * k, d) for k, d in enumerate(decisions)]
+    names = [d.sets[0][0].replace("_", " ").split(" and ")[:MOST_NAMES] if d.sets else [] for d in decisions]
+    tops = TOP + np.cumsum([0] + [LINE * max(len(some), 1) + 12 for some in names])
+    height = int(tops[-1]) + 32
+    rows = [_row(int(y), d, some) for y, d, some in zip(tops[:-1], decisions, names, strict=True)]
     head = (
         f'<text x="12" y="26" font-weight="600">poses, moves</text><text x="{LEFT}" y="26" font-weight="600">effects that are named</text>'
         f'<text x="{WIDTH - OPEN - 12}" y="26" font-weight="600">of the catalogue excluded, <tspan fill="#777">could hide</tspan></text>'
@@ -36,12 +41,8 @@ def draw(decisions: list[Decision]) -> str:
     )
 
 
-def _row(y: float, d: Decision) -> str:
-    names = d.sets[0][0].replace("_", " ").split(" and ") if d.sets else []
-    marks = "".join(
-        f'<text x="{LEFT + 175 * (k % 2)}" y="{y + 13 + 14 * (k // 2)}" fill="{NAMED}">{escape(name)}</text>'
-        for k, name in enumerate(names[:4])
-    )
+def _row(y: int, d: Decision, names: list[str]) -> str:
+    marks = "".join(f'<text x="{LEFT}" y="{y + 15 + LINE * k}" fill="{NAMED}">{escape(name)}</text>' for k, name in enumerate(names))
     x, width = WIDTH - OPEN - 12, OPEN * d.excluded
     bar = (
         f'<rect x="{x}" y="{y + 5}" width="{OPEN}" height="12" fill="{HIDING}"/>'

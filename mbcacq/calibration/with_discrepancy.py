@@ -22,7 +22,7 @@ from mbcacq.estimation.adjustment import Adjustment, adjust
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups
+from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups, supported_groups
 from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
@@ -32,7 +32,8 @@ LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no p
 LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
 EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the model lacks something: further kinds of groups are tried
-FURTHER: tuple[Callable[[Covariates], list[EffectTerm]], ...] = (discrepancy.couplings, discrepancy.pairs)
+FURTHER: tuple[Callable[[Covariates], list[EffectTerm]], ...] = (discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
+LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are a hundred of them, most of which an arm does not have
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,8 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
         if kind is not discrepancy.own_errors:
             tried = tried.without([key for key in size if size[key] < LEAST_SIZE and key not in best.start])
         settled = tried.settled(allowed)
+        if kind is not discrepancy.own_errors:
+            settled = settled.supported(best.start).settled(settled.noise)
         if settled.evidence > best.evidence + LEAST_GAIN:
             best = settled
     if not best.terms:
@@ -139,6 +142,13 @@ class _Groups:
         noise; and their sizes then."""
         extended = self.extended
         return gain_of_groups(extended.at(noise).normal, extended.prior, self.index, LARGEST_SIZE, ROUNDS)
+
+    def supported(self, known: Collection[str]) -> _Groups:
+        """The groups but those beyond the known ones that the recording does not support by themselves."""
+        extended = self.extended
+        doubtful = {t.key for t in self.terms} - set(known)
+        kept = supported_groups(extended.at(self.noise).normal, extended.prior, self.index, doubtful, LEAST_SUPPORT)
+        return self.without({t.key for t in self.terms} - kept)
 
     def without(self, keys: Collection[str]) -> _Groups:
         """The groups but these."""

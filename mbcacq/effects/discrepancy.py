@@ -1,13 +1,14 @@
 """Smooth functions of posture for what a calibrated arm does beyond its geometry: the discrepancy of a calibration.
 
-Every group is a random effect: each joint's error as a function of its own angle, of the torque about it and of the direction from which it
-arrived; where the evidence asks, of the other joints' angles. Sizes begin large and are estimated with the noise (Kennedy and O'Hagan 2001
-call what they stand for model discrepancy); a group that nothing asks for shrinks to nothing.
+Every group is a random effect: each joint's error as a function of its own angle, one group for each number of periods a turn, of the
+torque about it and of the direction from which it arrived; where the evidence asks, of more periods a turn and of the other joints' angles.
+Sizes begin large and are estimated with the noise (Kennedy and O'Hagan 2001 call what they stand for model discrepancy); a group that
+nothing asks for shrinks to nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.effect_term import SMOOTH, UNKNOWN, EffectTerm, learnt_ranges
+from mbcacq.effects.effect_term import SMOOTH, UNKNOWN, EffectTerm, key_of, learnt_ranges
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine
 
 
@@ -23,7 +24,8 @@ from mbcacq.effects.functions import Column, DescribedPart, Function, Product, c
 class DiscrepancyOptions:
     """Which functions stand for the discrepancy, and how large they are where the estimation of their sizes begins."""
 
-    orders: int = 4  # periods a turn of a joint's own error: faster ones (gear meshes) are for names, not for smooth functions
+    orders: int = 4  # periods a turn of a joint's own error: eccentric wheels, bent shafts
+    fastest: int = 32  # of its gears' stages, which are tried where these do not do: faster meshes are for names, not for smooth functions
     start_rad: float = 1e-3  # five times a bad gear's error, ten times the wind-up of an elastic joint at its largest torque
     direction_start_rad: float = 3e-4  # half of a worn gear's lost motion
     taken_up_rad: float = np.radians(0.5)  # a movement after which lost motion is as after any longer one
@@ -52,13 +54,18 @@ def own_errors(here: Covariates) -> list[EffectTerm]:
     loaded = _loaded(here.gravity_torque)
     torque = _recorded(here, "tau")
     for j in _moving(here):
-        found.append(_by_own_angle(here, j))
+        found += _by_own_angle(here, j, range(1, OPTIONS.orders + 1))
         if j in loaded:
-            found.append(_by_torque(here, j, f"gravity_torque_{j + 1}"))
+            found += _by_torque(here, j, f"gravity_torque_{j + 1}")
         if torque is not None and j in _loaded(torque):
-            found.append(_by_torque(here, j, f"tau{j + 1}"))
+            found += _by_torque(here, j, f"tau{j + 1}")
         found += _by_arrival(here, j)
     return found
+
+
+def gear_stages(here: Covariates) -> list[EffectTerm]:
+    """Groups of each joint by its own angle, of more periods a turn: the wheels of its gear."""
+    return [t for j in _moving(here) for t in _by_own_angle(here, j, range(OPTIONS.orders + 1, OPTIONS.fastest + 1))]
 
 
 def couplings(here: Covariates) -> list[EffectTerm]:
@@ -101,23 +108,25 @@ def _recorded(here: Covariates, kind: str) -> np.ndarray | None:
         return None
 
 
-def _by_own_angle(here: Covariates, j: int) -> EffectTerm:
-    name, orders = f"q{j + 1}", range(1, OPTIONS.orders + 1)
-    columns = tuple(f(name, k) for k in orders for f in (sine, cosine))
-    sigma = np.repeat([OPTIONS.start_rad / k for k in orders], 2)
-    return _term(here, j, name, columns, sigma)
+def _by_own_angle(here: Covariates, j: int, orders: Iterable[int]) -> list[EffectTerm]:
+    """One group for each number of periods a turn: a wheel has one, and a size for all would spread over the others."""
+    name = f"q{j + 1}"
+    return [_term(here, j, name, (sine(name, k), cosine(name, k)), np.full(2, OPTIONS.start_rad / k), f"order {k}") for k in orders]
 
 
-def _by_torque(here: Covariates, j: int, name: str) -> EffectTerm:
-    """Wind-up by a torque, and the part of it that is not proportional: tau |tau| less its regression on tau."""
+def _by_torque(here: Covariates, j: int, name: str) -> list[EffectTerm]:
+    """Wind-up by a torque, which goes on beyond the torques that were there; and the part of it that is not proportional, which does not:
+    tau |tau| less its regression on tau."""
     torque = here.value(name)
     largest = float(np.abs(torque).max())
     bent = torque * np.abs(torque)
     slope = float(bent @ torque / max(torque @ torque, 1e-300))
-    line = linear(name, 1 / largest)
     curve = (Product(1 / largest**2, (Function(name, "sign", ()), Function(name, "power", (2.0,)))), *linear(name, -slope / largest**2))
-    sigma = OPTIONS.start_rad * np.array([1.0, OPTIONS.softening])
-    return _term(here, j, name, (line, curve), sigma, clamped=(name,))
+    start = np.array([OPTIONS.start_rad])
+    return [
+        _term(here, j, name, (linear(name, 1 / largest),), start),
+        _term(here, j, name, (curve,), OPTIONS.softening * start, "softening", clamped=(name,)),
+    ]
 
 
 def _by_arrival(here: Covariates, j: int) -> list[EffectTerm]:
@@ -146,12 +155,18 @@ def _product(left: Column, right: Column) -> Column:
 
 
 def _term(
-    here: Covariates, j: int, depends_on: str, columns: Sequence[Column], sigma: np.ndarray, clamped: tuple[str, ...] = ()
+    here: Covariates,
+    j: int,
+    depends_on: str,
+    columns: Sequence[Column],
+    sigma: np.ndarray,
+    variant: str = SMOOTH,
+    clamped: tuple[str, ...] = (),
 ) -> EffectTerm:
     where, k = f"A{j + 1}", len(columns)
-    label = f"{UNKNOWN}:{where}:{depends_on}:{SMOOTH}"
+    label = key_of(UNKNOWN, (where,), depends_on, variant, {})
     parts = (DescribedPart("joint", j, 0, tuple(columns)),)
     names = tuple(f"{label}[{i}]" for i in range(k))
     none = np.zeros(k)
     ranges = learnt_ranges(here, parts)
-    return EffectTerm(UNKNOWN, (where,), depends_on, parts, names, ("rad",) * k, none, none, sigma, sigma, SMOOTH, {}, ranges, clamped)
+    return EffectTerm(UNKNOWN, (where,), depends_on, parts, names, ("rad",) * k, none, none, sigma, sigma, variant, {}, ranges, clamped)

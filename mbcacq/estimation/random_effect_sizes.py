@@ -6,7 +6,7 @@ their posterior covariance / size^2) (MacKay 1992, Bayesian interpolation): the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
@@ -96,6 +96,32 @@ def gain_of_groups(
     factor = cholesky(root[:, None] * S[np.ix_(alive, alive)] * root + np.eye(len(root)), lower=True)
     explained = solve_triangular(factor, root * b[alive], lower=True)
     return float(0.5 * explained @ explained - np.sum(np.log(np.diag(factor)))), by_name
+
+
+def supported_groups(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], doubtful: Collection[str], least: float) -> set[str]:
+    """Names of the groups that are left when the weakest of the doubtful ones is taken out, again and again, until the log Bayes factor of
+    each against none is at least ``least``; at the sizes that they have, under fixed noise.
+
+    The factor of a group is the ratio of its densities at zero before and after (Dickey 1971): 1/2 log|C| + 1/2 m' C^-1 m with its
+    posterior mean m and covariance C in units of its prior sigma.
+    """
+    S, b, slices = _conditioned(normal, prior, groups)
+    alive = dict(zip(groups, slices, strict=True))
+    while alive:
+        index, first = joined(list(alive.values())), 0
+        mean, half = posterior_of(S[np.ix_(index, index)], b[index], np.ones(len(index)))
+        weakest, weight = "", least
+        for name, own in alive.items():
+            here = slice(first, first + own.stop - own.start)
+            first = here.stop
+            if name in doubtful:
+                covariance = half[:, here].T @ half[:, here]
+                factor = 0.5 * (np.linalg.slogdet(covariance)[1] + mean[here] @ np.linalg.solve(covariance, mean[here]))
+                weakest, weight = (name, factor) if factor < weight else (weakest, weight)
+        if not weakest:
+            break
+        del alive[weakest]
+    return set(alive)
 
 
 def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[slice]]:

@@ -82,6 +82,7 @@ def plan_with_probe(folder, address):
     plan = yaml.safe_load((ROOT / "plans" / "quick.yaml").read_text())
     plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
     plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
+    plan["robot"]["options"]["connect_timeout_s"] = 1.0  # no controller is there for the doctor
     plan["sensors"] = [{"driver": "acme_probe", "model": "T-1000", "options": {"address": address[0], "port": address[1]}}]
     plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:4]}]
     path = folder / "plan.yaml"

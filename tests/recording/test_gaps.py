@@ -76,3 +76,10 @@ def test_a_full_disk_is_one_sentence_and_closing_raises_nothing(tmp_path, monkey
         with pytest.raises(RecordingError, match="No space left on device"):
             journal(done(0))
         journal.close()
+
+
+def test_poses_added_to_a_finished_run_are_no_interruption(tmp_path):
+    ended = events.RunStopped(2.0, "success", "all poses measured")
+    gaps_of(tmp_path, started(2), done(0), done(1), ended)
+    gaps_of(tmp_path, started(4), done(2), done(3), ended)
+    assert gaps_of(tmp_path, started(5), done(4), ended) == ["poses were added to the run after pose 1, 3"]

@@ -128,8 +128,8 @@ def _log_static(stream: rr.RecordingStream, scale: Enlarged) -> None:
         stream.log(f"{layout.RESIDUAL}/{name}", rr.SeriesPoints(names=names, colors=colours, marker_sizes=[2.5]), static=True)
     for name, colour in (("before", BEFORE), ("after", AFTER)):
         stream.log(f"{layout.RMS_POSE}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
-    numbers = {"pose": scale.pose, "all": scale.all, "lengths": float(scale.lengths), "compared": float(scale.compared)}
-    values = {key: value for key, value in numbers.items() if value is not None}
+    flags = {name: float(getattr(scale, name)) for name in ("lengths", "compared", "investigated")}
+    values = flags | {name: value for name, value in (("pose", scale.pose), ("all", scale.all)) if value is not None}
     stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, **values), static=True)
 
 

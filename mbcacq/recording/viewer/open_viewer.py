@@ -205,11 +205,12 @@ def enlarged(sources: Sequence[Path | str]) -> Any:
     for source in sources:
         if Path(source).name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE):
             for row in Recording(source).rows(layout.ENLARGED):
-                found |= {name: float(row[name][0]) for name in ("pose", "all", "diagnosis", "lengths", "compared") if name in row}
+                shown = ("pose", "all", "diagnosis", "lengths", "compared", "investigated")
+                found |= {name: float(row[name][0]) for name in shown if name in row}
                 if isinstance(titles := row.get("responses"), list):
                     responses = tuple(titles)
-    lengths, compared = bool(found.get("lengths")), bool(found.get("compared", True))
-    return Enlarged(found.get("pose"), found.get("all"), found.get("diagnosis"), lengths, responses, compared)
+    lengths, compared, investigated = bool(found.get("lengths")), bool(found.get("compared", True)), bool(found.get("investigated"))
+    return Enlarged(found.get("pose"), found.get("all"), found.get("diagnosis"), lengths, responses, compared, investigated)
 
 
 @contextmanager
