@@ -32,7 +32,7 @@ def test_priority_and_one_core_come_together(cpu):
     assert not found["collects"]
     if found["granted"]:
         assert found["policy"] == os.SCHED_FIFO
-        assert found["cores"] == [allowed[-1] if cpu is None else cpu]
+        assert found["cores"] == (allowed if cpu is None else [cpu])
     else:
         assert found["cores"] == allowed
 
