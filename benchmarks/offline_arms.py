@@ -1,6 +1,6 @@
 """Offline acquisition of arms without a driver: the program of a plan is played in the fake cell, its clouds are collected, and the
 calibration is compared with that of a driven dry run of the same cell. ``python benchmarks/offline_arms.py FOLDER`` writes FOLDER/ARM and
-prints a row an arm."""
+prints a row an arm of ``offline_arms.md``."""
 
 from __future__ import annotations
 
@@ -85,22 +85,24 @@ def main(folder: Path, arms: list[str]) -> None:
         collected = mbcacq.collect(loaded, mbcacq.Sources(clouds, joints=clouds / "joints.csv"), out=here / f"collected-{time.time():.0f}")
         driven = mbcacq.run(loaded, dry_run=True, seed=SEED, out=here / f"driven-{time.time():.0f}")
         a, b = (np.array(r.content["T_flange_scanner"])[:3, 3] for r in (collected, driven))
-        sigma = np.sqrt(np.array(collected.content["residual_rms_mm"]) ** 2 if "residual_rms_mm" in collected.content else np.nan)
-        row = (
-            arm,
-            ARMS[arm],
-            f"{planned - began:.0f} s",
-            f"{time.monotonic() - planned:.0f} s",
-            f"{np.linalg.norm(a - b):.4f} mm",
-            f"{sigma:.4f}",
-        )
-        print("  ".join(row), f"bar {_bar(collected.content)}, driven {_bar(driven.content)}", flush=True)
+        apart = _apart(collected.content, driven.content)
+        worst = max(apart, key=lambda name: apart[name])
+        before = collected.content["verification"]["places"][-1]["before_mm"]
+        row = [arm, ARMS[arm], f"{np.linalg.norm(a - b):.4f}", f"{apart[worst]:.2f} ({worst}, of {len(apart)})", f"{before:+.3f}"]
+        row += [_bar(collected.content), _bar(driven.content), f"{planned - began:.0f} + {time.monotonic() - planned:.0f}"]
+        print("|", " | ".join(row), "|", flush=True)
+
+
+def _apart(a: dict, b: dict) -> dict[str, float]:
+    """By how many combined standard deviations the identified parameters of two results differ, by name."""
+    mine, other = ({p["name"]: p for p in result["parameters"] if p["std"]} for result in (a, b))
+    return {n: abs(mine[n]["value"] - other[n]["value"]) / np.hypot(mine[n]["std"], other[n]["std"]) for n in mine if n in other}
 
 
 def _bar(result: dict) -> str:
     """Error of the bar, and how many of its expected standard deviations that is: one length says little about which run is better."""
     bar = result["verification"]["places"][-1]
-    return f"{bar['after_mm']:+.4f} mm ({bar['after_mm'] / bar['expected_mm']:+.1f} sigma)"
+    return f"{bar['after_mm']:+.4f} ({bar['after_mm'] / bar['expected_mm']:+.1f} sigma)"
 
 
 if __name__ == "__main__":

@@ -24,6 +24,10 @@ class ManualPositioner:
 
     options_model = ManualOptions
 
+    first_contact = (
+        "At each question the artefact stands firmly where the plan says, within station_tolerance_mm, and nobody is in reach.",
+    )
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._options = name, parse(ManualOptions, "the manual positioner", options)
         self._stopped = threading.Event()

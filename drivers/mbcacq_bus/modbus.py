@@ -93,6 +93,12 @@ class ModbusPositioner(_ModbusDevice):
 
     options_model = PositionerOptions
 
+    first_contact = (
+        "Before anything is written: the registers of identity and position read what the device's own display shows.",
+        "With the drive's enabling taken away, a target is written and refused: the sentence names the fault.",
+        "One station after another at reduced speed: the position that is read is where the stand is.",
+    )
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(PositionerOptions, "the Modbus positioner", options)
         super().__init__(f"positioner {model}".strip(), self._options, self._options.in_position)
@@ -169,6 +175,8 @@ class ModbusSensor(_ModbusDevice):
     """Reads named values, e.g. temperatures, from registers."""
 
     options_model = SensorOptions
+
+    first_contact = ("The values that `mbcacq doctor {plan}` reads are those on the device's display, in the units of the plan.",)
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(SensorOptions, "the Modbus sensor", options)

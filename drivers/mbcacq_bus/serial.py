@@ -49,6 +49,8 @@ class SerialSensor:
 
     options_model = SerialOptions
 
+    first_contact = ("The value that `mbcacq doctor {plan}` reads is the one on the device's display, in the unit of the plan.",)
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._options = parse(SerialOptions, DEVICE, options)
         self._pattern = compiled(self._options.line, DEVICE, "line")

@@ -84,6 +84,11 @@ class SerialPositioner:
 
     options_model = SerialPositionerOptions
 
+    first_contact = (
+        "In a terminal program the device answers the question for its identity as the plan expects it.",
+        "One station after another at reduced speed: the position that is read is where the stand is.",
+    )
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         o = self._options = parse(SerialPositionerOptions, DEVICE, options)
         self._model, self._stopped = model, threading.Event()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -28,10 +28,21 @@ class FolderScanner:
     plan_facts = ("cloud_reader",)
     verified_on_hardware = False
 
+    first_contact = (
+        "The scanner's program saves a cloud into the folder by hand: note its name, size and how long it takes to be written.",
+        "The trigger alone makes it save one cloud; note what it answers.",
+        "The balls of that cloud are round and of the certified diameter: unit and axes are right, z points to the scanner.",
+        "Trigger while the program is closed: the run ends with a sentence that names it.",
+    )
+
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model, self._options = name, model, parse(name, options)
         self._stop, self._connected, self._count = threading.Event(), False, 0
         self._trigger = CloudTrigger(name, self._options.trigger, self._options.connect_timeout_s, self._stop.is_set)
+
+    def use_outputs(self, set_output: Callable[[int, bool], None] | None) -> None:
+        """The robot's ``set_output(number, value)``, or None where its driver switches none. Raises ConfigError where it is needed."""
+        self._trigger.use_outputs(set_output)
 
     def describe(self) -> Description:
         o = self._options

@@ -20,22 +20,25 @@ class TriggerOptions(FolderModel):
     """How the scanner's program is asked for a cloud; one of these.
 
     person: somebody takes it. command: a program and its arguments, run without a shell. tcp: HOST:PORT to send to. serial: a port,
-    also socket://HOST:PORT. send: the text for tcp and serial. reply: a pattern of the line that acknowledges it, or None for none.
+    also socket://HOST:PORT. output: a digital output of the robot, on for pulse_s, where its driver can switch outputs. send: the text
+    for tcp and serial. reply: a pattern of the line that acknowledges it, or None for none.
     """
 
     person: Literal[True] | None = None
     command: tuple[str, ...] | None = Option(default=None, min_length=1)
     tcp: str | None = Option(default=None, pattern=r"^[^\s:]+:\d{1,5}$")
     serial: str | None = None
+    output: int | None = Option(default=None, ge=0)
+    pulse_s: float = Option(default=0.2, gt=0, le=10)
     baudrate: int = Option(default=9600, gt=0)
     send: str = "trigger\n"
     reply: str | None = None
 
     @model_validator(mode="after")
     def _one(self) -> TriggerOptions:
-        given = [name for name in ("person", "command", "tcp", "serial") if getattr(self, name)]
+        given = [name for name in ("person", "command", "tcp", "serial", "output") if getattr(self, name) not in (None, (), "")]
         if len(given) != 1:
-            raise ValueError(f"give one of person, command, tcp and serial, not {' and '.join(given) or 'none'}")
+            raise ValueError(f"give one of person, command, tcp, serial and output, not {' and '.join(given) or 'none'}")
         return self
 
 

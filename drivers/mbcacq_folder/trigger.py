@@ -1,4 +1,4 @@
-"""Asking a scanner's program for a cloud: by a command, by a text over TCP or a serial line, or a person."""
+"""Asking a scanner's program for a cloud: by a command, a text over TCP or a serial line, an output of the robot, or a person."""
 
 from __future__ import annotations
 
@@ -22,13 +22,24 @@ class CloudTrigger:
 
     def __init__(self, name: str, options: TriggerOptions, connect_timeout_s: float, stopped: Callable[[], bool]) -> None:
         self._name, self._options, self._connect_s, self._stopped = f"scanner '{name}'", options, connect_timeout_s, stopped
+        self._set_output: Callable[[int, bool], None] | None = None
         try:
             self._reply = None if options.reply is None else re.compile(options.reply)
         except re.error as error:
             raise ConfigError(f"{self._name}: trigger.reply is no pattern ({error}); correct the plan") from error
 
+    def use_outputs(self, set_output: Callable[[int, bool], None] | None) -> None:
+        """How the robot's outputs are switched; None where its driver cannot. Raises ConfigError where one is needed."""
+        self._set_output = set_output
+        if self._options.output is not None and set_output is None:
+            raise ConfigError(
+                f"{self._name}: trigger.output needs a robot whose driver switches outputs, which this one does not; trigger it by "
+                "tcp, serial, command or person"
+            )
+
     def check(self) -> None:
-        """Whether there is somebody to ask. Raises ConnectError."""
+        """Whether there is somebody to ask. Raises ConnectError, ConfigError."""
+        self.use_outputs(self._set_output)
         if self._options.tcp:
             with self._connected() as connection:
                 connection.settimeout(LISTENS_S)
@@ -49,12 +60,27 @@ class CloudTrigger:
             print(f"{self._name}: take one cloud now", file=sys.stderr, flush=True)
         elif o.command:
             self._run(deadline)
+        elif o.output is not None:
+            self._pulse(o.output, deadline)
         elif o.tcp:
             with self._connected() as connection:
                 self._ask(connection.sendall, lambda: _received(connection), deadline)
         else:
             with self._serial_port() as port:
                 self._ask(port.write, lambda: port.read(port.in_waiting or 1), deadline)
+
+    def _pulse(self, number: int, deadline: float) -> None:
+        """The output on for its time, and off in any case."""
+        assert self._set_output is not None, "check looked"
+        self._set_output(number, True)
+        try:
+            until = min(time.monotonic() + self._options.pulse_s, deadline)
+            while (left := until - time.monotonic()) > 0:
+                if self._stopped():
+                    raise Aborted("the wait for the scanner was ended")
+                time.sleep(min(left, POLL_S))
+        finally:
+            self._set_output(number, False)
 
     def _connected(self) -> socket.socket:
         assert self._options.tcp is not None

@@ -56,6 +56,14 @@ class Gocator:
 
     options_model = GocatorOptions
 
+    first_contact = (
+        "The sensor's laser warnings are in place; `mbcacq doctor {plan}` finds it, and names serial number and firmware.",
+        "The web page of the sensor is closed, and no other client is connected.",
+        "The sensor's own page shows the artefact whole, in the middle of the field of view, before mbcacq connects.",
+        "At the first scan of the first run: points and balls lie where the sensor's page shows them; z points to the sensor.",
+        "Pull the sensor's cable at a pose of it: the run waits for it, says so, and goes on once it is plugged in again.",
+    )
+
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.name, self.model = name, model
         self.options = GocatorOptions.read(name, options or {})

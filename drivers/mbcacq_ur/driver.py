@@ -17,6 +17,7 @@ from mbcacq.devices import (
     Cycles,
     Description,
     DeviceFault,
+    DeviceTimeout,
     Field,
     MbcacqError,
     MotionLimits,
@@ -25,7 +26,7 @@ from mbcacq.devices import (
     SafetyStop,
 )
 from mbcacq_ur.link import RtdeLink, Values
-from mbcacq_ur.options import AXES, parse
+from mbcacq_ur.options import AXES, UrOptions, parse
 from mbcacq_ur.safety import PLAYING, not_ready, safety_stop
 
 PROGRAM = 20261  # which mbcacq_ur.script this driver works with
@@ -36,8 +37,21 @@ COLUMNS = {"q": "actual_q", "q_set": "target_q", "current_A": "actual_current", 
 
 
 class UrRtdeRobot:
-    """Implements mbcacq.devices.Robot. Options: see UrOptions. Losing the connection stops the arm: its program has a watchdog."""
+    """Implements mbcacq.devices.Robot. Options: see UrOptions. Losing the connection stops the arm: its program has a watchdog.
 
+    Under the option follow it only listens: it needs no program on the controller, and it never moves the arm.
+    """
+
+    plan_facts = ("follow",)
+    options_model = UrOptions
+    first_contact = (
+        "RTDE is enabled (Settings, Security, Services); `ping` answers in under 1 ms. Note the software version.",
+        "`mbcacq controller-files {plan} --out files`; mbcacq_ur.script is loaded in a Script node and plays, in reduced mode at first.",
+        "`mbcacq doctor {plan} --arm` names software, speed slider, payload and safety; compare each with the pendant.",
+        "The angles in the viewer agree with the pendant's Move screen to 0.01 deg, base to wrist 3, signs too.",
+        "Push against the arm until it stops protectively: the run ends with the sentence 'is protective stopped'.",
+        "Stop the program on the pendant: the run ends with the sentence that its program was stopped.",
+    )
     verified_on_hardware = False
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
@@ -126,10 +140,25 @@ class UrRtdeRobot:
         speed, acceleration = float(np.min(limits.speed)), float(np.min(limits.acceleration))
         if not (np.isfinite([speed, acceleration]).all() and min(speed, acceleration) > 0):
             raise ConfigError(f"{self._name}: speed and acceleration limits must be positive")
+        if self._options.follow:
+            raise SafetyStop(f"{self._name} is only followed (robot: follow); nothing was moved")
         with self._changed:
             self._check()
             self._command((*target.tolist(), speed, acceleration), MOVE)
             self._target, self._wanted, self._near_since, self._idle_since = target, limits, None, None
+
+    def set_output(self, number: int, value: bool) -> None:
+        """Switch a standard digital output, one of the option digital_outputs; returns once it was sent. Raises ConfigError, and what
+        stopped the arm."""
+        if number not in self._options.digital_outputs:
+            raise ConfigError(f"{self._name}: output {number} may not be switched from here; add it to the option digital_outputs")
+        with self._changed:
+            self._check()
+            self._outputs = self._outputs | 1 << number if value else self._outputs & ~(1 << number)
+            sent = self._life + 2  # the answer to the next package carries it
+            if not self._changed.wait_for(lambda: self._error is not None or self._life >= sent, self._options.silence_s):
+                raise DeviceTimeout(f"{self._name}: output {number} could not be switched, no package came; check controller and cable")
+            self._check()
 
     def state(self) -> RobotState:
         """The latest state. Raises what stopped the arm."""
@@ -138,6 +167,8 @@ class UrRtdeRobot:
             latest, wanted = self._latest, self._wanted
             assert latest is not None, "a connected robot has a state"
             taken = latest["output_int_register_0"] == self._number
+            if self._options.follow:
+                return RobotState(float(latest["timestamp"]), np.array(latest["actual_q"]), bool(np.any(latest["actual_qd"])), False)
             moving = bool(latest["output_int_register_1"]) or (self._target is not None and not taken)
             rested = self._near_since is not None and wanted is not None and latest["timestamp"] - self._near_since >= wanted.settle_s
             arrived = self._target is not None and taken and not moving and rested
@@ -149,9 +180,9 @@ class UrRtdeRobot:
         return Cycles({name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {})
 
     def stop(self) -> None:
-        """Commands a stop, and waits for a moment until the controller took it up."""
+        """Commands a stop, and waits for a moment until the controller took it up; an arm that is only followed is not ours to stop."""
         with self._changed:
-            if self._link is None or not self._link.open or self._error is not None:
+            if self._options.follow or self._link is None or not self._link.open or self._error is not None:
                 return
             self._target = None
             self._command(self._registers[:8], STOP)
@@ -178,7 +209,7 @@ class UrRtdeRobot:
         self._near_since: float | None = None
         self._idle_since: float | None = None
         self._rows: list[dict[str, Any]] = []
-        self._ready, self._number, self._life = False, 0, 0
+        self._ready, self._number, self._life, self._outputs = False, 0, 0, 0
         self._registers: tuple[float, ...] = (*(0.0,) * 8, 0, STOP)
 
     def _check(self) -> None:
@@ -189,7 +220,9 @@ class UrRtdeRobot:
 
     def _why(self) -> str:
         """Why it is not ready, '' if it is."""
-        return "sends no data; restart the controller" if self._latest is None else not_ready(self._latest, PROGRAM)
+        if self._latest is None:
+            return "sends no data; restart the controller"
+        return "" if self._options.follow else not_ready(self._latest, PROGRAM)
 
     def _check_payload(self) -> None:
         wanted = self._options.payload_kg
@@ -220,10 +253,15 @@ class UrRtdeRobot:
             self._changed.notify_all()
             doubles = {f"input_double_register_{k}": float(v) for k, v in enumerate(self._registers[:8])}
             number, kind = self._registers[8:]
-            return {**doubles, "input_int_register_0": number, "input_int_register_1": kind, "input_int_register_2": self._life}
+            switched = {"standard_digital_output_mask": sum(1 << k for k in self._options.digital_outputs)}
+            switched["standard_digital_output"] = self._outputs
+            return {**doubles, **switched, "input_int_register_0": number, "input_int_register_1": kind, "input_int_register_2": self._life}
 
     def _judge(self, values: Values) -> None:
-        """Raises SafetyStop or DeviceFault once it was ready and something stopped it."""
+        """Raises SafetyStop or DeviceFault once it was ready and something stopped it. What stops an arm that is only followed is up to
+        whoever moves it."""
+        if self._options.follow:
+            return
         if self._ready and (stop := safety_stop(values)):
             raise SafetyStop(f"{self._name} {stop}; then resume the run")
         if self._ready and values["runtime_state"] != PLAYING:

@@ -16,15 +16,29 @@ from mbcacq_ur.options import UrOptions
 from mbcacq_ur.wire import BadPackage, DataLayout
 
 SENT = (
-    *("timestamp", "actual_q", "target_q", "actual_current", "joint_temperatures", "robot_mode", "safety_status_bits", "runtime_state"),
+    *(
+        "timestamp",
+        "actual_q",
+        "actual_qd",
+        "target_q",
+        "actual_current",
+        "joint_temperatures",
+        "robot_mode",
+        "safety_status_bits",
+        "runtime_state",
+    ),
     *("target_speed_fraction", "payload", "output_int_register_0", "output_int_register_1", "output_int_register_2"),
 )
+SWITCHED = ("standard_digital_output_mask", "standard_digital_output")  # where digital outputs may be switched
 TAKEN = (*(f"input_double_register_{k}" for k in range(8)), *(f"input_int_register_{k}" for k in range(3)))
 Values = Mapping[str, Any]
 
 
 class RtdeLink:
-    """``on_values`` is called with every package and gives the registers of the answer; ``on_error`` with what ended the exchange."""
+    """``on_values`` is called with every package and gives the registers of the answer; ``on_error`` with what ended the exchange.
+
+    Under the option follow no registers are asked for, and nothing is sent once the exchange has begun.
+    """
 
     def __init__(
         self, name: str, options: UrOptions, on_values: Callable[[Values], Values], on_error: Callable[[MbcacqError], None]
@@ -34,6 +48,8 @@ class RtdeLink:
         self._buffer, self._quit = bytearray(), threading.Event()
         self._socket: socket.socket | None = None
         self._thread: threading.Thread | None = None
+        self._taken: DataLayout | None = None
+        self._stops = "" if options.follow else " the arm stops by its watchdog,"
         self.version = ""
 
     @property
@@ -78,7 +94,9 @@ class RtdeLink:
             self.version = ".".join(map(str, struct.unpack(">4I", version)))
         wanted = struct.pack(">d", self._options.frequency_hz) + ",".join(SENT).encode()
         self._sent = DataLayout(SENT, self._ask(wire.OUTPUTS, wanted))
-        self._taken = DataLayout(TAKEN, self._ask(wire.INPUTS, ",".join(TAKEN).encode()))
+        if not self._options.follow:
+            taken = (*TAKEN, *(SWITCHED if self._options.digital_outputs else ()))
+            self._taken = DataLayout(taken, self._ask(wire.INPUTS, ",".join(taken).encode()))
         if self._ask(wire.START) != b"\x01":
             raise BadPackage("the exchange is refused")
 
@@ -99,13 +117,19 @@ class RtdeLink:
             self._buffer += data
         raise TimeoutError
 
+    def _answer(self, connection: socket.socket) -> None:
+        """Hand on every package that has come, and answer it by the registers, but for an arm that is only followed."""
+        for kind, payload in wire.split(self._buffer):
+            if kind == wire.DATA:
+                answer = self._on_values(self._sent.read(payload))
+                if self._taken is not None:
+                    connection.sendall(self._taken.write(answer))
+
     def _exchange(self, connection: socket.socket) -> None:
         """Thread: every package, until the connection ends or something is wrong."""
         try:
             while not self._quit.is_set():
-                for kind, payload in wire.split(self._buffer):
-                    if kind == wire.DATA:
-                        connection.sendall(self._taken.write(self._on_values(self._sent.read(payload))))
+                self._answer(connection)
                 data = connection.recv(65536)
                 if not data:
                     raise ConnectionResetError("the controller ended it")
@@ -113,11 +137,11 @@ class RtdeLink:
         except MbcacqError as error:
             self._on_error(error)
         except TimeoutError:
-            silent = f"{self._name}: silent for {self._options.silence_s:g} s; the arm stops by its watchdog, check controller and cable"
+            silent = f"{self._name}: silent for {self._options.silence_s:g} s;{self._stops} check controller and cable"
             self._on_error(DeviceTimeout(silent))
         except (BadPackage, struct.error) as error:
-            self._on_error(ProtocolError(f"{self._name}: {error}; the connection was given up, the arm stops by its watchdog"))
+            self._on_error(ProtocolError(f"{self._name}: {error};{self._stops} the connection was given up"))
         except OSError as error:
             if not self._quit.is_set():
-                broken = f"{self._name}: the connection broke ({error.strerror or error}); the arm stops by its watchdog, check the cable"
+                broken = f"{self._name}: the connection broke ({error.strerror or error});{self._stops} check the cable"
                 self._on_error(ConnectError(broken))

@@ -13,6 +13,7 @@ import numpy as np
 
 from mbcacq.devices import ConfigError, ConnectError, Device, Positioner, Robot, Scanner, Sensor, SystemRefused, create, load_driver
 from mbcacq.plan import LoadedPlan
+from mbcacq.plan.controller_joints import matrix
 from mbcacq.plan.motion_limits import axis_limits
 from mbcacq.plan.schema import DeviceUse
 from mbcacq.spheres.cloud_files import CloudFormat, read_points
@@ -22,12 +23,14 @@ Overrides = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class CellDevices:
-    """The devices of one cell, in the order of their plan."""
+    """The devices of one cell, in the order of their plan. lead: brings a fake arm that is only followed near a target (n,) rad, in the
+    place of a person."""
 
     robot: Robot
     scanner: Scanner
     positioner: Positioner
     sensors: tuple[Sensor, ...] = ()
+    lead: Callable[[np.ndarray], None] | None = None
 
     @property
     def asks_a_person(self) -> bool:
@@ -80,7 +83,15 @@ def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> Ce
     made = {role: make() for role, make in device_makers(loaded, overrides).items()}
     sensors = tuple(device for role, device in made.items() if role.startswith("sensor "))
     refuse_equal_names(sensors)
-    return CellDevices(made["robot"], made["scanner"], made["positioner"], sensors)
+    hand_on_outputs(made["robot"], made["scanner"])
+    return CellDevices(made["robot"], made["scanner"], made["positioner"], sensors, (overrides or {}).get("person", {}).get("lead"))
+
+
+def hand_on_outputs(robot: Robot, scanner: Scanner) -> None:
+    """Give a scanner that can be triggered by a digital output of the robot (``use_outputs``) what switches one (``set_output``). Raises
+    ConfigError where the scanner needs one and the robot's driver has none."""
+    if (use_outputs := getattr(scanner, "use_outputs", None)) is not None:
+        use_outputs(getattr(robot, "set_output", None))
 
 
 def device_makers(loaded: LoadedPlan, overrides: Overrides | None = None) -> dict[str, Callable[[], Any]]:
@@ -115,13 +126,30 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
     which win over them.
 
     What else of the model the driver needs it names in ``plan_facts``: 'kinematics', rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
-    beta_deg); 'dynamics', acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not state them.
+    beta_deg); 'dynamics', acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not state them;
+    'controller_joints', controller_matrix (n, n) and controller_offset_deg (n,) of ``controller_joints.matrix``, where the plan has them;
+    'follow', follow: True where the plan says so, and the driver then never moves the arm. Raises ConfigError where the plan asks the
+    driver to follow and it cannot, or to move and it only follows (``only_follows``).
     """
     robot, use = loaded.cell.robot, loaded.plan.robot
     facts: dict[str, Any] = {"limits_deg": np.degrees(robot.limits).tolist()}
     if robot.speed is not None:
         facts["speed_deg_s"] = np.degrees(robot.speed).tolist()
-    wanted = getattr(load_driver("robots", driver or use.driver), "plan_facts", ())
+    found = load_driver("robots", driver or use.driver)
+    wanted = getattr(found, "plan_facts", ())
+    if use.follow is None and getattr(found, "only_follows", False):
+        raise ConfigError(
+            f"driver '{use.driver}' reads the arm and moves nothing: a person, or its own program, moves it; add follow: {{}} to robot, or "
+            "take a driver that moves it"
+        )
+    if use.follow is not None:
+        if "follow" not in wanted:
+            raise ConfigError(
+                f"driver '{use.driver}' cannot follow an arm that others move; remove follow from robot, or take another driver"
+            )
+        facts["follow"] = True
+    if "controller_joints" in wanted and use.controller_joints is not None:
+        facts["controller_matrix"], facts["controller_offset_deg"] = (part.tolist() for part in matrix(loaded))
     if "dynamics" in wanted and robot.speed is not None:
         limits = axis_limits(loaded)
         facts["acceleration_deg_s2"] = np.degrees(limits.acceleration).tolist()

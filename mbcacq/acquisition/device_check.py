@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from typing import Any
 
-from mbcacq.acquisition.cell_devices import device_makers, refuse_equal_names
+from mbcacq.acquisition.cell_devices import device_makers, hand_on_outputs, refuse_equal_names
 from mbcacq.devices import ConfigError, Sensor
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.findings import PlanFinding
@@ -14,14 +15,21 @@ from mbcacq.plan.findings import PlanFinding
 def device_findings(loaded: LoadedPlan) -> Iterator[PlanFinding]:
     """An error for every device of the plan that its driver refuses, or that has no driver, with the line of the option in question."""
     sensors: list[Sensor] = []
+    made: dict[str, Any] = {}
     for role, make in device_makers(loaded).items():
         try:
             device = make()
         except ConfigError as error:
             yield _finding(loaded, role, str(error))
             continue
+        made[role] = device
         if role.startswith("sensor"):
             sensors.append(device)
+    if "robot" in made and "scanner" in made:
+        try:
+            hand_on_outputs(made["robot"], made["scanner"])
+        except ConfigError as error:
+            yield _finding(loaded, "scanner", str(error))
     try:
         refuse_equal_names(sensors)
     except ConfigError as error:

@@ -10,7 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbcacq.devices import Cycles, Scan
+from mbcacq.devices import Cycles, Description, Scan
+
+OPERATOR = "operator"  # source of a message that a person at the arm waits for
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,15 @@ class RunStarted(Event):
     urdf: str = ""
     simulated: bool = False
     plan_files: str = ""
+
+
+@dataclass(frozen=True)
+class DeviceConnected(Event):
+    """What a device says of itself once it is connected. role: 'robot', 'scanner', 'positioner', 'sensor 1'..; driver: its class."""
+
+    role: str
+    driver: str
+    about: Description
 
 
 @dataclass(frozen=True)
@@ -137,7 +148,7 @@ class Gap(Event):
 
 @dataclass(frozen=True)
 class Message(Event):
-    """level: 'info', 'warning' or 'error'."""
+    """level: 'info', 'warning' or 'error'. source: who says it; OPERATOR: it tells a person what to do next."""
 
     level: str
     text: str

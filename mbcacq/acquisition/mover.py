@@ -23,6 +23,14 @@ class Mover:
         self._arms = arms_beyond(cell)
         self.direction = np.zeros(cell.robot.n, dtype=int)
 
+    def summary(self) -> str:
+        """What the end of a run says of its motions, as a clause: nothing, as every pose was reached within its tolerance."""
+        return ""
+
+    def pass_by(self, waypoint: np.ndarray) -> None:
+        """Move by a waypoint (n,) rad on the way to a pose. Raises as ``go``."""
+        self.go(waypoint)
+
     def go(self, target: np.ndarray) -> RobotState:
         """Move to ``target`` (n,) rad, wait until the measured joints stand there. Raises what stopped the arm."""
         check_target(target, self._joint_limits)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from mbcacq.acquisition.cell_devices import CellDevices
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
 from mbcacq.acquisition.expected_view import mean_centres
+from mbcacq.acquisition.follower import Follower
 from mbcacq.acquisition.gate_options import GateOptions
 from mbcacq.acquisition.gated_exposures import GatedExposures
 from mbcacq.acquisition.mover import Mover
@@ -28,7 +29,7 @@ class PoseMeasurement:
     devices: CellDevices
     bus: EventBus
     exposures: GatedExposures
-    mover: Mover
+    mover: Mover | Follower
     collector: CycleCollector
     options: GateOptions = GateOptions()
     left_out: list[int] = field(default_factory=list)  # numbers of the poses whose exposures failed the checks
@@ -50,6 +51,8 @@ class PoseMeasurement:
         for left in (1, 0):
             self.bus.state("moving")
             reached = self.mover.go(pose.q)
+            if self.loaded.plan.robot.follow is not None:
+                pose = replace(pose, q=reached.q)  # taken where it stands
             self.bus.emit(events.PoseReached, *about, reached.q, self.mover.direction, reached.time_s)
             self.bus.state("scanning")
             self.collector.mark()

@@ -14,6 +14,7 @@ from mbcacq.acquisition import events
 from mbcacq.acquisition.cell_devices import CellDevices
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.acquisition.follower import Follower
 from mbcacq.acquisition.gate_options import GateOptions
 from mbcacq.acquisition.gated_exposures import BallFinder, GatedExposures, Misplaced
 from mbcacq.acquisition.monitor import RobotMonitor
@@ -109,6 +110,7 @@ class Runner:
     def _describe(self) -> None:
         for name, device in self.devices.all.items():
             about = device.describe()
+            self.bus.emit(events.DeviceConnected, name, f"{type(device).__module__}:{type(device).__name__}", about)
             self.bus.message("info", " ".join(part for part in (f"{name}:", about.model, about.serial, about.firmware) if part))
             if about.settings:
                 self.bus.message("info", f"{name}: " + "; ".join(f"{key}: {value}" for key, value in about.settings.items()))
@@ -121,7 +123,7 @@ class Runner:
         with CycleCollector(robot, self.bus) as collector, ExitStack() as stack:
             stack.callback(robot.stop)  # before the collector is waited for, which may hang on a slow disk
             self.confirm(robot.state().q)
-            mover = Mover(robot, self.loaded.cell, motion_limits(self.loaded), collector)
+            mover = self._mover(collector)
             exposures = GatedExposures(
                 self.loaded, self.bus, scanner, self.find_balls, placement, self.gates, asks_a_person=self.devices.asks_a_person
             )
@@ -137,9 +139,10 @@ class Runner:
         wrong = len(measurement.left_out)
         few = f", {missed - wrong} of them without enough balls" if missed > wrong else ""
         few += f", {wrong} of them left out by the checks (pose {', '.join(map(str, measurement.left_out))})" if wrong else ""
+        few += mover.summary()
         return f"all poses measured{few}; {collector.count} robot cycles{late}{lost}{again}"
 
-    def _measure_poses(self, measurement: PoseMeasurement, mover: Mover) -> int:
+    def _measure_poses(self, measurement: PoseMeasurement, mover: Mover | Follower) -> int:
         """Returns how many poses were left out. Raises DeviceFault where these become too many."""
         station = step = None
         missed = 0
@@ -163,7 +166,7 @@ class Runner:
                     raise DeviceFault(f"{missed} poses showed too few balls or failed the checks; look at the scans, exposure and artefact")
         return missed
 
-    def _measure_first(self, pose: PlannedPose, path: Transit, measurement: PoseMeasurement, mover: Mover) -> bool:
+    def _measure_first(self, pose: PlannedPose, path: Transit, measurement: PoseMeasurement, mover: Mover | Follower) -> bool:
         """Have the artefact placed, and check from the first pose whether it is; a person is asked again, after the arm went home."""
         for left in reversed(range(PLACINGS if self.devices.asks_a_person else 1)):
             self._place(pose)
@@ -191,11 +194,19 @@ class Runner:
             with RobotMonitor(self.devices.robot, self.pause.stop):
                 self.pause.wait(pose, len(self.poses))
 
-    def _pass(self, waypoints: Sequence[np.ndarray], mover: Mover) -> None:
+    def _pass(self, waypoints: Sequence[np.ndarray], mover: Mover | Follower) -> None:
         if waypoints:
             self.bus.state("moving")
         for waypoint in waypoints:
-            mover.go(waypoint)
+            mover.pass_by(waypoint)
+
+    def _mover(self, collector: CycleCollector) -> Mover | Follower:
+        """What brings the arm to a pose, or waits until it stands there."""
+        limits, follow = motion_limits(self.loaded), self.loaded.plan.robot.follow
+        if follow is None:
+            return Mover(self.devices.robot, self.loaded.cell, limits, collector)
+        still = self.gates.standstill_tolerances * limits.tolerance
+        return Follower(self.devices.robot, limits, collector, follow, still, self.bus, self.devices.lead)
 
     def _finish_early(self, status: str, error: BaseException, reason: str) -> None:
         """Close the recording; what ended the run stays what is reported, even where the recording cannot be closed any more."""

@@ -35,6 +35,8 @@ class RunProgress:
     def __call__(self, event: events.Event) -> None:
         if isinstance(event, events.RunStarted | events.RunStopped | events.StateChanged):
             self._frame(event)
+        elif isinstance(event, events.Message) and event.source == events.OPERATOR:
+            self._console.print(event.text, markup=False, soft_wrap=True)
         elif isinstance(event, events.Message) and event.level in ("warning", "error"):
             self._console.print(f"{event.level}: {event.text}", markup=False, soft_wrap=True)
         else:

@@ -24,7 +24,8 @@ def lines(loaded: LoadedPlan, arm: bool) -> Iterator[CheckupLine]:
         yield from impossible
         return
     devices = create_devices(loaded).all
-    if not arm and not on_loopback_only(loaded.plan.robot.options):
+    followed = loaded.plan.robot.follow is not None  # nothing of such an arm is switched on
+    if not arm and not followed and not on_loopback_only(loaded.plan.robot.options):
         del devices["robot"]
         yield CheckupLine(
             "warning",

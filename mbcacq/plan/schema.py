@@ -30,6 +30,15 @@ class ControllerJoints(Strict):
     pulses_per_deg: tuple[float, ...] | None = None  # of encoders, for jobs that hold pulses (INFORM)
 
 
+class FollowUse(Strict):
+    """An arm that no computer may move: a person, or the arm's own program, brings it to each target, and the run takes it where it
+    stands. No motion is ever commanded."""
+
+    tolerance_deg: float = Field(default=2.0, gt=0, le=30)  # of each axis, between its target and where it is taken
+    stand_s: float = Field(default=1.5, gt=0, le=60)  # so long the arm must stand there
+    timeout_s: float = Field(default=900.0, gt=0, le=86400)  # so long the run waits for it at one target
+
+
 class RobotUse(Strict):
     """Which arm, how to reach it, and how fast it may move."""
 
@@ -46,6 +55,7 @@ class RobotUse(Strict):
     payload: PayloadSpec | None = None  # scanner with bracket, in the flange frame; default: the robot file's
     link_radius_mm: float | None = Field(default=None, gt=0)  # of the upper arm, for collisions; default: 7 % of the arm's reach
     base_to_gravity: Vector | None = None  # for an arm on a wall or a ceiling; default: the robot file's
+    follow: FollowUse | None = None  # only follow the arm, never move it
     controller_joints: ControllerJoints | None = None  # for programs, joint logs and readings of the controller
 
 

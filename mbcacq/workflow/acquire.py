@@ -124,7 +124,8 @@ class Acquisition:
 
         def gate(q: np.ndarray) -> None:
             mark_latest(self.folder)  # not before every device answered
-            check_start(self.loaded, q)
+            if self.loaded.plan.robot.follow is None:  # else nothing is moved from there
+                check_start(self.loaded, q)
             if confirm is not None:
                 confirm(q)
 

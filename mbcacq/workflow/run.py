@@ -117,7 +117,7 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         acquisition.corrected = targets
         acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
         operator.progress("")
-        if not dry_run:
+        if not dry_run and loaded.plan.robot.follow is None:
             operator.allow_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep())
         if folder is None:
             folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)

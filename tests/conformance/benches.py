@@ -13,6 +13,7 @@ from bench_gocator import gocator
 from bench_gopxl import gopxl
 from bench_kuka import kuka_eki, kuka_rsi
 from bench_manual import EXCUSED, manual
+from bench_opcua import opcua
 from bench_simulated import OPTIONS_OF_OTHERS, simulated
 from bench_simulated_scanner import simulated_scanner
 from bench_ur import NO_IDENTITY as NO_IDENTITY_OF_UR
@@ -34,6 +35,7 @@ BENCHES = {
         DriverBench("kuka_eki", "robot", kuka_eki),
         DriverBench("simulated", "robot", simulated, excused=OPTIONS_OF_OTHERS),
         DriverBench("simulated scanner", "scanner", simulated_scanner, excused=OPTIONS_OF_OTHERS),
+        DriverBench("opcua", "robot", opcua),
         DriverBench("ur_rtde", "robot", ur_rtde, excused=NO_IDENTITY_OF_UR),
         DriverBench("manual", "positioner", manual, excused=EXCUSED),
         DriverBench("modbus positioner", "positioner", modbus_positioner),

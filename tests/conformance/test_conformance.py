@@ -22,6 +22,7 @@ NO_LINE = {
 SKIPPED = {
     "manual": NO_LINE,
     "ur_rtde": {"refuses_the_wrong_device"},
+    "opcua": {"stop_ends_what_is_under_way"},
     "folder": {"refuses_the_wrong_device"},
     "simulated": (NO_LINE - {"refuses_to_work_unconnected"}) | {"refuses_an_unknown_option"},
     "simulated scanner": (NO_LINE - {"refuses_to_work_unconnected"}) | {"refuses_an_unknown_option"},
@@ -37,6 +38,7 @@ QUICK = {
     "kuka_rsi with EKI",
     "kuka_eki",
     "modbus positioner",
+    "opcua",
     "serial sensor pty",
 }
 

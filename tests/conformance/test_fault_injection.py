@@ -29,6 +29,8 @@ CHOSEN = [
     ("kuka_rsi", Case("rsi", "device", 30, "delay"), {NAMED, RECOVERED}),
     ("kuka_eki", Case("eki", "device", 5, "close"), {NAMED, RECOVERED}),
     ("kuka_eki", Case("eki", "device", 6, "truncate"), {NAMED, RECOVERED}),
+    ("opcua", Case("opcua", "device", 30, "close"), {NAMED}),
+    ("opcua", Case("opcua", "device", 30, "garbage"), {NAMED}),
     ("modbus positioner", Case("modbus", "device", 3, "truncate"), {NAMED, RECOVERED}),
     ("modbus positioner", Case("modbus", "driver", 1, "close"), {NAMED}),  # an order, that may have begun to move something
     ("modbus positioner", Case("modbus", "driver", 2, "close"), {RECOVERED}),  # a question

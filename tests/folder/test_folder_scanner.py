@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -36,6 +37,22 @@ def test_each_trigger_gives_its_own_cloud(tmp_path, program):
     assert first.points == pytest.approx(POINTS.reshape(-1, 3))
     assert second.points == pytest.approx(POINTS.reshape(-1, 3) + 100)
     assert (first.frame, second.frame, first.warnings) == (1, 2, ())
+
+
+@pytest.mark.parametrize("way", ["serial", "command", "person"])
+def test_other_ways_to_trigger(tmp_path, program, way, capsys):
+    write_ply(tmp_path / "source.writing", POINTS.reshape(-1, 3))
+    copied = f"import shutil; shutil.copy({str(tmp_path / 'source.writing')!r}, {str(tmp_path / 'new.ply')!r})"
+    trigger = {
+        "serial": {"serial": f"socket://127.0.0.1:{program.port}", "send": "trigger\n", "reply": "OK"},
+        "command": {"command": [sys.executable, "-S", "-c", copied]},
+        "person": {"person": True},
+    }[way]
+    with scanner(tmp_path, trigger=trigger) as device:
+        if way == "person":
+            threading.Timer(0.1, program._save).start()
+        assert len(device.capture().points) == 10
+    assert ("take one cloud now" in capsys.readouterr().err) == (way == "person")
 
 
 def test_a_cloud_is_taken_once_it_is_written_whole(tmp_path, program):
@@ -92,7 +109,7 @@ def test_a_command_that_fails_says_what_it_said(tmp_path):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"trigger": {}}, "give one of person, command, tcp and serial, not none"),
+        ({"trigger": {}}, "give one of person, command, tcp, serial and output, not none"),
         ({"trigger": {"tcp": "a:1", "person": True}}, "not person and tcp"),
         ({"trigger": {"tcp": "nowhere"}}, "trigger.tcp"),
         ({"trigger": {"tcp": "a:1", "reply": "("}}, "trigger.reply is no pattern"),
@@ -124,3 +141,45 @@ def test_a_dry_run_takes_its_clouds_from_files(tmp_path):
     path.write_text(yaml.safe_dump(plan))
     done = mbcacq.run(path, dry_run=True, out=tmp_path / "run")
     assert mbcacq.load_observations(done.folder).n_poses == 4
+
+
+def test_an_output_of_the_robot_triggers_it(tmp_path, program):
+    """At the wire: a UR controller's output 3 is the scanner program's trigger; others are not, and it is off again afterwards."""
+    from mbcacq_fakes.protocols.rtde import FakeUrController
+    from mbcacq_ur.driver import UrRtdeRobot
+
+    from mbcacq.acquisition.cell_devices import hand_on_outputs
+
+    seen = []
+
+    def switched(number, value):
+        seen.append((number, value))
+        if value and number == 3:
+            program._save()
+
+    with FakeUrController() as controller:
+        controller.on_output = switched
+        options = {"address": "127.0.0.1", "port": controller.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 3.0}
+        device = scanner(tmp_path, trigger={"output": 3, "pulse_s": 0.01})
+        with UrRtdeRobot("arm", "UR10e", {**options, "digital_outputs": [3]}) as robot:
+            hand_on_outputs(robot, device)
+            with device:
+                assert len(device.capture().points) == 10
+            with pytest.raises(ConfigError, match="output 4 may not be switched from here; add it to the option digital_outputs"):
+                robot.set_output(4, True)
+    assert seen == [(3, True), (3, False)]
+
+
+def test_a_robot_without_outputs_is_refused_before_anything_is_opened(tmp_path):
+    from mbcacq.acquisition.cell_devices import hand_on_outputs
+
+    with pytest.raises(ConfigError, match="which this one does not; trigger it by tcp, serial, command or person"):
+        hand_on_outputs(object(), scanner(tmp_path, trigger={"output": 0}))
+
+
+@pytest.mark.parametrize("more", [{"digital_outputs": [8]}, {"digital_outputs": [1], "follow": True}])
+def test_outputs_that_cannot_be_switched_are_named(more):
+    from mbcacq_ur.driver import UrRtdeRobot
+
+    with pytest.raises(ConfigError, match="digital_outputs"):
+        UrRtdeRobot("arm", "", {"address": "127.0.0.1", "limits_deg": [[-1, 1]] * 6, **more})

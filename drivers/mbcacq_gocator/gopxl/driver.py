@@ -41,6 +41,13 @@ class GoPxL:
 
     options_model = GoPxLOptions
 
+    first_contact = (
+        "The sensor's laser warnings are in place; `mbcacq doctor {plan}` finds it, and names serial number and GoPxL version.",
+        "GoPxL's own page shows a surface of the artefact, whole, in the middle of the field of view, before mbcacq connects.",
+        "At the first scan of the first run: points and balls lie where GoPxL shows them; z points to the sensor.",
+        "Afterwards the sensor has its own settings again, as GoPxL's page shows them.",
+    )
+
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
         self.name, self.model = name, model
         self.options = GoPxLOptions.read(name, options or {})

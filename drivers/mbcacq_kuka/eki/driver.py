@@ -29,9 +29,17 @@ class KukaEki:
     controller does that by itself. It is taken up again only if the arm stood still when it was lost.
     """
 
-    plan_facts = ("kinematics",)
+    plan_facts = ("kinematics", "follow")
 
     options_model = EkiOptions
+    first_contact = (
+        "`mbcacq controller-files {plan} --out files`; programs and channel are on the controller, the link program in its submit "
+        "interpreter.",
+        "`mbcacq doctor {plan} --arm` names model, machine data, tool and load; compare each with the smartPAD. Note KSS and EKI versions.",
+        "The angles in the viewer agree with the smartPAD's axis display to 0.001 deg, A1 to A6, signs too.",
+        "In T1 start mbcacq_eki: doctor says that the program is ready; its first move waits for the start key.",
+        "Stop the program on the smartPAD: the run ends with the sentence that the program was stopped.",
+    )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
@@ -89,6 +97,7 @@ class KukaEki:
         Speed is a percentage of the controller's axis speeds, rounded down for the slowest axis; acceleration is option
         acceleration_percent, the jerk the controller's own. A move under way is stopped first.
         """
+        self._refuse_following()
         session = self._check()
         target = np.degrees(np.asarray(q, dtype=float))
         if target.shape != (6,):
@@ -115,6 +124,7 @@ class KukaEki:
     def move_linear(self, pose_mm_deg: np.ndarray, speed_mm_s: float, tolerance_mm: float = 0.05, settle_s: float = 0.2) -> None:
         """Start a LIN motion of the tool to X, Y, Z, A, B, C (6,) (mm, deg) in the active base. The way is not checked against the plan:
         the controller's own limits are all that guards it. Raises as move_to."""
+        self._refuse_following()
         session = self._check()
         pose = np.asarray(pose_mm_deg, dtype=float)
         if pose.shape != (6,) or not np.isfinite(pose).all():
@@ -176,6 +186,10 @@ class KukaEki:
             None if target is None else tuple(target.tolist()),
             telegrams.command(kind, number, session.beat, acceleration=self._options.acceleration_percent, **values),
         )
+
+    def _refuse_following(self) -> None:
+        if self._options.follow:
+            raise SafetyStop(f"robot '{self._name}' is only followed (robot: follow); nothing was moved")
 
     def _check(self) -> EkiSession:
         """Raise what has stopped the arm."""

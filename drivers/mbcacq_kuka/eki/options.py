@@ -46,6 +46,9 @@ class EkiOptions:
     reconnect_s: how long to try to get a lost connection back while the arm stands; 0 never. beat_ms: robot time between our signs of
     life. controller_silence_ms, state_ms: written into the controller's program: how long it bears our silence before it brakes,
     and how often it tells its state. first_flag: number of the first of five $FLAGs that the program uses.
+
+    follow: of the plan's robot section: a person, or another program, moves the arm. Only the link program in the submit interpreter is
+    needed then, and only signs of life are sent to it.
     """
 
     address: str
@@ -70,6 +73,7 @@ class EkiOptions:
     controller_silence_ms: int = 1000
     state_ms: int = 24
     first_flag: int = FIRST
+    follow: bool = False
 
     @property
     def modes(self) -> frozenset[int]:

@@ -46,6 +46,8 @@ class EkiSession:
             min(deadline, time.monotonic() + _FIRST_S),
             f"{where} accepts the connection but tells no state; is our link program in its submit interpreter?",
         )
+        if self._options.follow:
+            return  # whoever moves the arm may do so already
         self._await(self._complete, deadline, f"{where} does not run its program; select mbcacq_eki on the smartPAD and start it")
         assert self.hello is not None  # what was waited for
         self._check(self.hello, self.latest)
@@ -96,6 +98,8 @@ class EkiSession:
 
     def halt(self, number: int) -> None:
         """Stop all moves up to ``number``. Never raises: without a connection the controller has braked already."""
+        if self._options.follow:
+            return
         with self._news:
             if self._watch is not None and not self._watch.arrived:
                 self._watch.abandon()
@@ -177,7 +181,7 @@ class EkiSession:
         if self._watch is None and self._redial():
             return True
         robot = f"robot '{self._name}'"
-        before, watching = self.state, self._watch is not None
+        before, watching, follows = self.state, self._watch is not None, self._options.follow
         if (
             before is None
             or not watching
@@ -186,8 +190,9 @@ class EkiSession:
             or self.error is not None
             or not self._options.reconnect_s
         ):
-            lost = DeviceTimeout if watching else ConnectError
-            self.fail(lost(f"{robot}: {how}" + ("; the controller brakes the arm by itself" if watching else "")))
+            lost = DeviceTimeout if watching or (follows and before is not None) else ConnectError
+            what_next = "; the controller brakes the arm by itself" if watching else "; connect again" if follows else ""
+            self.fail(lost(f"{robot}: {how}{what_next}"))
             return False
         deadline = time.monotonic() + self._options.reconnect_s
         try:

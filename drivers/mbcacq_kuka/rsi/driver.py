@@ -66,9 +66,18 @@ _log = logging.getLogger("mbcacq.kuka_rsi")
 class KukaRsi:
     """A six-axis KUKA arm under RSI joint correction. ``options``: see options.Options. Implements mbcacq.devices.Robot."""
 
-    plan_facts = ("dynamics",)
+    plan_facts = ("dynamics", "follow")
 
     options_model = RsiOptions
+    first_contact = (
+        "The cable goes from a network card of this computer straight to the controller's KLI or RSI port; `ping` answers in under 1 ms.",
+        "`mbcacq controller-files {plan} --out files`; the files are on the controller, and WARNINGS.txt is absent or understood.",
+        "In T1 select the RSI program and start it. The smartPAD shows no message of RSI; `mbcacq doctor {plan} --arm` finds the robot. "
+        "Note KSS and RSI versions.",
+        "The angles that doctor and the viewer show agree with the smartPAD's axis display to 0.001 deg, A1 to A6, signs too.",
+        "Delay stays 0 for a minute (column delay of the recording); note the largest gap between telegrams.",
+        "Stop the program on the smartPAD: the run ends with the sentence that the controller fell silent.",
+    )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
@@ -128,7 +137,10 @@ class KukaRsi:
             raise
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
-        """Start a joint motion to q (6,) rad. Raises SafetyStop for a target outside the limits, and any fault met so far."""
+        """Start a joint motion to q (6,) rad. Raises SafetyStop for a target outside the limits and for an arm that is only followed, and
+        any fault met so far."""
+        if self._options.follow:
+            raise SafetyStop(f"robot '{self._name}' is only followed (robot: follow); nothing was moved")
         self._mover = threading.get_ident()
         process = self._check()
         target = np.degrees(np.asarray(q, dtype=float))

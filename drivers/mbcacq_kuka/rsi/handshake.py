@@ -174,6 +174,10 @@ class Handshake:
             self._delays.append(row[layout.delay])
         if len(known) <= _LEARN:
             return self._composer.compose(ZERO, digits)
+        if self._settings["follow"]:
+            # The layout alone: no correction is sent to an arm that is only followed.
+            self.done = self._finish(self._begin_probe(layout))
+            return self._composer.compose(ZERO, digits)
         if self._probe is None:
             self._probe = self._begin_probe(layout)
         correction = self._probe.next(self._rows[-1])

@@ -58,7 +58,10 @@ class RsiOptions:
 
     follow_tolerance_deg, follow_cycles, follow_lag_s: the arm may leave the band of the commands of the last follow_lag_s by so much
     for so long. check_set_point: refuse to start on a controller that already applies a correction. cpu: processor core of the
-    cycle process; None: the last one that it may use.
+    cycle process; None: any.
+
+    follow: of the plan's robot section: another program, or a person, moves the arm. Every answer is then a correction of zero, and the
+    session is never ended from here.
     """
 
     limits_deg: tuple[tuple[float, float], ...]
@@ -87,10 +90,12 @@ class RsiOptions:
     follow_lag_s: float = 0.1
     check_set_point: bool = True
     cpu: int | None = None
+    follow: bool = False
 
     def settings(self) -> dict[str, Any]:
         """Settings of the cycle process, all numbers resolved."""
-        return {**asdict(self), "dynamics": self.dynamics}
+        not_ours = {"check_set_point": False, "stop_at_close": False} if self.follow else {}
+        return {**asdict(self), **not_ours, "dynamics": self.dynamics}
 
     @property
     def dynamics(self) -> tuple[list[float], list[float], list[float]]:

@@ -37,6 +37,8 @@ class Plausibility:
                 f"the controller reports that A{jumped[0] + 1} jumped by {jumped[1]:.2f} deg within {steps * self._cycle_s * 1e3:.0f} ms, "
                 "faster than it can turn; look at the arm, its resolvers and the RSI Ethernet configuration",
             )
+        if self._settings["follow"]:  # others move it
+            return
         if steps > 1:
             self._follow.skip(measured, steps - 1)
         axis = self._follow.check(sent, measured)

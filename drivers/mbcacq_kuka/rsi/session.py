@@ -68,6 +68,7 @@ class RsiSession:
         self.over = False
         self._muted = self._closing = False
         self._unproven = False  # a fault came before the controller was seen to be absolute: only zero is safe
+        self._follows = bool(settings["follow"])  # others move the arm
         self._seq = shared.command_seq
         self._arrival = Arrival()
         self.last_heard = self._close_began = 0.0
@@ -139,7 +140,7 @@ class RsiSession:
             self._closing, self._close_began = True, now
             if self.connected:
                 self._brake()
-            elif self._handshake.layout is not None and not self._muted:
+            elif self._handshake.layout is not None and not self._muted and not self._follows:
                 self._handshake.give_up()
                 return
             self.over = self._muted or not self.connected
@@ -196,7 +197,7 @@ class RsiSession:
 
     def _reply_next(self, layout: Layout, digits: bytes, row: list[float], taken: Taken) -> bytes:
         steps, in_time = taken.steps, taken.in_time
-        if steps > 1 and set_point_moved(layout, row):
+        if steps > 1 and not self._follows and set_point_moved(layout, row):
             raise SessionFault("restart", "ASPos has changed, so the RSI program was restarted during the run", muted=True)
         self._unanswered += steps - 1
         delay = nan if layout.delay is None else row[layout.delay]
@@ -345,7 +346,7 @@ class RsiSession:
         return self._layout
 
     def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
-        if self._unproven and self._at_once:
+        if self._follows or self._unproven and self._at_once:
             return self._composer.compose(ZERO, digits, stop)
         correction = tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
         return self._composer.compose(correction, digits, stop)
@@ -361,6 +362,8 @@ class RsiSession:
         elif command.kind == STOP:
             self._brake()
             self._arrival.abandon()
+        elif command.kind == MOVE and self._follows:
+            self._fail(SessionFault("refused", "the arm is only followed; nothing was moved"))
         elif command.kind == MOVE:
             self._arrival.begin(command)
             self._used_moving = self._sent_moving = True  # nothing of it has been sent yet

@@ -14,6 +14,7 @@ from mbcacq.devices import available, load_driver
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.cell.ports import LOOPBACK, free_port, ipv4
 from mbcacq_fakes.cell.simulated_clock import SimulatedClock
+from mbcacq_fakes.cell.simulated_robot import LedTarget
 from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
@@ -28,6 +29,10 @@ MODES = {"T1": "#T1", "T2": "#T2", "AUT": "#AUT", "EXT": "#EX"}
 
 class Controller(Protocol):
     """What plays the robot's controller."""
+
+    def lead(self, target: np.ndarray) -> None:
+        """A person, or the arm's own program, brings the arm to ``target`` (n,) rad."""
+        ...
 
     def stop(self) -> None: ...
 
@@ -80,23 +85,20 @@ def start_controller(
                 f"there is no fake controller for the driver '{use.driver}', only a simulated arm inside a dry run: "
                 f"mbcacq run {loaded.path} --dry-run"
             )
-        return StartedController(_Nothing(), {"state": state, "clock_start_s": clock_ms * 1e-3, "clock": SimulatedClock()}, SIMULATED)
+        led = LedTarget()
+        given_by_us = {"state": state, "clock_start_s": clock_ms * 1e-3, "clock": SimulatedClock(), "led": led}
+        return StartedController(led, given_by_us, SIMULATED)
     if "moving" in given:
         from mbcacq_fakes.dynamics.online import description
 
         given = {"layout": "motion", **given, "moving": description(robot, given["moving"], seed)}
+    if kind == EKI and use.follow is not None:
+        settings["running"] = False  # a person jogs it, beside the link program
     given = {("clock_ms" if kind == EKI else "ipoc"): clock_ms, **given}
     krc, address = (_eki if kind == EKI else _rsi)(loaded, state, settings, given, ports, seed)
     if not realtime and ports == "free" and "silence_s" not in use.options:
         address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent
     return StartedController(krc, address)
-
-
-class _Nothing:
-    """A simulated robot is its own controller."""
-
-    def stop(self) -> None:
-        return
 
 
 def kind_of(driver: str) -> str:

@@ -34,6 +34,7 @@ from mbcacq_fakes.world import options as fake_options
 from mbcacq_fakes.world.description import CellFacts, from_cell
 from mbcacq_fakes.world.frame import ScannerFrame
 
+LED_DEG = 0.3  # by so much a person misses the angle of an axis, at most
 PACE_S = 4.0  # robot time from one pose to the next, roughly
 
 
@@ -86,6 +87,7 @@ class FakeCell:
         self._state: ArmState | None = None
         self._krc: Controller | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._hand = np.random.default_rng([self._seed, 39])
         self._lock = threading.Lock()
         self._overrides: dict[str, dict[str, Any]] = {}
         self.faults = CellFaults(self)
@@ -121,7 +123,17 @@ class FakeCell:
             drivers["positioner"] = "manual"
         if drivers:
             self._overrides["drivers"] = drivers
+        if self._plan.robot.follow is not None:
+            self._overrides["person"] = {"lead": self._lead}
         return self
+
+    def _lead(self, target: np.ndarray) -> None:
+        """A person brings the arm near ``target`` (n,) rad, as well as people do."""
+        assert self._krc is not None, "the fake cell is started"
+        limits = self._loaded.cell.robot.limits
+        share = min(1.0, 0.5 * self._plan.robot.follow.tolerance_deg / LED_DEG)
+        missed = np.radians(share * self._hand.uniform(-LED_DEG, LED_DEG, len(target)))
+        self._krc.lead(np.clip(np.asarray(target) + missed, limits[:, 0], limits[:, 1]))
 
     def _expose(self, exposure_us: float) -> ScannerFrame:
         return self.ask("expose", exposure_us=exposure_us)

@@ -19,18 +19,40 @@ from mbcacq.devices import ConfigError, Cycles, Description, Field, MotionLimits
 
 CYCLE_S = 0.004
 CYCLES_AT_ONCE = 25  # of a motion, per look at the state
+LED = (1.0, 5.0, 50.0)  # rad/s, rad/s^2, rad/s^3 of an arm that a person moves
 BRAKING_S = 0.1  # from the largest speed to rest
+
+
+class LedTarget:
+    """Where a person brings a simulated arm that is only followed; from any thread."""
+
+    def __init__(self) -> None:
+        self._target: np.ndarray | None = None
+
+    def lead(self, target: np.ndarray) -> None:
+        self._target = np.array(target, dtype=float)
+
+    def take(self) -> np.ndarray | None:
+        """The target (n,) rad, once."""
+        target, self._target = self._target, None
+        return target
+
+    def stop(self) -> None:
+        """A simulated robot is its own controller: there is none to stop."""
 
 
 class SimulatedRobot:
     """Implements mbcacq.devices.Robot. options: limits_deg (n, 2) and, from the fake cell, state, clock_start_s and clock, which says how
-    long other devices took; others are of the plan's own driver."""
+    long other devices took; led, a LedTarget; follow: it moves by that alone. Others are of the plan's own driver."""
+
+    plan_facts = ("follow",)
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
         self._limits = np.radians(np.array(options.get("limits_deg", ()), dtype=float).reshape(-1, 2))
         self._state, self._clock_start = options.get("state"), float(options.get("clock_start_s", 0.0))
         self._clock = options.get("clock")
+        self._led, self._follow = options.get("led"), bool(options.get("follow"))
         self._lock = threading.RLock()
         self._connected = False
 
@@ -65,6 +87,8 @@ class SimulatedRobot:
 
     def move_to(self, q: np.ndarray, limits: MotionLimits) -> None:
         """Start a jerk-limited motion to q (n,) rad. Raises SafetyStop for a target outside the limits, ConfigError for wrong limits."""
+        if self._follow:
+            raise SafetyStop(f"robot '{self._name}' is only followed (robot: follow); nothing was moved")
         with self._lock:
             self._check()
             target = np.asarray(q, dtype=float)
@@ -88,8 +112,12 @@ class SimulatedRobot:
         """The state a little later than at the last call. Raises ConfigError before ``connect``."""
         with self._lock:
             self._check()
+            if self._led is not None and (target := self._led.take()) is not None:
+                self._begin(target, [np.full(len(target), v) for v in LED])
             waited = 0.0 if self._clock is None else self._clock.take()
-            for _ in range(round(waited / CYCLE_S) + (CYCLES_AT_ONCE if self._motion is not None or self._wanted is not None else 1)):
+            for _ in range(
+                round(waited / CYCLE_S) + (CYCLES_AT_ONCE if self._motion is not None or self._wanted is not None or self._follow else 1)
+            ):
                 self._step()
             wanted = self._wanted
             arrived = (

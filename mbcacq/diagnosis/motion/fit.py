@@ -16,6 +16,7 @@ from mbcacq.diagnosis.motion.load_hypotheses import LoadAlternative, load_altern
 from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import ChannelGroup, Parameters
 
 ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
@@ -133,7 +134,7 @@ def _covariance(model: MotionModel, weights: np.ndarray, chosen: np.ndarray, x: 
     ids = np.concatenate([chosen, *derivatives]).astype(int)
     everything = np.concatenate([x, np.zeros(len(derivatives))])
     if store.whole:
-        return covariance(store, weights, ids, everything, model.options.correlation_s)
+        return covariance(store, weights, ids, everything, NUMBERS.correlation_s)
     return sandwich_covariance(store, weights, ids, everything)  # with a part held out only the prediction is used: the quicker one does
 
 

@@ -20,7 +20,7 @@ from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
 
 
 class Journal:
-    """Event subscriber: ``journal.jsonl`` (run started, pose done, gap, run stopped; fsync each) and ``log.jsonl`` (messages, states)."""
+    """Event subscriber: ``journal.jsonl`` (run started, devices, pose done, gap, run stopped; fsync each), ``log.jsonl`` (messages)."""
 
     def __init__(self, folder: Path | str) -> None:
         folder = Path(folder)
@@ -58,6 +58,13 @@ class Journal:
         self._write_journal(event.time_s, event="run_started", **entry, **({"simulated": True} if event.simulated else {}))
         if event.simulated:
             self._write_log(event, "warning", "mbcacq", SIMULATED)
+
+    @_write.register
+    def _(self, event: events.DeviceConnected) -> None:
+        about = event.about
+        known = {"model": about.model, "serial": about.serial, "firmware": about.firmware, "settings": dict(about.settings)}
+        fields = [f"{field.name} [{field.unit}]" for field in about.fields]
+        self._write_journal(event.time_s, event="device", role=event.role, driver=event.driver, **known, fields=fields)
 
     @_write.register
     def _(self, event: events.PoseDone) -> None:

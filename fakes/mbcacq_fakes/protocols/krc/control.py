@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from multiprocessing import shared_memory
 
 from mbcacq_fakes.protocols.krc.arm_state import attach_shared_memory, create_shared_memory
@@ -11,7 +12,7 @@ from mbcacq_fakes.protocols.krc.settings import FAULTS
 COUNTERS = ("cycles", "sessions", "answers", "late", "rejected", "active", "ended")
 LOG_COLUMNS = ("ipoc", "latency_s", "accepted", "q1", "q2", "q3", "q4", "q5", "q6", "c1", "c2", "c3", "c4", "c5", "c6")
 
-_FAULTS_AT, _COUNTERS_AT, _HEAD_AT, _LOG_AT = 8, 256, 384, 512
+_FAULTS_AT, _COUNTERS_AT, _HEAD_AT, _LED_AT, _LOG_AT = 8, 256, 384, 448, 512
 _ROW = struct.Struct(f"<{len(LOG_COLUMNS)}d")
 _LOG_ROWS = 1 << 17
 
@@ -51,6 +52,23 @@ class Control:
         for name, value in values.items():
             self._double[_FAULTS_AT // 8 + FAULTS.index(name)] = float(value)
         self._int[0] += 1
+
+    def lead(self, target_deg: Sequence[float]) -> None:
+        """Another program on the controller moves the arm to ``target_deg`` (6,)."""
+        first = _LED_AT // 8
+        for k, angle in enumerate(target_deg, 1):
+            self._double[first + k] = float(angle)
+        self._int[first] += 1
+
+    @property
+    def led_seq(self) -> int:
+        """How often the arm was led so far."""
+        return self._int[_LED_AT // 8]
+
+    def led(self) -> tuple[float, ...]:
+        """Where it was led to at last, (6,) deg."""
+        first = _LED_AT // 8
+        return tuple(self._double[first + 1 : first + 7])
 
     @property
     def fault_seq(self) -> int:

@@ -57,7 +57,7 @@ class EkiController:
             self._robot.tick(self.seconds)
             if self._robot.halted:
                 self.system.pro_act = False
-        elif not self.system.pro_act:
+        elif not self.system.pro_act and not self.system.machine.led:
             self.system.machine.brake()
         moved = self.system.machine.tick()
         self._still_s = 0.0 if moved else self._still_s + TICK_S
@@ -159,6 +159,8 @@ def run(controller: EkiController, commands: queue.SimpleQueue, gone: threading.
 def _obey(controller: EkiController, command: dict[str, Any]) -> None:
     if "faults" in command:
         controller.outlet.inject(command["faults"])
+    if "lead" in command:
+        controller.system.machine.lead(command["lead"])
     print(json.dumps(controller.report()), flush=True)
 
 

@@ -71,6 +71,10 @@ class FakeEkiController:
             raise ValueError(f"unknown faults {sorted(unknown)}; known are {', '.join(FAULTS)}")
         self._exchange({"faults": {name: float(value) for name, value in faults.items()}})
 
+    def lead(self, target: np.ndarray) -> None:
+        """A person moves the arm to ``target`` (6,) rad, while our program does not run."""
+        self._exchange({"lead": np.degrees(target).tolist()})
+
     def report(self) -> dict[str, Any]:
         """The program's variables, the channel's counts, the last message."""
         return self._exchange({"ask": True})

@@ -16,6 +16,7 @@ TICK_S = 0.004
 _MODES = ("", "#T1", "#T2", "#AUT", "#EX")
 _AXES, _POSE = ("a1", "a2", "a3", "a4", "a5", "a6"), ("x", "y", "z", "a", "b", "c")
 _T1_MM_S = 250.0
+LED_PERCENT = 20.0  # of the axes' speeds, by hand
 
 
 class _Timers(Cells):
@@ -107,7 +108,7 @@ class Machine:
         self._path: Path | None = None
         self.ignore, self.short_deg = False, 0.0
         self.message = ""
-        self._stuck = False
+        self._stuck = self.led = False
 
     @property
     def driving(self) -> bool:
@@ -140,8 +141,13 @@ class Machine:
         except Unreachable as error:
             self.fail(str(error))
 
+    def lead(self, target_deg: Sequence[float]) -> None:
+        """A person jogs the arm to ``target_deg`` (6,), while no program moves it."""
+        self.led = True
+        self._path = ptp(self._set_point, target_deg, self._settings.speed_deg_s, ((LED_PERCENT,) * 6, (LED_PERCENT,) * 6))
+
     def brake(self) -> None:
-        self._stuck = False
+        self._stuck = self.led = False
         if self._path is not None:
             self._path.brake()
 

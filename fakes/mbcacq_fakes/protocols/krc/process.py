@@ -64,6 +64,9 @@ class RsiController:
             session.ended = OPERATOR
         if session.ended is None:
             session.apply(faults["clamp_deg"] or self._settings.clamp_deg, faults["ignore"] != 0.0)
+        if self._control.led_seq and session.start != (led := self._control.led()):
+            session.lead(led)
+            self._planned_pose = self._kinematics.pose(session.start)
         moved = arm.step(session.set_point)
         if moved or not self._cycles % 25 or session.ended is not None:
             self._publish()

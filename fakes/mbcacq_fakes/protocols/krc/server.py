@@ -86,6 +86,10 @@ class FakeKrc:
             raise ValueError(f"unknown faults {sorted(unknown)}; known are {', '.join(FAULTS)}")
         self._running().set_faults(faults)
 
+    def lead(self, target: np.ndarray) -> None:
+        """A program on the controller, or a person, moves the arm to ``target`` (6,) rad."""
+        self._running().lead(np.degrees(target).tolist())
+
     def counters(self) -> dict[str, int]:
         """cycles, sessions, answers, late, rejected, active, ended (index into arm_state.FAULTS)."""
         return self._running().counters()

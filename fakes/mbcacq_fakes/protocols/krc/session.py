@@ -10,6 +10,7 @@ from mbcacq_fakes.protocols.krc.wire import RsiAnswer
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 OPERATOR, LATE, OVERSPEED, MONITOR, SOFT_LIMIT, ACCELERATION = 1, 2, 3, 4, 5, 6  # indices into arm_state.FAULTS
 PC_STOP = 0
+LED_DEG_S = 40.0  # of every axis, by a program on the controller
 
 
 class FakeRsiSession:
@@ -57,6 +58,13 @@ class FakeRsiSession:
             self._correction = (0.0,) * 6
         if self.delay >= self._settings.timeout:
             self.ended = LATE
+
+    def lead(self, target: Sequence[float]) -> None:
+        """The controller's own program moves the arm on towards ``target`` (6,) deg; corrections come on top of it."""
+        step = LED_DEG_S * self._settings.cycle_ms * 1e-3
+        self.start = tuple([s + min(max(t - s, -step), step) for s, t in zip(self.start, target, strict=True)])
+        self.set_point = tuple([s + c for s, c in zip(self.start, self.applied, strict=True)])
+        self._range = None
 
     def apply(self, clamp_deg: float | None, ignore: bool) -> None:
         """Carry the accepted correction out. Called once a cycle."""

@@ -10,6 +10,7 @@ import ruckig
 
 JERK = 500.0  # rad/s^3
 BRAKE = 8.0  # rad/s^2
+LED_RAD_S = 1.0  # by a person, or by its own program
 
 
 class ProgrammedArm:
@@ -37,6 +38,14 @@ class ProgrammedArm:
             wanted.max_velocity = [registers["input_double_register_6"] * speed_fraction] * 6
             wanted.max_acceleration, wanted.max_jerk = [registers["input_double_register_7"]] * 6, [JERK] * 6
             self._begin(wanted)
+
+    def lead(self, target: np.ndarray) -> None:
+        """A person brings it to ``target`` (6,) rad."""
+        self.halt()
+        wanted = self._wanted()
+        wanted.target_position, wanted.max_velocity = target.tolist(), [LED_RAD_S] * 6
+        wanted.max_acceleration, wanted.max_jerk = [BRAKE] * 6, [JERK] * 6
+        self._begin(wanted)
 
     def halt(self) -> None:
         """All axes to rest."""

@@ -6,9 +6,11 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
+
+import numpy as np
 
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
@@ -16,6 +18,7 @@ from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
 PROGRAM = 20261
 WATCHDOG_S = 0.4
 CLOCK_START_S = 1000.0
+HURRIED = 10.0  # in a dry run, of an arm that is led: times faster than the clock
 NORMAL = 1  # bit 0 of safety_status_bits
 FAULTS = {
     "safety_bits": "safety_status_bits, such as 4 for a protective stop; the arm halts while it is not 1",
@@ -51,7 +54,15 @@ class FakeUrController:
         self._server.settimeout(0.1)
         self.port = int(self._server.getsockname()[1])
         self._quit = threading.Event()
+        self._led: np.ndarray | None = None
+        self.outputs = 0  # bits of the standard digital outputs
+        self.on_output: Callable[[int, bool], None] | None = None  # called with number and value of one that changes
+        self.led = False  # somebody moves it: a client that only listens need not be served by the clock
         self._thread = threading.Thread(target=self._serve, name="fake-ur-controller", daemon=True)
+
+    def lead(self, target: np.ndarray) -> None:
+        """A person brings the arm to ``target`` (6,) rad; from any thread."""
+        self._led, self.led = np.asarray(target, dtype=float), True
 
     def inject(self, **faults: Any) -> None:
         """See FAULTS. Raises ValueError for one that there is none of."""
@@ -106,9 +117,18 @@ class FakeUrController:
     def advance(self, seconds: float) -> None:
         if self._active["safety_bits"] & ~3 or self._active["runtime_state"] != 2:
             self.arm.halt()
+        led, self._led = self._led, None
+        if led is not None:
+            self.arm.lead(led)
         self.arm.advance(seconds)
 
     def obey(self, registers: Mapping[str, Any]) -> None:
+        mask = registers.get("standard_digital_output_mask", 0)
+        wanted = (self.outputs & ~mask) | (registers.get("standard_digital_output", 0) & mask)
+        changed, self.outputs = wanted ^ self.outputs, wanted
+        for number in range(8):
+            if changed >> number & 1 and self.on_output is not None:
+                self.on_output(number, bool(wanted >> number & 1))
         if self._active["runtime_state"] == 2 and not self._active["safety_bits"] & ~3:
             self.arm.obey(registers, self._active["speed_fraction"])
 
@@ -131,6 +151,7 @@ class FakeUrController:
             "speed_scaling": a["speed_fraction"],
             "target_speed_fraction": a["speed_fraction"],
             "payload": a["payload"],
+            "actual_digital_output_bits": self.outputs,
             "output_int_register_0": arm.taken,
             "output_int_register_1": int(arm.moving),
             "output_int_register_2": a["program"] if a["runtime_state"] == 2 else 0,
@@ -153,7 +174,8 @@ class _Conversation:
             by_clock = self._taken is None or self._controller.realtime
             now = time.monotonic()
             if self._started and (now >= self._due if by_clock else self._answered):
-                self._due, self._answered = now + 1.0 / self._rate, False
+                hurried = HURRIED if self._controller.led and not self._controller.realtime else 1.0
+                self._due, self._answered = now + 1.0 / (hurried * self._rate), False
                 self._controller.advance(1.0 / self._rate)
                 self._send_data()
             self._connection.settimeout(max(1e-3, self._due - now) if by_clock and self._started else 0.05)

@@ -23,5 +23,6 @@ _BY_TYPE = {
 OUTPUTS = {name: kind for kind, names in _BY_TYPE.items() for name in names.split()}
 OUTPUTS |= {f"output_int_register_{k}": "INT32" for k in range(48)} | {f"output_double_register_{k}": "DOUBLE" for k in range(48)}
 INPUTS = {f"input_int_register_{k}": "INT32" for k in range(48)} | {f"input_double_register_{k}": "DOUBLE" for k in range(48)}
-FORMAT = {"DOUBLE": "d", "VECTOR6D": "6d", "VECTOR3D": "3d", "INT32": "i", "UINT32": "I", "UINT64": "Q", "VECTOR6INT32": "6i"}
+INPUTS |= {f"{kind}_digital_output{part}": "UINT8" for kind in ("standard", "configurable") for part in ("", "_mask")}
+FORMAT = {"UINT8": "B", "DOUBLE": "d", "VECTOR6D": "6d", "VECTOR3D": "3d", "INT32": "i", "UINT32": "I", "UINT64": "Q", "VECTOR6INT32": "6i"}
 WIDTH = {"VECTOR6D": 6, "VECTOR3D": 3, "VECTOR6INT32": 6}

@@ -1,0 +1,162 @@
+"""The conversation with the server, in a thread of its own: the robot is found, then its joint angles are read again and again."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
+
+from asyncua import Client, ua
+
+from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError, ProtocolError
+from mbcacq_opcua.nodes import NoSuchRobot, RobotNodes, find_robot
+from mbcacq_opcua.options import OpcUaOptions
+
+CLOCK = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
+STARTED = ua.NodeId(ua.ObjectIds.Server_ServerStatus_StartTime)
+Reading = Callable[[float, list[float]], None]
+
+logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what is wrong is said by our errors, once
+
+
+class OpcUaLink:
+    """``on_reading(time_s, angles)`` is called with every reading: seconds since the server's start, by its clock, and angles in its own
+    units; ``on_error`` with what ended the conversation. Only read, browse and session services are used."""
+
+    def __init__(self, name: str, options: OpcUaOptions, on_reading: Reading, on_error: Callable[[MbcacqError], None]) -> None:
+        self._name, self._options, self._on_reading, self._on_error = name, options, on_reading, on_error
+        self._quit, self._ready = threading.Event(), threading.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._thread: threading.Thread | None = None
+        self.robot: RobotNodes | None = None
+        self.states: dict[str, str] = {}
+
+    def connect(self) -> None:
+        """Returns once the robot was found, or ``on_error`` was called. Raises ConfigError where the password is missing."""
+        client = self._client()
+        self._thread = threading.Thread(target=self._work, args=(client,), name="opcua", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+
+    def close(self) -> None:
+        """Idempotent, from any thread."""
+        self._quit.set()
+        loop, task = self._loop, self._task
+        if loop is not None and task is not None:
+            with suppress(RuntimeError):  # the loop has ended already
+                loop.call_soon_threadsafe(task.cancel)
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(5.0)
+
+    def _client(self) -> Client:
+        o = self._options
+        client = Client(o.url, timeout=min(o.connect_timeout_s, o.silence_s))
+        if o.user is not None:
+            client.set_user(o.user)
+        if o.password_env is not None:
+            password = os.environ.get(o.password_env)
+            if password is None:
+                raise ConfigError(f"{self._name}: the environment variable {o.password_env} is not set; it must hold the password")
+            client.set_password(password)
+        return client
+
+    def _work(self, client: Client) -> None:
+        try:
+            asyncio.run(self._converse(client))
+        except asyncio.CancelledError:
+            pass
+        except Exception as error:
+            if not self._quit.is_set():
+                self._on_error(error if isinstance(error, MbcacqError) else self._named(error))
+        finally:
+            self._ready.set()
+
+    async def _converse(self, client: Client) -> None:
+        self._loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
+        if self._quit.is_set():
+            return
+        o = self._options
+        try:
+            async with asyncio.timeout(o.connect_timeout_s):
+                if o.security is not None:
+                    await client.set_security_string(o.security)
+                await client.connect()
+                self.robot = await self._find(client)
+                await self._read(client)
+            self._ready.set()
+            while True:
+                await asyncio.sleep(1.0 / o.rate_hz)
+                async with asyncio.timeout(o.silence_s):
+                    await self._read(client)
+        finally:
+            with suppress(Exception):
+                async with asyncio.timeout(min(1.0, o.silence_s)):
+                    await client.disconnect()
+            client.disconnect_socket()
+
+    async def _find(self, client: Client) -> RobotNodes:
+        try:
+            found = await find_robot(client, len(self._options.limits_deg), self._options.arm, self._options.axes)
+        except NoSuchRobot as error:
+            raise ConfigError(f"{self._place} {error}") from error
+        self._check(found)
+        started = await client.get_node(STARTED).read_value()
+        if not isinstance(started, datetime):
+            raise ProtocolError(f"{self._place} does not say when it was started; is the OPC UA server of this controller up to date?")
+        self._started = started
+        for what, node in found.safety.items():
+            value = await node.read_value()
+            self.states[what] = getattr(value, "name", str(value))
+        return found
+
+    def _check(self, found: RobotNodes) -> None:
+        o, model = self._options, found.about.get("Model", "")
+        if o.expect_model is not None and o.expect_model.lower() not in model.lower():
+            raise IdentityError(f"{self._place} is a '{model}', not a '{o.expect_model}'; correct the address or the option expect_model")
+        if "" in found.units and o.angle_unit is None:
+            axis = found.names[found.units.index("")]
+            raise ConfigError(
+                f"{self._place} states no unit of axis '{axis}'; look at the values and give the option angle_unit: deg or rad"
+            )
+        if o.payload_kg is None:
+            return
+        if found.payload_kg is None or abs(found.payload_kg - o.payload_kg) > o.payload_tolerance_kg:
+            has = "none" if found.payload_kg is None else f"{found.payload_kg:.2f} kg"
+            raise ConfigError(f"{self._place} has a flange load of {has}, the plan says {o.payload_kg:.2f} kg; set it on the controller")
+
+    async def _read(self, client: Client) -> None:
+        """One request for all axes and the clock. Raises DeviceFault for an angle that the server marks as bad."""
+        robot = self.robot
+        assert robot is not None, "it was found before it is read"
+        values = await client.uaclient.read_attributes([*(p.nodeid for p in robot.positions), CLOCK], ua.AttributeIds.Value)
+        for axis, value in zip(robot.names, values, strict=False):
+            if value.StatusCode is not None and not value.StatusCode.is_good():
+                raise DeviceFault(
+                    f"{self._place} marks the angle of '{axis}' as {value.StatusCode.name}; look at the controller's messages"
+                )
+        *angles, clock = [None if value.Value is None else value.Value.Value for value in values]
+        if not isinstance(clock, datetime) or not all(isinstance(a, int | float) for a in angles):
+            raise ProtocolError(f"{self._place} sends angles or a time that are none; is the OPC UA server of this controller up to date?")
+        self._on_reading((clock - self._started).total_seconds(), [float(a) for a in angles])
+
+    @property
+    def _place(self) -> str:
+        return f"{self._name} at {self._options.address}:{self._options.port}"
+
+    def _named(self, error: Exception) -> MbcacqError:
+        """What the library raised, as one of our errors; on broken bytes it may raise anything."""
+        begun, why = self._ready.is_set(), str(error) or type(error).__name__
+        if isinstance(error, ua.UaError) and not isinstance(error, ConnectionError):
+            if begun:
+                return ProtocolError(f"{self._place}: the server refuses to be read ({why}); look at the controller's messages")
+            return ConnectError(f"{self._place}: the server refuses ({why}); check user, password_env and security, and its certificates")
+        if isinstance(error, TimeoutError | ConnectionError | OSError):
+            if begun:
+                return DeviceTimeout(f"{self._place} was lost ({why}); check controller and cable")
+            return ConnectError(f"{self._place} does not answer ({why}); is its OPC UA server on, are address and port right?")
+        return ProtocolError(f"{self._place} sends what is no OPC UA ({why}); is it another service's port?")
