@@ -29,7 +29,7 @@ from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
 from mbcacq_kuka.rsi.plausibility import Plausibility, proof_fault
 from mbcacq_kuka.rsi.punctuality import Punctuality
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
-from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, Shared
+from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, RsiCommand, Shared
 from mbcacq_kuka.rsi.standstill import Standstill
 from mbcacq_kuka.rsi.step_limits import StepLimits
 from mbcacq_kuka.rsi.telegram import Composer, Malformed, finite
@@ -365,17 +365,18 @@ class RsiSession:
         elif command.kind == MOVE and self._follows:
             self._fail(SessionFault("refused", "the arm is only followed; nothing was moved"))
         elif command.kind == MOVE:
-            self._arrival.begin(command)
-            self._used_moving = self._sent_moving = True  # nothing of it has been sent yet
-            if refusal := self._step_limits.too_fast(command):
-                self._fail(SessionFault("refused", refusal))
-                return
-            if coarse := too_coarse(self._layout_now.decimals, command):
-                self._fail(SessionFault("coarse", coarse))
-                return
-            if self._proof is not None:
-                self._proof.ask(command)
-                return
+            self._begin_move(command)
+
+    def _begin_move(self, command: RsiCommand) -> None:
+        self._arrival.begin(command)
+        self._used_moving = self._sent_moving = True  # nothing of it has been sent yet
+        if refusal := self._step_limits.too_fast(command):
+            self._fail(SessionFault("refused", refusal))
+        elif coarse := too_coarse(self._layout_now.decimals, command):
+            self._fail(SessionFault("coarse", coarse))
+        elif self._proof is not None:
+            self._proof.ask(command)
+        else:
             try:
                 self._motion.move(command)
             except MotionRefused as error:
