@@ -110,7 +110,7 @@ def drive(seed: int, number: int) -> Found:
     relative, asleep = GROUPS[group] in (RELATIVE, HIDDEN), GROUPS[group] in (AWAKENING, HIDDEN)
     lag_s, noise_deg = ARMS[arm]
     one = Controller(relative, SLOW if relative and lag_s else lag_s, noise_deg, rng)
-    awake_at = rng.integers(0, 200) if asleep else 0
+    awake_at = int(rng.integers(0, 200)) if asleep else 0
     try:
         one.deaf = asleep  # RSI_MOVECORR is not reached yet when it is probed
         one.connect()
