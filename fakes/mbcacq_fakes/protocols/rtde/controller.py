@@ -93,6 +93,8 @@ class FakeUrController:
                 connection, _ = self._server.accept()
             except TimeoutError:
                 continue
+            except OSError:  # closed
+                return
             with connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 try:
