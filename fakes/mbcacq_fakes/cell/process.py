@@ -41,15 +41,15 @@ class Servers:
         stack.callback(state.close)
         world = make_world(job["facts"], options, job["seed"])
         self._camera: Camera = make_camera(
-            world,
-            state,
-            options,
-            job["planned_q"],
-            job["planned_station"],
-            job["exposure_us"],
-            job["clock_start_s"],
-            Optics.above(world.facts.view) if job["scanner_driver"] in (NEUTRAL, FOLDER) else None,
-            job["poses_before"],
+            world=world,
+            arm=state,
+            options=options,
+            planned_q=job["planned_q"],
+            planned_station=job["planned_station"],
+            right_exposure_us=job["exposure_us"],
+            clock_start_s=job["clock_start_s"],
+            optics=Optics.above(world.facts.view) if job["scanner_driver"] in (NEUTRAL, FOLDER) else None,
+            poses_before=job["poses_before"],
         )
         self._sensor: Any = None
         self.addresses: dict[str, dict[str, Any]] = {"scanner": self._start_scanner(options)}

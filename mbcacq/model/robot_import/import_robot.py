@@ -86,7 +86,15 @@ def import_robot(
     text = _text(path, source, rows, speed, name or source.name, remarks)
     miss_mm, miss_rad = _compared(path, text, rows, source)
     return ImportedRobot(
-        text, source.base, source.flange, tuple(source.joints), miss_mm, miss_rad, tuple(remarks), rows.T_given_base, rows.T_flange_given
+        text=text,
+        base=source.base,
+        flange=source.flange,
+        joints=tuple(source.joints),
+        miss_mm=miss_mm,
+        miss_rad=miss_rad,
+        remarks=tuple(remarks),
+        T_given_base=rows.T_given_base,
+        T_flange_given=rows.T_flange_given,
     )
 
 
