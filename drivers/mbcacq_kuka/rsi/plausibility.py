@@ -18,7 +18,7 @@ _IGNORED = (
 )
 
 
-class Plausibility:
+class ArmPlausibility:
     """``check`` every telegram of a session."""
 
     def __init__(self, reference: Sequence[float], measured: Sequence[float], settings: Mapping[str, Any], cycle_s: float) -> None:

@@ -26,7 +26,7 @@ from mbcacq_kuka.rsi.handshake import WAITING_CYCLES, ZERO, Handshake, Layout, S
 from mbcacq_kuka.rsi.lateness import Lateness
 from mbcacq_kuka.rsi.mode import Proof
 from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
-from mbcacq_kuka.rsi.plausibility import Plausibility, proof_fault
+from mbcacq_kuka.rsi.plausibility import ArmPlausibility, proof_fault
 from mbcacq_kuka.rsi.punctuality import Punctuality
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
 from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, RsiCommand, Shared
@@ -233,7 +233,7 @@ class RsiSession:
         self._motion = RsiMotion(layout.reference, self.cycle_s, joint_limits)
         self._step_limits = StepLimits(layout.reference, joint_limits, settings["dynamics"], self.cycle_s)
         measured = self._measured = layout.axes(row)
-        self._plausibility = Plausibility(layout.reference, measured, settings, self.cycle_s)
+        self._plausibility = ArmPlausibility(layout.reference, measured, settings, self.cycle_s)
         self._standstill = Standstill(measured, layout.noise_deg, self.cycle_s)
         self._proof = None if layout.carries_out else layout.proof(settings)
         self._sent = self._used = self._next = layout.reference
