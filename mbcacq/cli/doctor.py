@@ -14,7 +14,7 @@ from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
-from mbcacq.errors import ConfigError, ExitCode
+from mbcacq.errors import ExitCode
 
 if TYPE_CHECKING:
     from mbcacq.doctor import CheckupLine
@@ -86,14 +86,13 @@ def json_of(run: Path, anonymous: bool) -> str:
 
 
 def write(text: str, out: Path | None) -> None:
-    """To a file, or to standard output. Raises ConfigError where the file cannot be written."""
+    """To a file, or to standard output. Raises RecordingError where the file cannot be written."""
     if out is None:
         echo(text.rstrip("\n"))
         return
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{out} cannot be written: {error.strerror}; give another --out") from error
+    from mbcacq.files.atomic_write import write_file
+
+    write_file(out, text)
     echo(f"written: {out}", err=True)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.determination import canonical_correlation
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect, Variant
-from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.diagnosis.motion.signals import direction_of_rotation, prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.effects import catalogue
@@ -55,9 +54,9 @@ class TorqueInformation:
     @classmethod
     def of(cls, recordings: Sequence[Trajectory]) -> TorqueInformation:
         """Raises ConfigError for recordings without torque."""
-        prepared = [prepare(t, DEFAULTS) for t in with_torque(list(recordings), DEFAULTS)]
+        prepared = [prepare(t) for t in with_torque(list(recordings))]
         runs, robot = tuple(run for run, _ in prepared), recordings[0].robot
-        groups = [g for g in channel_groups(runs, [i for _, i in prepared], robot, DEFAULTS) if g.name == "tau"]
+        groups = [g for g in channel_groups(runs, [i for _, i in prepared], robot) if g.name == "tau"]
         if not groups:
             raise ConfigError("the recordings have no torque (tau*_Nm, motor_tau*_Nm or i*_A); record it, or give others to --motion")
         group = groups[0]
@@ -76,12 +75,23 @@ class TorqueInformation:
         )
         named, names, scale = _named(placed, len(chosen))
         arm = np.array([position[int(i)] for i in model.store.base[len(group.joints) : -robot.n]], dtype=int)
-        return cls(robot, group, normal, weights, runs[0].step_s, placed, named, names, scale, arm)
+        return cls(
+            robot=robot,
+            group=group,
+            normal=normal,
+            weights=weights,
+            step_s=runs[0].step_s,
+            placed=placed,
+            named=named,
+            names=names,
+            scale=scale,
+            arm=arm,
+        )
 
     def of_motion(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float) -> np.ndarray:
         """(P, P): what recording a motion adds, of which the angles (T, n) and their rates are given every so many s."""
         run, inertial = self._signals(q, qd, qdd, step_s)
-        (group,) = [g for g in channel_groups((run,), [inertial], self.robot, DEFAULTS) if g.name == "tau"]
+        (group,) = [g for g in channel_groups((run,), [inertial], self.robot) if g.name == "tau"]
         count, J = len(self.normal), len(self.group.joints)
         out = np.zeros((count, count))
         for j, joint in enumerate(self.group.joints):
@@ -104,7 +114,7 @@ class TorqueInformation:
             q,
             qd,
             qdd,
-            direction_of_rotation(q, step_s, DEFAULTS),
+            direction_of_rotation(q, step_s),
             q,
             torque=still,
             rigid=still,

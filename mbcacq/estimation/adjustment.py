@@ -31,6 +31,7 @@ NOISE_GAIN = 0.01  # of the log posterior: then the noise is within 0.14 of its 
 REJECTED_SHARE = 0.4
 COARSE_ROTATION = 5e-3  # rad over which the columns of the hand-eye alone are kept: its residuals are kinematic errors of that order
 CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the data cannot be of this cell
+WORSE_ARM = 3.0  # times the errors of a new arm: one that was never calibrated, or was repaired
 # Median shift of a pose's joints (rad, root of the sum of squares) that would explain its misfit, beyond which the same holds: an artefact
 # at a free station never misses by much more than its size, however wrong the arm. Where an arm misses by 25 mm, 0.03 rad explain it.
 CONTRADICTION_RAD = 0.05
@@ -129,9 +130,9 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
         return options.start
     first = Estimate(starting.start(obs))
     held = replace(options, kinematics=False, discrepancy=False, balls=False, hold=(), release=(), terms=())
-    # Kinematic errors are the noise here; their size matters little.
+    # Kinematic errors are the noise here; their size matters little, as long as it does not make structure of half the poses.
     lever = obs.cell.robot.chain.lever
-    noise = Noise(np.full(3, 0.02), 4e-4 * lever.max() / lever, 5e-4)
+    noise, worse = (Noise(np.full(3, 0.02 * k), k * 4e-4 * lever.max() / lever, 5e-4 * k) for k in (1.0, WORSE_ARM))
     layout = parameters.build(obs, held)
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     lineariser = Lineariser(obs, layout, held)
@@ -140,7 +141,11 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     refuse_undetermined(found, obs, options)
     if found:
         lineariser = Lineariser(obs, layout, held)
-    solution, _ = robust_solve(lineariser, first if found else at, noise, weights, held, 1.0, COARSE_ROTATION)
+    begin = first if found else at
+    try:
+        solution, _ = robust_solve(lineariser, begin, noise, weights, held, 1.0, COARSE_ROTATION)
+    except ContradictionError:
+        solution, _ = robust_solve(lineariser, begin, worse, weights, held, 1.0, COARSE_ROTATION)
     apart = float(np.median(np.linalg.norm(solution.linear.residual[:, :3], axis=1)))
     shift = float(np.median(solution.poses.by_pose(lambda of: np.linalg.norm(of.residual_joint * 4e-4, axis=1))))
     if apart > CONTRADICTION_MM or shift > CONTRADICTION_RAD:

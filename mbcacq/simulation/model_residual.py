@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis.motion.noise import third_difference_noise
-from mbcacq.diagnosis.motion.options import DEFAULTS
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.signals import rates
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.simulation.mujoco_arm import (
@@ -116,7 +116,7 @@ def runs_by_servos(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> bool:
 def along(arm: MujocoArm, spec: Any, t: Trajectory, channels: Sequence[RecordedSignal]) -> np.ndarray:
     """(T, C) torques and joint-side angles of a model along the recorded motion, each as late as its sensor."""
     step = float(np.median(np.diff(t.time_s)))
-    q, qd, qdd = (rates(t.q, step, d, DEFAULTS.rate_window_s) for d in (0, 1, 2))
+    q, qd, qdd = (rates(t.q, step, d, NUMBERS.rate_window_s) for d in (0, 1, 2))
     torque, windup = torque_along(arm, spec, q, qd, qdd, step)
     signals = {TORQUE: torque, JOINT_SIDE: t.q + windup}
     out = np.stack([signals[c.signal][:, c.axis] for c in channels], axis=1)

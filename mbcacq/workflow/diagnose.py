@@ -57,12 +57,10 @@ def diagnose(
         raise ConfigError("formulas are proposed for one recording of poses; leave --propose out, or give that recording alone")
     if simulation is not None:
         return diagnose_against(several, listed(simulation), Question(progress, workers, options, tuple(check), place))
-    if check and all(is_trajectory(one) for one in several):
-        raise ConfigError(
-            "what was learnt from trajectories is tried on another recording in a model file only; add --simulation, or leave --check out"
-        )
     if all(is_trajectory(one) for one in several):
-        return diagnose_motion([one for one in several if not isinstance(one, Observations)])
+        if not all(is_trajectory(one) for one in check):
+            raise ConfigError("what was learnt from trajectories is tried on trajectories; give --check recordings of motion")
+        return diagnose_motion(*([one for one in some if not isinstance(one, Observations)] for some in (several, check)))
     if len(several) > 1:
         return diagnose_together(several, progress, workers, options)
     (one,) = several

@@ -25,7 +25,7 @@ def diagnose_together(
     data: Sequence[Data], progress: Callable[[str], None], workers: int | None, options: CalibrationOptions | None
 ) -> DiagnosisResult:
     """Several recordings of one arm, as one problem; their trajectories, where there are some, together as well. Raises ConfigError."""
-    from mbcacq.diagnosis import diagnose as room
+    from mbcacq.diagnosis.diagnose import diagnose
     from mbcacq.diagnosis.validation.workers import cores
 
     motions = [one for one in data if is_trajectory(one)]
@@ -33,7 +33,7 @@ def diagnose_together(
     if len(recordings) == 1:
         found = diagnose_poses(recordings[0], progress, workers, options)
     else:
-        poses = room.diagnose(recordings, progress=progress, workers=workers or cores(), options=options)
+        poses = diagnose(recordings, progress=progress, workers=workers or cores(), options=options)
         found = DiagnosisResult(poses)
     if motions:
         progress("comparing the motion")
@@ -71,7 +71,7 @@ def checked(
     options = CalibrationOptions(refuse=False)
     progress("calibrating with what was found")
     try:
-        alone = calibrate(learnt, options)
+        alone = calibrate(learnt, replace(options, discrepancy=False, random_links=False))
         cell = calibrate_with_effects(learnt, options, found.model) if found.model else alone
     except Exception as error:  # noqa: BLE001 -- whatever it is, the diagnosis is not lost for it
         return with_note(found, f"what was found was tried on no other recording, as the cell cannot be calibrated with it: {said(error)}")
@@ -133,11 +133,19 @@ def _hashed(source: Path) -> list[dict[str, Any]]:
     return out
 
 
-def diagnose_motion(trajectories: Sequence[Trajectory | Path | str]) -> DiagnosisResult:
-    """The diagnosis of trajectories of one robot, together. Raises ConfigError where they do not fit together."""
-    from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
+def diagnose_motion(trajectories: Sequence[Trajectory | Path | str], check: Sequence[Trajectory | Path | str] = ()) -> DiagnosisResult:
+    """The diagnosis of trajectories of one robot, together. check: further ones, on which what was learnt is tried.
 
-    return DiagnosisResult(motion=diagnose_trajectories(as_trajectories(trajectories)))
+    Raises ConfigError where they do not fit together.
+    """
+    from mbcacq.diagnosis.motion.diagnose import check_trajectories, diagnose_trajectories
+
+    learnt, others = as_trajectories(trajectories), as_trajectories(check)
+    found = diagnose_trajectories(learnt)
+    if others:
+        names = ["" if isinstance(one, Trajectory) else str(one) for one in check]
+        found = replace(found, checks=check_trajectories(learnt, list(zip(names, others, strict=True))))
+    return DiagnosisResult(motion=found)
 
 
 def diagnose_poses(

@@ -13,7 +13,6 @@ from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.fit import fit_selected
 from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
 from mbcacq.diagnosis.motion.motion_model import MotionModel
-from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.geometry.dynamics import nominal_parameters, regressor
 from mbcacq.model import shipped
@@ -35,9 +34,9 @@ def selection(robot, half_range_deg, heavier):
     true = nominal_parameters(robot.mass * (1 + np.array(heavier)), robot.com, robot.payload_mass, robot.payload_com)
     torque = np.einsum("tjlk,lk->tj", regressor(robot.chain, q + middle, qd, qdd, robot.gravity), true)
     trajectory = Trajectory(robot, time, q + middle, torque=torque + rng.normal(0, 0.3, q.shape))
-    recordings = diagnose._Recordings([trajectory], DEFAULTS)
-    (group,) = channel_groups(recordings.runs, recordings.inertial, recordings.robot, DEFAULTS)
-    return EffectSelection(MotionModel(group, recordings.runs, DEFAULTS)), recordings.runs
+    recordings = diagnose._Recordings([trajectory])
+    (group,) = channel_groups(recordings.runs, recordings.inertial, recordings.robot)
+    return EffectSelection(MotionModel(group, recordings.runs)), recordings.runs
 
 
 HEAVIER = [0.0, 0.08, -0.05, 0.06, 0.0, 0.0]
@@ -61,7 +60,7 @@ def test_the_verdict_says_that_it_cannot_tell_and_names_the_motion_that_would(kr
     chosen, runs = selection(kr10, 27, HEAVIER)
     fit = replace(fit_selected(chosen), load_alternatives=load_alternatives(chosen.model, chosen.pool))
 
-    found = assemble([fit], runs, None, DEFAULTS)
+    found = assemble([fit], runs, None)
     said = motion_text(found)
 
     assert found.verdict == "cannot_tell"

@@ -16,14 +16,13 @@ from mbcacq.diagnosis.motion.effect_search import term_of
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.motion_model import MotionModel
-from mbcacq.diagnosis.motion.options import DEFAULTS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 
 
 def torque_model(*trajectories):
-    recordings = diagnose._Recordings(trajectories, DEFAULTS)
-    group = channel_groups(recordings.runs, recordings.inertial, recordings.robot, DEFAULTS)[0]
-    return MotionModel(group, recordings.runs, DEFAULTS)
+    recordings = diagnose._Recordings(trajectories)
+    group = channel_groups(recordings.runs, recordings.inertial, recordings.robot)[0]
+    return MotionModel(group, recordings.runs)
 
 
 def test_the_evidence_from_gram_matrices_is_that_of_all_samples():

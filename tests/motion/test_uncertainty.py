@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from mbcacq.diagnosis.motion.noise import covariance
 from mbcacq.diagnosis.motion.normal_store import NormalStore
-from mbcacq.diagnosis.motion.options import DEFAULTS
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 
 STEP, LENGTH = 0.004, 3000
@@ -21,9 +21,16 @@ def run():
 
 def normal_store(noise):
     group = ChannelGroup(
-        "q_joint", "rad", (0,), (noise[:, None],), (np.ones((LENGTH, 1), dtype=bool),), (np.zeros((LENGTH, 1, 0)),), np.zeros(0), True
+        name="q_joint",
+        unit="rad",
+        joints=(0,),
+        mismatch=(noise[:, None],),
+        use=(np.ones((LENGTH, 1), dtype=bool),),
+        base=(np.zeros((LENGTH, 1, 0)),),
+        prior=np.zeros(0),
+        refit=True,
     )
-    return NormalStore(group, (run(),), DEFAULTS)
+    return NormalStore(group, (run(),))
 
 
 def fitted(noise, prior=None):
@@ -33,7 +40,7 @@ def fitted(noise, prior=None):
     chosen = np.concatenate([store.base, number])
     weights = np.array([1.0 / np.mean(noise**2)])
     x = store.solve(store.normal(weights), chosen)
-    return x[-1], float(np.sqrt(covariance(store, weights, chosen, x, DEFAULTS.correlation_s)[-1, -1]))
+    return x[-1], float(np.sqrt(covariance(store, weights, chosen, x, NUMBERS.correlation_s)[-1, -1]))
 
 
 @pytest.mark.parametrize("correlation_s", [0.0, 0.02, 0.1])

@@ -85,6 +85,8 @@ class EvidenceSearch:
             if self.ranked()[0].key == best.key:
                 break
             best = self.ranked()[0]  # what stands in for an effect of it is asked as well
+        for h in self.known.values():
+            h.forget()
         return self.ranked()
 
     def restarted(self, start: EvidencePoint, begin: Hypothesis) -> EvidencePoint:
@@ -106,7 +108,9 @@ class EvidenceSearch:
         """
         beam, ahead = [best], False
         while self.goes_on(beam[0]):
-            beam = self.grown(beam, candidates)
+            before, beam = beam, self.grown(beam, candidates)
+            for h in before:
+                h.forget()
             if not beam:
                 break
             if beam[0].log_posterior <= best.log_posterior and best.members:

@@ -79,6 +79,10 @@ class EvidencePoint(Protocol):
         """The point after a step of scoring, and the largest change of a logarithm."""
         ...
 
+    def forget(self) -> None:
+        """Give back the memory of what is computed again where it is asked for."""
+        ...
+
 
 P = TypeVar("P", bound=EvidencePoint)
 
@@ -144,6 +148,12 @@ class Hypothesis(Generic[P]):
     def conditioned(self) -> Any:
         """The problem with the effects of the set in place."""
         return self.point.conditioned(self.members)
+
+    def forget(self) -> None:
+        """Give back the memory of what is computed again where it is asked for: a long recording with its effects in place, and the
+        products of all candidates, at this noise."""
+        vars(self).pop("conditioned", None)
+        self.point.forget()
 
 
 def key_of(members: Sequence[Member]) -> tuple[tuple[str, float], ...]:

@@ -71,6 +71,10 @@ class NoisePoint:
         log_det = system.poses.log_det + 2 * np.sum(scale) + normal.station_log_det + 2 * np.log(np.diag(root)).sum()
         return EffectsSystem(self, system, A, a, -0.5 * (float(log_det) + chi2) + self.prior.log_density(self.noise))
 
+    def forget(self) -> None:
+        """Give back the memory of the projected problem."""
+        vars(self).pop("projected", None)
+
     def restricted(self, keep: np.ndarray) -> NoisePoint:
         """The same noise with only the centres in keep (M,)."""
         return replace(self, linear=self.linear.restricted(keep))

@@ -12,12 +12,13 @@ import numpy as np
 
 from mbcacq.diagnosis.motion.evidence_summary import pairs_not_separable, summarized
 from mbcacq.diagnosis.motion.fit import FitStep, FittedEffect, MotionFit
-from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.residual_structure import residual_structure
 from mbcacq.diagnosis.motion.result import (
     BodyInertia,
     ChannelEvidence,
     ChannelFit,
+    CheckedChannel,
     ErrorBeforeAfter,
     MotionDiagnosis,
     MotionEffect,
@@ -68,9 +69,7 @@ class HeldOutTable:
         return not all(self.refused[self.fit.group.index(joint)] for joint in effect.joints)
 
 
-def assemble(
-    fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_validated: dict[str, np.ndarray] | None, options: MotionOptions
-) -> MotionDiagnosis:
+def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_validated: dict[str, np.ndarray] | None) -> MotionDiagnosis:
     """cross_validated: mean squares (2, J) before and after by group, on held-out parts, not used in selecting or fitting; None for the
     figures by which effects were selected."""
     effects: list[MotionEffect | UnmodelledMotionEffect] = []
@@ -86,33 +85,31 @@ def assemble(
         for j in range(len(fit.group.joints)):
             channels.append(_channel(table, j, float(refused_after[j])))
             weight = max(float(table.after[j]) / fit.floor[j] ** 2 - 1.0, 0.0) / table.excess
-            dependence, unmodelled = residual_structure(fit, j, runs, min(weight, 1.0), options)
+            dependence, unmodelled = residual_structure(fit, j, runs, min(weight, 1.0))
             mismatch += [] if dependence is None else [dependence]
             effects += [] if unmodelled is None else [unmodelled]
     loads = tuple(NotSeparable((a.reported, a.alternative), a.correlation, a.odds) for fit in fits for a in fit.load_alternatives)
     alike = tuple(pair for fit in fits if fit.sets is not None for pair in pairs_not_separable(fit.sets))
     not_separable = (*alike, *loads)
     return MotionDiagnosis(
-        "cannot_tell" if not_separable else _verdict(fits, effects, channels, options),
-        tuple(sorted(mismatch, key=lambda m: -m.share)),
-        tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
-        tuple(channels),
-        fits[0].split,
-        not_separable,
-        (*_advice_on_sets(alike), *_advice(runs, loads, options)),
-        tuple(b for fit in fits for b in _inertial(fit)),
+        verdict="cannot_tell" if not_separable else _verdict(fits, effects, channels),
+        mismatch=tuple(sorted(mismatch, key=lambda m: -m.share)),
+        effects=tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
+        channels=tuple(channels),
+        split=fits[0].split,
+        not_separable=not_separable,
+        advice=(*_advice_on_sets(alike), *_advice(runs, loads)),
+        inertial=tuple(b for fit in fits for b in _inertial(fit)),
         evidence=tuple(ChannelEvidence(fit.group.name, summarized(fit.sets)) for fit in fits if fit.sets is not None),
     )
 
 
-def _verdict(
-    fits: list[MotionFit], effects: list[MotionEffect | UnmodelledMotionEffect], channels: list[ChannelFit], options: MotionOptions
-) -> str:
+def _verdict(fits: list[MotionFit], effects: list[MotionEffect | UnmodelledMotionEffect], channels: list[ChannelFit]) -> str:
     """As that of poses: ``cannot_tell`` where the evidence neither shows an effect nor is as weak as without one; a residual above the
     noise is unexplained.
     """
     named = any(isinstance(e, MotionEffect) for e in effects)
-    unexplained = any(c.held_out.after_chi2_dof > options.unexplained_chi2_dof for c in channels)
+    unexplained = any(c.held_out.after_chi2_dof > NUMBERS.unexplained_chi2_dof for c in channels)
     if not named and not unexplained and any(fit.sets is not None and fit.sets.undecided for fit in fits):
         return "cannot_tell"
     if named:
@@ -125,17 +122,17 @@ def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Moti
     at = [fit.group.index(joint) for joint in effect.joints]
     share = table.share(gain)
     return MotionEffect(
-        effect.name,
-        effect.where,
-        effect.depends_on,
-        fit.group.name,
-        effect.parameters,
-        effect.p_value,
-        share,
-        table.share(gain, at),
-        tuple(Alternative(a.name, a.where, 0.0, a.odds) for a in effect.alternatives),
-        tuple(_step(fit, step, at) for step in effect.steps),
-        tuple(effect.notes),
+        name=effect.name,
+        where=effect.where,
+        depends_on=effect.depends_on,
+        channel=fit.group.name,
+        parameters=effect.parameters,
+        p_value=effect.p_value,
+        held_out_gain=share,
+        held_out_gain_here=table.share(gain, at),
+        alternatives=tuple(Alternative(a.name, a.where, 0.0, a.odds) for a in effect.alternatives),
+        steps=tuple(_step(fit, step, at) for step in effect.steps),
+        notes=tuple(effect.notes),
     )
 
 
@@ -151,17 +148,27 @@ def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Mo
 
 
 def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
-    fit = table.fit
-    scale, floor = _scale(fit), float(fit.floor[j])
-
-    def error(before: float, after: float) -> ErrorBeforeAfter:
-        rms = scale * float(np.sqrt(before)), scale * float(np.sqrt(after))
-        return ErrorBeforeAfter(*rms, float(before / floor**2), float(after / floor**2))
-
-    unit = "deg" if fit.group.unit == "rad" else fit.group.unit
-    train = error(fit.train_before[j], fit.train_after[j])
+    fit, scale = table.fit, _scale(table.fit)
+    train, held_out = _error(fit, j, fit.train_before[j], fit.train_after[j]), _error(fit, j, table.before[j], table.after[j])
     refused = scale * float(np.sqrt(refused_after)) if table.refused[j] else None
-    return ChannelFit(fit.group.name, _axis(fit, j), unit, scale * floor, train, error(table.before[j], table.after[j]), refused)
+    return ChannelFit(fit.group.name, _axis(fit, j), _unit(fit), scale * float(fit.floor[j]), train, held_out, refused)
+
+
+def checked_channels(fit: MotionFit, before: np.ndarray, after: np.ndarray) -> list[CheckedChannel]:
+    """What a fit leaves of another recording, joint by joint; before, after: mean squares (J,) without and with its effects."""
+    each = ((_axis(fit, j), _error(fit, j, before[j], after[j])) for j in range(len(fit.group.joints)))
+    return [CheckedChannel(fit.group.name, at, _unit(fit), error) for at, error in each]
+
+
+def _unit(fit: MotionFit) -> str:
+    return "deg" if fit.group.unit == "rad" else fit.group.unit
+
+
+def _error(fit: MotionFit, j: int, before: float, after: float) -> ErrorBeforeAfter:
+    """before, after: mean squares of joint j."""
+    scale, floor = _scale(fit), float(fit.floor[j])
+    rms = scale * float(np.sqrt(before)), scale * float(np.sqrt(after))
+    return ErrorBeforeAfter(*rms, float(before / floor**2), float(after / floor**2))
 
 
 def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:
@@ -174,7 +181,7 @@ def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:
     ]
 
 
-def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...], options: MotionOptions) -> list[Advice]:
+def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...]) -> list[Advice]:
     """Which axes should move further, where effects could not be told apart: gravity torques of the masses, of a tool and of a balancer go
     together over a small range of angles, and apart over a large one."""
     robot = runs[0].robot
@@ -182,7 +189,7 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, 
         return []
     low, high = (np.degrees(f([f(run.q, axis=0) for run in runs], axis=0)) for f in (np.min, np.max))
     limits = np.degrees(robot.limits)
-    small = [j for j in range(1, robot.n) if high[j] - low[j] < options.wide_range * (limits[j, 1] - limits[j, 0])]
+    small = [j for j in range(1, robot.n) if high[j] - low[j] < NUMBERS.wide_range * (limits[j, 1] - limits[j, 0])]
     ranges = ", ".join(f"A{j + 1} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
     names = "; ".join(" and ".join(n.effects) for n in not_separable)
     reason = (

@@ -41,9 +41,7 @@ class CandidatePool:
         found = [
             candidate
             for j, joint in enumerate(model.group.joints)
-            for candidate in periodic_candidates(
-                model.group, model.runs, joint, model.store.residual(j, chosen, x), model.store.training, model.options
-            )
+            for candidate in periodic_candidates(model.group, model.runs, joint, model.store.residual(j, chosen, x), model.store.training)
         ]
         return [[variant] for variant in model.add_of_one_joint(found, [_middle(c) for c in found])]
 

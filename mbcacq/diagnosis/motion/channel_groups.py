@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 from mbcacq.geometry.dynamics import inertial_sigma
 from mbcacq.model.cell import RobotModel
@@ -12,14 +12,14 @@ from mbcacq.model.cell import RobotModel
 Runs = tuple[MotionSignals, ...]
 
 
-def channel_groups(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, options: MotionOptions) -> list[ChannelGroup]:
+def channel_groups(runs: Runs, inertial: list[np.ndarray], robot: RobotModel) -> list[ChannelGroup]:
     """Every kind of mismatch that all of these recordings can show. inertial: (T, n, n, 10) torque by unit inertial parameter, by run."""
-    inside = tuple(_inside(run, options) for run in runs)
-    found = (_torque(runs, inertial, robot, inside, options), _joint_side(runs, inside), _set_point(runs))
+    inside = tuple(_inside(run) for run in runs)
+    found = (_torque(runs, inertial, robot, inside), _joint_side(runs, inside), _set_point(runs))
     return [group for group in found if group is not None]
 
 
-def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: tuple, options: MotionOptions) -> ChannelGroup | None:
+def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: tuple) -> ChannelGroup | None:
     torque, rigid = [run.torque for run in runs if run.torque is not None], [run.rigid for run in runs if run.rigid is not None]
     if len(torque) < len(runs) or len(rigid) < len(runs):
         return None
@@ -30,7 +30,7 @@ def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: t
     sigma, fastest = inertial_sigma(robot), np.max([np.abs(run.qd).max(axis=0) for run in runs], axis=0)
     known = sigma > 0
     base = tuple(
-        np.concatenate([(c * sigma)[:, joints][:, :, known], _rotors(run, robot, joints, options)], axis=2)
+        np.concatenate([(c * sigma)[:, joints][:, :, known], _rotors(run, robot, joints)], axis=2)
         for c, run in zip(inertial, runs, strict=True)
     )
     return ChannelGroup(
@@ -38,7 +38,7 @@ def _torque(runs: Runs, inertial: list[np.ndarray], robot: RobotModel, inside: t
         "N m",
         joints,
         tuple((t - r)[:, columns] for t, r in zip(torque, rigid, strict=True)),
-        tuple((_moving(run, fastest, options) & k)[:, columns] for run, k in zip(runs, inside, strict=True)),
+        tuple((_moving(run, fastest) & k)[:, columns] for run, k in zip(runs, inside, strict=True)),
         base,
         np.ones(base[0].shape[2]),
         refit=False,
@@ -86,21 +86,21 @@ def _complete(signals: list[np.ndarray]) -> tuple[int, ...]:
     return tuple(j for j in range(signals[0].shape[1]) if all(np.isfinite(s[:, j]).all() for s in signals))
 
 
-def _inside(run: MotionSignals, options: MotionOptions) -> np.ndarray:
+def _inside(run: MotionSignals) -> np.ndarray:
     """(T, n): away from both ends of the recording."""
-    out, edge = np.ones(run.q.shape, dtype=bool), int(np.ceil(options.edge_s / run.step_s))
+    out, edge = np.ones(run.q.shape, dtype=bool), int(np.ceil(NUMBERS.edge_s / run.step_s))
     out[:edge] = out[len(out) - edge :] = False
     return out
 
 
-def _moving(run: MotionSignals, fastest: np.ndarray, options: MotionOptions) -> np.ndarray:
+def _moving(run: MotionSignals, fastest: np.ndarray) -> np.ndarray:
     """(T, n): the joint moves, well away from a reversal. fastest: (n,) rad/s of all recordings: in some a joint may stand all the time."""
-    return np.abs(run.qd) > options.standstill * fastest
+    return np.abs(run.qd) > NUMBERS.standstill * fastest
 
 
-def _rotors(run: MotionSignals, robot: RobotModel, joints: tuple[int, ...], options: MotionOptions) -> np.ndarray:
+def _rotors(run: MotionSignals, robot: RobotModel, joints: tuple[int, ...]) -> np.ndarray:
     """(T, J, n): torque of each rotor by a share of the inertia of the whole arm: behind its gear a small rotor counts as much, at the
     wrist too."""
     reach = float((np.abs(robot.chain.a) + np.abs(robot.chain.d)).sum()) * 1e-3
-    scale = options.rotor_share * max(float(robot.mass.sum()), float(robot.n)) * reach**2
+    scale = NUMBERS.rotor_share * max(float(robot.mass.sum()), float(robot.n)) * reach**2
     return np.einsum("tj,jl->tjl", run.qdd[:, joints], np.eye(robot.n)[list(joints)] * scale)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointSet, joint_sets, not_excluded
-from mbcacq.diagnosis.motion.options import DEFAULTS
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.result import plain
@@ -107,7 +107,7 @@ def combined(poses: dict[str, Any], motion: MotionDiagnosis) -> dict[str, Any]:
     return poses | {"motion": motion.to_json()} | both
 
 
-def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float = DEFAULTS.agreement_sigmas) -> list[ParameterAgreement]:
+def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float = NUMBERS.agreement_sigmas) -> list[ParameterAgreement]:
     """Every parameter that both found. poses: JSON of the pose diagnosis; sigmas: within which two values agree."""
     in_motion = in_terms_of_poses(poses, motion)
     out = []

@@ -13,7 +13,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.geometry.dynamics import inertial_sigma, nominal_parameters, regressor, tool_sigma
 from mbcacq.model.cell import RobotModel
@@ -56,38 +56,38 @@ class Reading:
     gravity: tuple[float, ...] | None = None
 
 
-def suspicions(runs: tuple[MotionSignals, ...], options: MotionOptions) -> tuple[str, ...]:
+def suspicions(runs: tuple[MotionSignals, ...]) -> tuple[str, ...]:
     """The reading that explains the torque much better than the description, in words; none where the description is the best, or no
     torque or no masses are known."""
     robot = runs[0].robot
     if robot is None or not robot.mass.any() or any(run.torque is None or not np.isfinite(run.torque).all() for run in runs):
         return ()
-    samples = _samples(runs, options)
-    before = _residual(samples, robot, options)
+    samples = _samples(runs)
+    before = _residual(samples, robot)
     best, after = None, before
     for reading in _readings(robot, samples):
-        rms = _residual(_read(samples, reading), _turned(robot, reading), options)
+        rms = _residual(_read(samples, reading), _turned(robot, reading))
         if float(np.log(rms).sum()) < float(np.log(after).sum()):
             best, after = reading, rms
     if best is None:
         return ()
     ratio = after / before
-    if float(np.prod(ratio)) > options.suspicious_ratio:
+    if float(np.prod(ratio)) > NUMBERS.suspicious_ratio:
         return ()
     j = int(np.argmin(ratio))
     return (f"with {best.what} the torque that is not explained falls from {before[j]:.0f} to {after[j]:.0f} N m at A{j + 1}",)
 
 
-def _samples(runs: tuple[MotionSignals, ...], options: MotionOptions) -> Samples:
-    each = max(options.description_samples // len(runs), 1)
+def _samples(runs: tuple[MotionSignals, ...]) -> Samples:
+    each = max(NUMBERS.description_samples // len(runs), 1)
     columns: list[list[np.ndarray]] = [[] for _ in range(4)]
     for run in runs:
-        edge = int(np.ceil(options.edge_s / run.step_s))
+        edge = int(np.ceil(NUMBERS.edge_s / run.step_s))
         at = np.linspace(edge, len(run.q) - 1 - edge, min(each, len(run.q) - 2 * edge)).astype(int)
         for column, signal in zip(columns, (run.smooth, run.qd, run.qdd, run.torque), strict=True):
             column.append(np.asarray(signal)[at])
     q, qd, qdd, torque = (np.concatenate(c) for c in columns)
-    return Samples(q, qd, qdd, torque, np.abs(qd) > options.standstill * np.abs(qd).max(axis=0))
+    return Samples(q, qd, qdd, torque, np.abs(qd) > NUMBERS.standstill * np.abs(qd).max(axis=0))
 
 
 def _readings(robot: RobotModel, samples: Samples) -> Iterator[Reading]:
@@ -130,7 +130,7 @@ def _turned(robot: RobotModel, reading: Reading) -> RobotModel:
     return robot if reading.gravity is None else replace(robot, gravity=np.array(reading.gravity))
 
 
-def _residual(s: Samples, robot: RobotModel, options: MotionOptions) -> np.ndarray:
+def _residual(s: Samples, robot: RobotModel) -> np.ndarray:
     """(n,) rms of the torque that a regularised least-squares fit of the arm leaves."""
     N, n = s.q.shape
     unit = regressor(robot.chain, s.q, s.qd, s.qdd, robot.gravity)
@@ -141,14 +141,14 @@ def _residual(s: Samples, robot: RobotModel, options: MotionOptions) -> np.ndarr
     largest = np.maximum(np.abs(s.torque).max(axis=0), 1e-12)
     fastest = np.maximum(np.abs(s.qd).max(axis=0), 1e-9)
     own = np.zeros((N, n, 6))
-    own[:, :, 0] = options.torque_offset * largest
+    own[:, :, 0] = NUMBERS.torque_offset * largest
     own[:, :, 1], own[:, :, 2] = largest * np.tanh(s.qd / (FRICTION_SPEED * fastest)), largest * s.qd / fastest
     own[:, :, 3] = largest * s.qdd / np.maximum(np.abs(s.qdd).max(axis=0), 1e-9)
     own[:, 1, 4], own[:, 1, 5] = largest[1] * np.sin(s.q[:, 1]), largest[1] * np.cos(s.q[:, 1])  # a balancer
     weight = 1.0 / np.maximum(mismatch.std(axis=0), 1e-9)
     rms = mismatch.std(axis=0)
-    for _ in range(options.weight_rounds):
-        rms = _fit(mismatch, common, own, s.moving, weight / np.sqrt(options.description_correlated))
+    for _ in range(NUMBERS.weight_rounds):
+        rms = _fit(mismatch, common, own, s.moving, weight / np.sqrt(NUMBERS.description_correlated))
         weight = 1.0 / np.maximum(rms, 1e-9)
     return rms
 

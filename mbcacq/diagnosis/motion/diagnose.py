@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.assemble import assemble
+from mbcacq.diagnosis.motion.assemble import assemble, checked_channels
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.description_check import suspicions
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.fit import MotionFit, fit_selected
 from mbcacq.diagnosis.motion.motion_model import MotionModel
-from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
-from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.motion.options import NUMBERS
+from mbcacq.diagnosis.motion.result import CheckedChannel, MotionCheck, MotionDiagnosis
 from mbcacq.diagnosis.motion.segments import Part, held_out_parts
 from mbcacq.diagnosis.motion.signals import prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
@@ -43,31 +43,29 @@ OPTIONAL = (
 )
 
 
-def diagnose_trajectories(
-    trajectories: Sequence[Trajectory], cross_validation: bool = True, options: MotionOptions = DEFAULTS
-) -> MotionDiagnosis:
+def diagnose_trajectories(trajectories: Sequence[Trajectory], cross_validation: bool = True) -> MotionDiagnosis:
     """Diagnose one or several recordings of one robot. Raises ConfigError where they do not fit together.
 
     The held-out errors of the result's channels are of held-out parts (a trajectory, or a block of the only one), not used in selecting
     or fitting anything; without ``cross_validation``, in a third of the time, of parts that took part in selecting.
     """
-    recordings = _Recordings(trajectories, options)
+    recordings = _Recordings(trajectories)
     fits, runs = recordings.explain()
-    found = assemble(fits, runs, recordings.cross_validate() if cross_validation else None, options)
-    return replace(found, suspicions=(*suspicions(recordings.runs, options), *_other_payload(found, recordings.robot)))
+    found = assemble(fits, runs, recordings.cross_validate() if cross_validation else None)
+    return replace(found, suspicions=(*suspicions(recordings.runs), *_other_payload(found, recordings.robot)))
 
 
-def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None, options: MotionOptions = DEFAULTS) -> list[MotionFit]:
+def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None) -> list[MotionFit]:
     """The fit of each kind of mismatch. held: number of a part (``segments.held_out_parts``) that takes no part."""
-    return _Recordings(trajectories, options).explain(held)[0]
+    return _Recordings(trajectories).explain(held)[0]
 
 
-def base_alone(trajectories: Sequence[Trajectory], options: MotionOptions = DEFAULTS) -> dict[str, np.ndarray]:
+def base_alone(trajectories: Sequence[Trajectory]) -> dict[str, np.ndarray]:
     """Chi2 per degree of freedom (J,) by kind of mismatch, held out, of offsets and the arm's inertial parameters: no effect is tried."""
-    recordings = _Recordings(trajectories, options)
+    recordings = _Recordings(trajectories)
     out = {}
-    for group in channel_groups(recordings.runs, recordings.inertial, recordings.robot, options):
-        selection = EffectSelection(MotionModel(group, recordings.runs, options), candidates=[])
+    for group in channel_groups(recordings.runs, recordings.inertial, recordings.robot):
+        selection = EffectSelection(MotionModel(group, recordings.runs), candidates=[])
         out[group.name] = selection.start / selection.model.floor**2
     return out
 
@@ -79,43 +77,76 @@ def _other_payload(found: MotionDiagnosis, robot: RobotModel) -> list[str]:
     return [f"with {m['value'] - described:+.3g} +- {m['std']:.2g} kg at the flange the torque is explained better" for m in masses]
 
 
-class _Recordings:
-    """Signals of recordings of one robot."""
+def check_trajectories(learnt: Sequence[Trajectory], others: Sequence[tuple[str, Trajectory]]) -> tuple[MotionCheck, ...]:
+    """What the effects that are selected and fitted in some recordings leave of others of the same robot.
 
-    def __init__(self, trajectories: Sequence[Trajectory], options: MotionOptions) -> None:
+    Parameters
+    ----------
+    learnt : sequence of Trajectory
+        The recordings from which everything is learnt, torque constants included.
+    others : sequence of (str, Trajectory)
+        The recordings on which it is tried, with their names. Only what is a convention of a recording (the zero of an encoder) is
+        estimated there.
+
+    Returns
+    -------
+    tuple of MotionCheck
+        One for each of the others, with every channel that all recordings have.
+
+    Raises
+    ------
+    ConfigError
+        The recordings are of robots with different numbers of axes, or there is nothing to compare.
+    """
+    recordings = _Recordings([*learnt, *(t for _, t in others)], len(learnt))
+    fits, _ = recordings.explain()
+    out = []
+    for run, (name, _) in enumerate(others, len(learnt)):
+        channels: list[CheckedChannel] = []
+        for fit in fits:
+            squares, samples = _errors_of(fit, [(run, slice(0, len(recordings.runs[run].q)))])
+            channels += checked_channels(fit, *(squares / np.maximum(samples, 1.0)))
+        out.append(MotionCheck(name, tuple(channels)))
+    return tuple(out)
+
+
+class _Recordings:
+    """Signals of recordings of one robot. learnt: number of those, the first ones, from which anything is learnt (None: all)."""
+
+    def __init__(self, trajectories: Sequence[Trajectory], learnt: int | None = None) -> None:
         if not trajectories:
             raise ConfigError("no trajectory was given")
         if len({t.robot.n for t in trajectories}) > 1:
             raise ConfigError("the trajectories belong to robots with different numbers of axes; diagnose them separately")
-        prepared = [prepare(t, options) for t in with_torque(list(trajectories), options)]
-        self.options = options
+        prepared = [prepare(t) for t in with_torque(list(trajectories), learnt)]
+        self.learnt = learnt
         self.runs = _common([run for run, _ in prepared])
         self.inertial = [inertial for _, inertial in prepared]
         self.robot: RobotModel = trajectories[0].robot
 
     def explain(self, held: int | None = None) -> tuple[list[MotionFit], tuple[MotionSignals, ...]]:
         """Fits, torque first: the load that it gives winds up the gears. Raises ConfigError where there is nothing to compare."""
-        runs, options = self.runs, self.options
-        groups = channel_groups(runs, self.inertial, self.robot, options)
+        runs = self.runs
+        groups = channel_groups(runs, self.inertial, self.robot)
         if not groups:
             raise ConfigError(
                 "nothing to compare: the trajectory needs q*_joint_deg, q*_set_deg, tau*_Nm, motor_tau*_Nm or i*_A in addition to q*_deg"
             )
         fits: list[MotionFit] = []
         for group in groups:
-            selection = EffectSelection(MotionModel(group, runs, options, held))
+            selection = EffectSelection(MotionModel(group, runs, held, self.learnt))
             selection.run()
             fits.append(fit_selected(selection))
             if group.name == "tau":
-                runs = with_load(runs, fits[-1], options)
+                runs = with_load(runs, fits[-1])
         return fits, runs
 
     def cross_validate(self) -> dict[str, np.ndarray]:
         """Mean squares (2, J) before and after by kind of mismatch, each part predicted by what was selected and fitted on the others."""
-        parts = held_out_parts(self.runs, self.options)[0]
+        parts = held_out_parts(self.runs)[0]
         # A thread sees the effects of files (``catalogue.with_files``) in a copy of the context alone, each in its own.
         contexts = [copy_context() for _ in parts]
-        with ThreadPoolExecutor(self.options.workers) as pool:
+        with ThreadPoolExecutor(NUMBERS.workers) as pool:
             passes = list(pool.map(lambda number: contexts[number].run(self.explain, number)[0], range(len(parts))))
         total: dict[str, np.ndarray] = {}
         count: dict[str, np.ndarray] = {}

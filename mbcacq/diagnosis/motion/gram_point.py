@@ -164,6 +164,9 @@ class GramPoint:
     def conditioned(self, members: Sequence[Member]) -> ConditionedGram:
         return ConditionedGram.of(self, members)
 
+    def forget(self) -> None:
+        """Its normal equations are small and shared with every other point."""
+
     def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[GramPoint, float]:
         """The variance of each joint by what its residual and the uncertainty of the coefficients add up to (expectation maximisation)."""
         del information

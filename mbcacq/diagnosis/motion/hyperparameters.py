@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.time_alignment import estimate_delay
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionCandidate
@@ -36,7 +37,7 @@ def _improved_orders(model: MotionModel) -> bool:
         return False
     bounds = [_neighbours(effect) for effect in free]
     store, best = model.store, None
-    for _ in range(model.options.hyper_rounds):
+    for _ in range(NUMBERS.hyper_rounds):
         chosen = model.chosen()
         weights = model.weights(chosen)
         x = store.solve(store.normal(weights), chosen)
@@ -74,7 +75,7 @@ def add_derivatives(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> li
     for effect in continuous_effects(model):
         c = x[[position[int(i)] for i in effect.variant.ids]]
         h = effect.variant.value
-        d = model.options.hyper_step * max(abs(h), SMALLEST_HYPER)
+        d = NUMBERS.hyper_step * max(abs(h), SMALLEST_HYPER)
         columns = [_derivative(model, effect.candidate, joint, h, d, c) for joint in effect.candidate.joints]
         out.append(model.store.add(model.joint_indices(effect.candidate), columns))
     return out

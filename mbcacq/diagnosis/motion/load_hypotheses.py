@@ -16,6 +16,7 @@ from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.determination import canonical_correlation
 from mbcacq.diagnosis.motion.motion_model import MotionModel, Variant
 from mbcacq.diagnosis.motion.noise import covariance
+from mbcacq.diagnosis.motion.options import NUMBERS
 
 ARM = "arm"  # the masses of the links
 SIZES = np.array([0.03, 0.1, 0.3, 1.0])  # of a coefficient's prior sigma, equally probable
@@ -48,7 +49,7 @@ class _Posterior:
         store = model.store
         weights = model.weights(chosen)
         x = store.solve(store.normal(weights), chosen)
-        spread = covariance(store, weights, chosen, x, model.options.correlation_s)
+        spread = covariance(store, weights, chosen, x, NUMBERS.correlation_s)
         return cls(chosen, x, spread, np.array(store.prior)[chosen])
 
     def at(self, ids: np.ndarray) -> list[int]:
@@ -102,7 +103,7 @@ def _asked(model: MotionModel) -> bool:
     if group.name != "tau" or 1 not in group.joints or robot is None or not robot.mass.any():
         return False
     low, high = (f([f(run.q[:, 1]) for run in model.runs]) for f in (np.min, np.max))
-    return bool(high - low < model.options.wide_range * np.ptp(robot.limits[1]))
+    return bool(high - low < NUMBERS.wide_range * np.ptp(robot.limits[1]))
 
 
 def _compared(model: MotionModel, variant: Variant, masses: np.ndarray, selected: bool) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.diagnosis.motion.noise import third_difference_noise
 from mbcacq.diagnosis.motion.normal_store import NormalStore
-from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
 
 LEAST_NOISE = 1e-6  # of a channel, as a share of its range: of simulated recordings without noise; encoders resolve a millionth of a turn
@@ -61,12 +61,10 @@ class SelectedEffect:
 class MotionModel:
     """Columns of a group of channels and the effects selected among them. floor: (J,) standard deviation of the channels' noise."""
 
-    def __init__(
-        self, group: ChannelGroup, runs: tuple[MotionSignals, ...], options: MotionOptions = DEFAULTS, held: int | None = None
-    ) -> None:
-        """held: a part of the recordings (``segments.held_out_parts``) that takes no part in anything."""
-        self.group, self.runs, self.options = group, runs, options
-        self.store = NormalStore(group, runs, options, held)
+    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None, learnt: int | None = None) -> None:
+        """held, learnt: what takes part, as ``segments.segments`` has it."""
+        self.group, self.runs = group, runs
+        self.store = NormalStore(group, runs, held, learnt)
         self.selected: list[SelectedEffect] = []
         joints = range(len(group.joints))
         measured = group.signal or group.mismatch  # where there is no delay to be found, there is no signal beside the mismatch
@@ -117,7 +115,7 @@ class MotionModel:
         count = np.maximum(store.count.sum(axis=0), 1.0)
         least = count * self.least_noise**2
         weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), least)
-        for _ in range(self.options.weight_rounds):
+        for _ in range(NUMBERS.weight_rounds):
             x = store.solve(store.normal(weights), chosen)
             weights = count / np.maximum(store.errors(chosen, x).sum(axis=0) * store.correlated_samples(chosen, x), least)
         return weights

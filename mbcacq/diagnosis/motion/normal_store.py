@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
-from mbcacq.diagnosis.motion.options import RIDGE, MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS, RIDGE
 from mbcacq.diagnosis.motion.segments import segments
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 
@@ -24,17 +24,18 @@ Factor = tuple[np.ndarray, bool]
 class NormalStore:
     """Columns by number. The offset of a joint is its first column after the mismatch.
 
-    held: a part of the recordings (``segments.held_out_parts``) that takes no part in anything.
+    held: a part of the recordings (``segments.held_out_parts``) that takes no part in anything; learnt: number of the recordings, the first
+    ones, that take part (None: all).
     matrix[j]: (Ttot, c) mismatch and columns of one joint of the group, numbers[j]: (c,) their numbers; products[j]: (S, c, c) by
     segment; count: (S, J) samples used; prior: standard deviation of each column's coefficient.
     """
 
-    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], options: MotionOptions, held: int | None = None) -> None:
+    def __init__(self, group: ChannelGroup, runs: tuple[MotionSignals, ...], held: int | None = None, learnt: int | None = None) -> None:
         self.group = group
-        self.whole = held is None
+        self.whole = held is None and learnt is None
         self.steps = [run.step_s for run in runs]
         self.lengths = [len(run.q) for run in runs]
-        self.segments, self.split = segments(runs, options, held)
+        self.segments, self.split = segments(runs, held, learnt)
         self.folds = sorted({s.fold for s in self.segments})
         self._start = np.cumsum([0, *self.lengths])
         self._slices = [slice(self._start[s.run] + s.samples.start, self._start[s.run] + s.samples.stop) for s in self.segments]
@@ -52,20 +53,20 @@ class NormalStore:
         self.products = [self._segment_products(z, z) for z in self.matrix]
         self._sums: list[tuple[np.ndarray, dict[int, np.ndarray]] | None] = [None for _ in joints]
         self.prior: list[float] = []
-        offsets = [self.add([j], [np.ones((len(self.matrix[j]), 1))], self._offset_prior(j, options)) for j in joints]
+        offsets = [self.add([j], [np.ones((len(self.matrix[j]), 1))], self._offset_prior(j)) for j in joints]
         self.offset = [int(o[0]) for o in offsets]
         self.base = np.array(self.offset)
         if group.base[0].shape[2]:
             columns = [np.concatenate([b[:, j] for b in group.base]) for j in joints]
             self.base = np.concatenate([self.base, self.add(list(joints), columns, group.prior)])
 
-    def _offset_prior(self, j: int, options: MotionOptions) -> np.ndarray | None:
+    def _offset_prior(self, j: int) -> np.ndarray | None:
         """An offset of an angle is a convention; that of a torque is an error of its measurement, or friction that differs by direction,
         and small: free, it would stand for a balancer or a mass wherever a joint moves little."""
         if self.group.refit or not self.group.signal:
             return None
         largest = max(float(np.abs(s[:, j]).max()) for s in self.group.signal)
-        return np.array([options.torque_offset * max(largest, 1e-12)])
+        return np.array([NUMBERS.torque_offset * max(largest, 1e-12)])
 
     # columns
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class MotionOptions:
-    """Options of ``diagnose_trajectories``. Figures in benchmarks/trajectories.md hold for the defaults."""
+class MotionNumbers:
+    """Numbers of ``diagnose_trajectories``, for which the figures in benchmarks/trajectories.md hold."""
 
     # signals
     rate_window_s: float = 0.09  # of the local quintic that gives rates: short against any motion, long against the sampling interval
@@ -68,5 +68,5 @@ class MotionOptions:
     workers: int = 2  # threads of the cross-validation: matrices, so they share the work
 
 
-DEFAULTS = MotionOptions()
+NUMBERS = MotionNumbers()
 RIDGE = 1e-12  # of a scaled normal matrix: numerical rank in double precision

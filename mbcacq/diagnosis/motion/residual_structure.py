@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtrc, stdtr
 
 from mbcacq.diagnosis.motion.fit import MotionFit
-from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionMismatch, UnmodelledMotionEffect
 from mbcacq.effects.motion_effect import MotionSignals
 
@@ -27,7 +27,7 @@ class Dependence:
 
 
 def residual_structure(
-    fit: MotionFit, j: int, runs: tuple[MotionSignals, ...], weight: float, options: MotionOptions
+    fit: MotionFit, j: int, runs: tuple[MotionSignals, ...], weight: float
 ) -> tuple[MotionMismatch | None, UnmodelledMotionEffect | None]:
     """The covariate that predicts most of the residual of joint j of the group, fitted on one part and tested on the other.
 
@@ -37,25 +37,23 @@ def residual_structure(
     used = fit.used[j]
     residual = [r[u] for r, u in zip(fit.residual_after[j], used, strict=True)]
     mean_square, floor = float(np.mean(np.concatenate(residual) ** 2)), float(fit.floor[j])
-    if mean_square < options.residual_chi2_dof * floor**2:
+    if mean_square < NUMBERS.residual_chi2_dof * floor**2:
         return None, None
-    best = _strongest(_covariates(fit.group.name, runs, fit.group.joints[j]), used, residual, options)
+    best = _strongest(_covariates(fit.group.name, runs, fit.group.joints[j]), used, residual)
     axis, channel = f"A{fit.group.joints[j] + 1}", fit.group.name
-    if best is None or best.share < options.least_residual_share:
-        segments = options.residual_segments
+    if best is None or best.share < NUMBERS.least_residual_share:
+        segments = NUMBERS.residual_segments
         return MotionMismatch(axis, channel, "time", weight, float(chdtrc(segments, segments * mean_square / floor**2))), None
     share = best.share * weight
     effect = UnmodelledMotionEffect((axis,), channel, best.covariate, best.p_value, share, best.x, best.y)
     return MotionMismatch(axis, channel, best.covariate, share, best.p_value), effect
 
 
-def _strongest(
-    covariates: dict[str, list[np.ndarray]], used: list[np.ndarray], residual: list[np.ndarray], options: MotionOptions
-) -> Dependence | None:
+def _strongest(covariates: dict[str, list[np.ndarray]], used: list[np.ndarray], residual: list[np.ndarray]) -> Dependence | None:
     """The dependence of the largest share, its p-value corrected for the number of covariates; None if none predicts anything."""
     best = None
     for name, values in covariates.items():
-        found = _dependence(name, [v[u] for v, u in zip(values, used, strict=True)], residual, len(covariates), options)
+        found = _dependence(name, [v[u] for v, u in zip(values, used, strict=True)], residual, len(covariates))
         if found is not None and found.share > (0.0 if best is None else best.share):
             best = found
     return best
@@ -72,13 +70,11 @@ def _covariates(channel: str, runs: tuple[MotionSignals, ...], joint: int) -> di
     return out
 
 
-def _dependence(
-    name: str, values: list[np.ndarray], residual: list[np.ndarray], covariates: int, options: MotionOptions
-) -> Dependence | None:
+def _dependence(name: str, values: list[np.ndarray], residual: list[np.ndarray], covariates: int) -> Dependence | None:
     """A table over the covariate (quantile bins), fitted on each half of the data and tested on the other."""
     v, r = np.concatenate(values), np.concatenate(residual)
     half = _halves(values)
-    edges = np.unique(np.quantile(v, np.linspace(0, 1, options.residual_bins + 1)))
+    edges = np.unique(np.quantile(v, np.linspace(0, 1, NUMBERS.residual_bins + 1)))
     number = len(edges) - 1
     if number < FEWEST_BINS:
         return None
@@ -87,7 +83,7 @@ def _dependence(
     for test in (0, 1):
         train = half != test
         predicted[~train] = _means(bins[train], r[train], number)[bins[~train]]
-    errors = (np.array_split(error, options.residual_segments) for error in (r, r - predicted))
+    errors = (np.array_split(error, NUMBERS.residual_segments) for error in (r, r - predicted))
     before, after = (np.array([np.mean(segment**2) for segment in segments]) for segments in errors)
     share = 1.0 - float(((r - predicted) ** 2).sum() / (r**2).sum())
     p = min(improvement_p_value(before, after) * covariates, 1.0)

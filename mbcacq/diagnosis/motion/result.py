@@ -163,6 +163,33 @@ class ChannelFit:
 
 
 @dataclass(frozen=True)
+class CheckedChannel:
+    """What the effects leave of one joint of one channel in another recording. unit: 'deg' or 'N m'."""
+
+    channel: str
+    at: str
+    unit: str
+    error: ErrorBeforeAfter
+
+    @classmethod
+    def from_json(cls, content: Json) -> CheckedChannel:
+        error = ErrorBeforeAfter(**{k: _number(v) for k, v in content["error"].items()})
+        return cls(content["channel"], content["at"], content["unit"], error)
+
+
+@dataclass(frozen=True)
+class MotionCheck:
+    """What was learnt, tried on a recording by which nothing was selected, fitted or refused. recording: its name, or ''."""
+
+    recording: str
+    channels: tuple[CheckedChannel, ...]
+
+    @classmethod
+    def from_json(cls, content: Json) -> MotionCheck:
+        return cls(content["recording"], tuple(map(CheckedChannel.from_json, content["channels"])))
+
+
+@dataclass(frozen=True)
 class BodyInertia:
     """Inertial parameters of a link in its own frame, as found: of a rigid body that can exist. tensor: Ixx, Ixy, Ixz, Iyy, Iyz, Izz about
     the origin of the frame."""
@@ -193,7 +220,7 @@ class MotionDiagnosis:
     held-out gain. channels: one fit a channel and joint. split: how data were held out, by 'trajectory' or 'time block'.
     not_separable: effects asked for that are not told apart, and advice: what to record for that. inertial: of the links and of a tool
     that was found. suspicions: what in the description of the data looks wrong, in words. evidence: of the sets of effects that were
-    compared, one for each kind of mismatch; empty in older files.
+    compared, one for each kind of mismatch; empty in older files. checks: what the effects leave of other recordings, where that was asked.
     """
 
     verdict: str
@@ -206,6 +233,7 @@ class MotionDiagnosis:
     inertial: tuple[BodyInertia, ...] = ()
     suspicions: tuple[str, ...] = ()
     evidence: tuple[ChannelEvidence, ...] = ()
+    checks: tuple[MotionCheck, ...] = ()
 
     @property
     def named_effects(self) -> tuple[MotionEffect, ...]:
@@ -230,6 +258,7 @@ class MotionDiagnosis:
                 "inertial": [asdict(b) for b in self.inertial],
                 "suspicions": list(self.suspicions),
                 "evidence": [{"channel": e.channel, "evidence": asdict(e.evidence)} for e in self.evidence],
+                "motion_checks": [asdict(c) for c in self.checks],
             }
         )
 
@@ -243,16 +272,19 @@ class MotionDiagnosis:
         channels = tuple(ChannelFit.from_json(c) for c in content["fit"]["channels"])
         effects = tuple(kind.from_json(e) for e, kind in kinds)
         return cls(
-            content["verdict"],
-            mismatch,
-            effects,
-            channels,
-            content["fit"]["held_out"]["split"],
-            tuple(NotSeparable(tuple(n["effects"]), _number(n["correlation"]), n.get("odds")) for n in content["not_separable"]),
-            tuple(Advice(a["reason"], tuple(tuple(pose) for pose in a["poses_deg"])) for a in content["advice"]),
-            tuple(BodyInertia.from_json(b) for b in content.get("inertial", ())),
-            tuple(content.get("suspicions", ())),
-            tuple(ChannelEvidence(e["channel"], _evidence(e["evidence"])) for e in content.get("evidence", ())),
+            verdict=content["verdict"],
+            mismatch=mismatch,
+            effects=effects,
+            channels=channels,
+            split=content["fit"]["held_out"]["split"],
+            not_separable=tuple(
+                NotSeparable(tuple(n["effects"]), _number(n["correlation"]), n.get("odds")) for n in content["not_separable"]
+            ),
+            advice=tuple(Advice(a["reason"], tuple(tuple(pose) for pose in a["poses_deg"])) for a in content["advice"]),
+            inertial=tuple(BodyInertia.from_json(b) for b in content.get("inertial", ())),
+            suspicions=tuple(content.get("suspicions", ())),
+            evidence=tuple(ChannelEvidence(e["channel"], _evidence(e["evidence"])) for e in content.get("evidence", ())),
+            checks=tuple(map(MotionCheck.from_json, content.get("motion_checks", ()))),
         )
 
     def __repr__(self) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import MotionSignals
 
 Part = list[tuple[int, slice]]  # stretches of recordings: (number of the run, samples)
@@ -21,41 +22,42 @@ class NormalSegment:
     fold: int
 
 
-def held_out_parts(runs: tuple[MotionSignals, ...], options: MotionOptions) -> tuple[list[Part], str]:
+def held_out_parts(runs: Sequence[MotionSignals]) -> tuple[list[Part], str]:
     """What is held out in turn: whole trajectories (several at once where there are many), or blocks in time where there is only one.
 
     The second value names the split, 'trajectory' or 'time block'.
     """
     lengths = [len(run.q) for run in runs]
     if len(lengths) > 1:
-        number = min(len(lengths), options.held_out_parts)
+        number = min(len(lengths), NUMBERS.held_out_parts)
         return [[(k, slice(0, lengths[k])) for k in range(f, len(lengths), number)] for f in range(number)], "trajectory"
-    return [[(0, block)] for block in _blocks(slice(0, lengths[0]), options.held_out_parts)], "time block"
+    return [[(0, block)] for block in _blocks(slice(0, lengths[0]), NUMBERS.held_out_parts)], "time block"
 
 
-def segments(runs: tuple[MotionSignals, ...], options: MotionOptions, held: int | None = None) -> tuple[list[NormalSegment], str]:
-    """All segments, and the name of the split. held: number of a part that is left out altogether.
+def segments(runs: Sequence[MotionSignals], held: int | None = None, learnt: int | None = None) -> tuple[list[NormalSegment], str]:
+    """All segments, and the name of the split. held: number of a part that is left out altogether; learnt: number of the trajectories, the
+    first ones, from which anything is learnt (None: all).
 
     Folds are the remaining trajectories; of a single one, interleaved blocks.
     """
-    parts, split = held_out_parts(runs, options)
+    parts, split = held_out_parts(runs[:learnt])
     remaining = [part for i, part in enumerate(parts) if i != held]
     by_trajectory = split == "trajectory" and len(remaining) > 1
-    number = options.interleaved_blocks if split == "trajectory" else options.interleaved_blocks // options.held_out_parts
+    number = NUMBERS.interleaved_blocks if split == "trajectory" else NUMBERS.interleaved_blocks // NUMBERS.held_out_parts
     out: list[NormalSegment] = []
     for fold, part in enumerate(remaining):
         for run, samples in part:
             step = runs[run].step_s
             if by_trajectory:
-                out += [NormalSegment(run, s, fold) for s in _half_seconds(samples, step, options)]
+                out += [NormalSegment(run, s, fold) for s in _half_seconds(samples, step)]
                 continue
             for i, block in enumerate(_blocks(samples, number)):
-                out += [NormalSegment(run, s, i % options.held_out_parts) for s in _half_seconds(block, step, options)]
+                out += [NormalSegment(run, s, i % NUMBERS.held_out_parts) for s in _half_seconds(block, step)]
     return out, split
 
 
-def _half_seconds(samples: slice, step_s: float, options: MotionOptions) -> list[slice]:
-    return _blocks(samples, max(int((samples.stop - samples.start) * step_s / options.segment_s), 1))
+def _half_seconds(samples: slice, step_s: float) -> list[slice]:
+    return _blocks(samples, max(int((samples.stop - samples.start) * step_s / NUMBERS.segment_s), 1))
 
 
 def _blocks(samples: slice, number: int) -> list[slice]:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
-from mbcacq.diagnosis.motion.options import DEFAULTS, MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.dynamics import nominal_parameters, regressor
@@ -18,15 +18,15 @@ from mbcacq.model.trajectory import Trajectory
 Resample = Callable[[np.ndarray], np.ndarray]
 
 
-def prepare(trajectory: Trajectory, options: MotionOptions = DEFAULTS) -> tuple[MotionSignals, np.ndarray]:
+def prepare(trajectory: Trajectory) -> tuple[MotionSignals, np.ndarray]:
     """The signals of one recording, and the torque (T, n, n, 10) by unit inertial parameter of each link.
 
     Raises ConfigError for a recording that is too short or whose times do not rise.
     """
-    time, step = _times(trajectory, options)
+    time, step = _times(trajectory)
     resample = _resampler(time, step)
     robot, q = trajectory.robot, resample(trajectory.q)
-    smooth, qd, qdd = (rates(q, step, d, options.rate_window_s) for d in (0, 1, 2))
+    smooth, qd, qdd = (rates(q, step, d, NUMBERS.rate_window_s) for d in (0, 1, 2))
     torque, q_joint = _torque(trajectory, resample), _optional(trajectory.q_joint, resample)
     inertial = np.zeros((len(q), robot.n, robot.n, 10))
     rigid, gravity, payload = None, None, None
@@ -39,27 +39,27 @@ def prepare(trajectory: Trajectory, options: MotionOptions = DEFAULTS) -> tuple[
     q_set, rigid_set = _optional(trajectory.q_set, resample), None
     qd_set, qdd_set, qddd_set = (None, None, None) if q_set is None else _exact_rates(q_set, step)
     if q_set is not None and qd_set is not None and qdd_set is not None and robot.mass.any():
-        smooth_set = rates(q_set, step, 0, options.rate_window_s)
+        smooth_set = rates(q_set, step, 0, NUMBERS.rate_window_s)
         rigid_set = _rigid(regressor(robot.chain, smooth_set, qd_set, qdd_set, robot.gravity), robot)
     signals = MotionSignals(
-        step,
-        q,
-        qd,
-        qdd,
-        direction_of_rotation(q, step, options),
-        smooth,
-        q_set,
-        qd_set,
-        qdd_set,
-        qddd_set,
-        q_joint,
-        torque,
-        rigid,
-        rigid,
-        gravity,
-        rigid_set,
-        payload,
-        robot.gear_ratio,
+        step_s=step,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        direction=direction_of_rotation(q, step),
+        smooth=smooth,
+        q_set=q_set,
+        qd_set=qd_set,
+        qdd_set=qdd_set,
+        qddd_set=qddd_set,
+        q_joint=q_joint,
+        torque=torque,
+        load=rigid,
+        rigid=rigid,
+        gravity=gravity,
+        rigid_set=rigid_set,
+        payload=payload,
+        gear_ratio=robot.gear_ratio,
         robot=robot,
     )
     return signals, inertial
@@ -71,14 +71,14 @@ def rates(signal: np.ndarray, step: float, derivative: int, window_s: float) -> 
     return np.asarray(savgol_filter(signal, window, 5, deriv=derivative, delta=step, axis=0))
 
 
-def direction_of_rotation(q: np.ndarray, step: float, options: MotionOptions) -> np.ndarray:
+def direction_of_rotation(q: np.ndarray, step: float) -> np.ndarray:
     """Direction of the last motion (T, n) in -1..1, which changes over a short travel (Dahl's model of presliding) and stays at
     standstill."""
-    smooth = rates(q, step, 0, options.rate_window_s)
+    smooth = rates(q, step, 0, NUMBERS.rate_window_s)
     out = np.zeros_like(q)
     for joint in range(q.shape[1]):
         travel = np.diff(smooth[:, joint])
-        keep, target = np.exp(-np.abs(travel) / options.presliding_rad), np.sign(travel)
+        keep, target = np.exp(-np.abs(travel) / NUMBERS.presliding_rad), np.sign(travel)
         state, column = 0.0, [0.0]
         for a, s in zip(keep.tolist(), target.tolist(), strict=True):
             state = s + (state - s) * a
@@ -90,17 +90,17 @@ def direction_of_rotation(q: np.ndarray, step: float, options: MotionOptions) ->
     return out
 
 
-def _times(trajectory: Trajectory, options: MotionOptions) -> tuple[np.ndarray, float]:
+def _times(trajectory: Trajectory) -> tuple[np.ndarray, float]:
     """Recorded times (T,) and the step to resample them to."""
     time = np.asarray(trajectory.time_s, dtype=float)
     steps = np.diff(time)
-    fewest = options.fewest_samples
+    fewest = NUMBERS.fewest_samples
     if len(time) < fewest:
         raise ConfigError(f"a trajectory of {len(time)} samples is too short to diagnose; record at least {fewest}")
     if not np.all(steps > 0):
         sample = int(np.argmin(steps)) + 1
         raise ConfigError(f"time_s does not rise at sample {sample}; sort the recording and remove doubles")
-    return time, max(float(np.median(steps)), 1.0 / options.highest_rate_hz)
+    return time, max(float(np.median(steps)), 1.0 / NUMBERS.highest_rate_hz)
 
 
 def _exact_rates(command: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

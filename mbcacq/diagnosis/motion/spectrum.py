@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
 from mbcacq.effects.motion_periods import OrderRange, periodic_component, range_of_orders
 
 
 def periodic_candidates(
-    group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int, residual: np.ndarray, training: np.ndarray, options: MotionOptions
+    group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int, residual: np.ndarray, training: np.ndarray
 ) -> list[MotionCandidate]:
     """Candidates for the strongest spectral lines of a residual (Ttot,): the strongest, the strongest above its background, and those
     near one and two periods per motor turn. training: (Ttot,) which samples take part."""
@@ -21,17 +21,17 @@ def periodic_candidates(
         return []
     q = np.concatenate([run.q[:, joint] for run in runs])
     observed = (float(q[training > 0].min()), float(q[training > 0].max()))
-    power, orders = _power(q, residual * training, limits, options.spectrum_oversampling)
+    power, orders = _power(q, residual * training, limits, NUMBERS.spectrum_oversampling)
     if len(power) < 3:
         return []
     tried = (limits.highest - limits.lowest) / limits.spacing
-    found = [(float(orders[i]), tried) for i in _strongest(power, options.background_orders)]
+    found = [(float(orders[i]), tried) for i in _strongest(power, NUMBERS.background_orders)]
     ratio = runs[0].gear_ratio
     motor_orders = [] if ratio is None else [turns * abs(float(ratio[joint])) for turns in (1, 2)]
     for motor_order in motor_orders:
         near = np.flatnonzero(np.abs(orders - motor_order) <= limits.spacing)
         if len(near):
-            found.append((float(orders[near[np.argmax(power[near])]]), options.motor_order_trials))
+            found.append((float(orders[near[np.argmax(power[near])]]), NUMBERS.motor_order_trials))
     return [periodic_component(effect, joint, order, limits.spacing / 2, trials, observed) for order, trials in found]
 
 

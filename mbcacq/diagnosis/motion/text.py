@@ -59,6 +59,11 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
     lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:
         lines.append(f"  {c.at} {CHANNELS[c.channel]}: {_held_out(c)}")
+    for check in diagnosis.checks:
+        lines += ["", f"Tried on {check.recording or 'the other recording'}, of which nothing was learnt:"]
+        for one in check.channels:
+            rms = f"{significant(one.error.before_rms)} {symbol(one.unit)} before, {significant(one.error.after_rms)} after"
+            lines.append(f"  {one.at} {CHANNELS[one.channel]}: {rms}")
     return "\n".join(lines)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.options import NUMBERS
 
 
 def estimate_delay(model: MotionModel) -> None:
@@ -17,16 +18,15 @@ def estimate_delay(model: MotionModel) -> None:
     late = next((e for e in model.selected if e.candidate.channel_delay), None)
     if late is None:
         return
-    options = model.options
-    for _ in range(options.delay_rounds):
+    for _ in range(NUMBERS.delay_rounds):
         x = model.coefficients()
         first = int(np.flatnonzero(model.chosen() == late.variant.ids[0])[0])
         _update_slope(model, late, x)
         before, step = late.variant.value, float(model.coefficients()[first])
-        delay = float(np.clip(before + step, -options.longest_delay_s, options.longest_delay_s))
+        delay = float(np.clip(before + step, -NUMBERS.longest_delay_s, NUMBERS.longest_delay_s))
         late.at(delay, late.variant.ids)
         model.store.correct_delay(delay)
-        if abs(delay - before) < options.delay_tolerance_s:
+        if abs(delay - before) < NUMBERS.delay_tolerance_s:
             return
 
 

@@ -6,25 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.signals import direction_of_rotation, rates
 from mbcacq.geometry.dynamics import nominal_parameters, regressor
 from mbcacq.model.trajectory import Trajectory
 
 
-def with_torque(trajectories: list[Trajectory], options: MotionOptions) -> list[Trajectory]:
-    """The trajectories with ``torque`` (T, n) N m from ``current`` where all of them have only that, and the robot's masses are known."""
+def with_torque(trajectories: list[Trajectory], learnt: int | None = None) -> list[Trajectory]:
+    """The trajectories with ``torque`` (T, n) N m from ``current`` where all of them have only that, and the robot's masses are known.
+
+    learnt: number of the trajectories, the first ones, by which the torque constants are estimated (None: all).
+    """
     lacking = all(t.torque is None and t.motor_torque is None and t.current is not None for t in trajectories)
     if not lacking or not all(t.robot.mass.any() for t in trajectories):
         return trajectories
-    ratio = current_per_torque(trajectories, options)
+    ratio = current_per_torque(trajectories[:learnt])
     return trajectories if np.isnan(ratio).all() else [replace(t, torque=np.asarray(t.current) / ratio) for t in trajectories]
 
 
-def current_per_torque(trajectories: list[Trajectory], options: MotionOptions) -> np.ndarray:
+def current_per_torque(trajectories: list[Trajectory]) -> np.ndarray:
     """(n,) unit of current per N m about each joint, NaN where it cannot be determined: slope of the current over the rigid-body torque,
     fitted with friction and an offset."""
-    columns = [_columns(t, options) for t in trajectories]
+    columns = [_columns(t) for t in trajectories]
     n = trajectories[0].robot.n
     out = np.full(n, np.nan)
     for j in range(n):
@@ -32,8 +35,8 @@ def current_per_torque(trajectories: list[Trajectory], options: MotionOptions) -
         y = np.concatenate([np.asarray(t.current)[:, j] for t in trajectories])
         if not np.isfinite(y).all():
             continue
-        slope, std = _slope(A, y, options.current_segment)
-        if abs(slope) > options.current_sigmas * std:
+        slope, std = _slope(A, y, NUMBERS.current_segment)
+        if abs(slope) > NUMBERS.current_sigmas * std:
             out[j] = slope
     return out
 
@@ -50,10 +53,10 @@ def _slope(A: np.ndarray, y: np.ndarray, segment: int) -> tuple[float, float]:
     return float(x[0] / scale[0]), std / float(scale[0])
 
 
-def _columns(t: Trajectory, options: MotionOptions) -> np.ndarray:
+def _columns(t: Trajectory) -> np.ndarray:
     """(T, n, 4): rigid-body torque, direction, speed, one."""
     step = float(np.median(np.diff(t.time_s)))
-    q, qd, qdd = (rates(t.q, step, d, options.rate_window_s) for d in (0, 1, 2))
+    q, qd, qdd = (rates(t.q, step, d, NUMBERS.rate_window_s) for d in (0, 1, 2))
     parameters = nominal_parameters(t.robot.mass, t.robot.com, t.robot.payload_mass, t.robot.payload_com)
     rigid = np.einsum("tjlk,lk->tj", regressor(t.robot.chain, q, qd, qdd, t.robot.gravity), parameters)
-    return np.stack([rigid, direction_of_rotation(t.q, step, options), qd, np.ones_like(qd)], axis=2)
+    return np.stack([rigid, direction_of_rotation(t.q, step), qd, np.ones_like(qd)], axis=2)

@@ -8,21 +8,21 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from mbcacq.diagnosis.motion.fit import FittedEffect, MotionFit
-from mbcacq.diagnosis.motion.options import MotionOptions
+from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals, available
 
 
-def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit, options: MotionOptions) -> tuple[MotionSignals, ...]:
+def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[MotionSignals, ...]:
     """The runs with the torque that passes the gears, joint by joint, and its relative uncertainty.
 
     Where the torque is explained, that of the arm as it was found, without what acts on the motor side; else the drive's torque, less
     its friction.
     """
-    explained = torque.train_after < options.explained_chi2_dof * torque.floor**2
+    explained = torque.train_after < NUMBERS.explained_chi2_dof * torque.floor**2
     uncertainty = np.zeros(runs[0].q.shape[1])
     for j, joint in enumerate(torque.group.joints):
-        uncertainty[joint] = torque.load_uncertainty[j] if explained[j] else options.unexplained_load_uncertainty
+        uncertainty[joint] = torque.load_uncertainty[j] if explained[j] else NUMBERS.unexplained_load_uncertainty
     lost = [e for e in torque.effects if catalogue.declaration(e.name).motor_side]
     passed = [e for e in torque.effects if not catalogue.declaration(e.name).motor_side]
     out = []
@@ -32,7 +32,7 @@ def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit, options: Motio
             if explained[j]:
                 load[:, joint] += torque.links[j][k] + _sum(passed, j, k)
             else:
-                load[:, joint] = _smooth(available(run.torque)[:, joint] - _sum(lost, j, k), run.step_s, options)
+                load[:, joint] = _smooth(available(run.torque)[:, joint] - _sum(lost, j, k), run.step_s)
         out.append(replace(run, load=load, load_uncertainty=uncertainty))
     return tuple(out)
 
@@ -41,6 +41,6 @@ def _sum(effects: list[FittedEffect], j: int, run: int) -> np.ndarray | float:
     return sum((e.contributions[j][run] for e in effects), 0.0)
 
 
-def _smooth(load: np.ndarray, step_s: float, options: MotionOptions) -> np.ndarray:
-    window = min(max(2 * int(options.load_window_s / step_s / 2) + 1, 5), (len(load) - 1) // 2 * 2 - 1)
+def _smooth(load: np.ndarray, step_s: float) -> np.ndarray:
+    window = min(max(2 * int(NUMBERS.load_window_s / step_s / 2) + 1, 5), (len(load) - 1) // 2 * 2 - 1)
     return np.asarray(savgol_filter(load, window, 2))

@@ -120,7 +120,7 @@ def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
 def _investigation(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Vertical(
         _curves("Explanations: log10 of their odds against the first, before each visit", [f"{layout.ODDS}/**"], whole=True),
-        _curves("Effects that could hide: largest size not excluded, in usual ones", [f"{layout.COULD_HIDE}/**"], whole=True),
+        _curves("Effects that could hide: log10 of the largest size not excluded, in usual ones", [f"{layout.COULD_HIDE}/**"], whole=True),
         name="Investigation",
     )
 

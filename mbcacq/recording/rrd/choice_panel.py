@@ -30,7 +30,7 @@ def log_choice(rec: rr.RecordingStream, weighed: WeighedPoses) -> None:
     for name, odds in weighed.sets:
         rec.log(f"{layout.ODDS}/{_part(name)}", rr.Scalars(float(np.log10(max(odds, LEAST_ODDS)))))
     for name, size in weighed.could_hide:
-        rec.log(f"{layout.COULD_HIDE}/{_part(name)}", rr.Scalars(float(min(size, LARGEST_SIZE))))
+        rec.log(f"{layout.COULD_HIDE}/{_part(name)}", rr.Scalars(float(np.log10(np.clip(size, 1 / LARGEST_SIZE, LARGEST_SIZE)))))
     colors = [GHOST] * len(weighed.looks)
     rec.log(layout.NEXT, rr.LineStrips3D(np.asarray(weighed.looks, dtype=np.float32), colors=colors, radii=2.0))
 
