@@ -10,14 +10,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime
 
-from asyncua import Client, ua
+from asyncua import ua
+from asyncua.client.client import Client
+from asyncua.ua.attribute_ids import AttributeIds
+from asyncua.ua.object_ids import ObjectIds
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, MbcacqError, ProtocolError
 from mbcacq_opcua.nodes import NoSuchRobot, RobotNodes, find_robot
 from mbcacq_opcua.options import OpcUaOptions
 
-CLOCK = ua.NodeId(ua.ObjectIds.Server_ServerStatus_CurrentTime)
-STARTED = ua.NodeId(ua.ObjectIds.Server_ServerStatus_StartTime)
+CLOCK = ua.NodeId(ua.Int32(ObjectIds.Server_ServerStatus_CurrentTime))
+STARTED = ua.NodeId(ua.Int32(ObjectIds.Server_ServerStatus_StartTime))
 Reading = Callable[[float, list[float]], None]
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what is wrong is said by our errors, once
@@ -133,16 +136,17 @@ class OpcUaLink:
         """One request for all axes and the clock. Raises DeviceFault for an angle that the server marks as bad."""
         robot = self.robot
         assert robot is not None, "it was found before it is read"
-        values = await client.uaclient.read_attributes([*(p.nodeid for p in robot.positions), CLOCK], ua.AttributeIds.Value)
+        values = await client.uaclient.read_attributes([*(p.nodeid for p in robot.positions), CLOCK], AttributeIds.Value)
         for axis, value in zip(robot.names, values, strict=False):
             if value.StatusCode is not None and not value.StatusCode.is_good():
                 raise DeviceFault(
                     f"{self._place} marks the angle of '{axis}' as {value.StatusCode.name}; look at the controller's messages"
                 )
         *angles, clock = [None if value.Value is None else value.Value.Value for value in values]
-        if not isinstance(clock, datetime) or not all(isinstance(a, int | float) for a in angles):
+        numbers = [float(a) for a in angles if isinstance(a, int | float)]
+        if not isinstance(clock, datetime) or len(numbers) < len(angles):
             raise ProtocolError(f"{self._place} sends angles or a time that are none; is the OPC UA server of this controller up to date?")
-        self._on_reading((clock - self._started).total_seconds(), [float(a) for a in angles])
+        self._on_reading((clock - self._started).total_seconds(), numbers)
 
     @property
     def _place(self) -> str:

@@ -10,7 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from asyncua import Client, Node, ua
+from asyncua import ua
+from asyncua.client.client import Client
+from asyncua.common.node import Node
+from asyncua.ua.object_ids import ObjectIds
 
 ROBOTICS, DEVICES = "http://opcfoundation.org/UA/Robotics/", "http://opcfoundation.org/UA/DI/"
 ROTARY = {0, 1, 2}  # AxisMotionProfileEnumeration: OTHER, ROTARY, ROTARY_ENDLESS; 3 and 4 are linear
@@ -130,7 +133,7 @@ async def _read_controller(found: RobotNodes, system: Node, robotics: int, di: i
 
 async def _children(node: Node) -> dict[str, Node]:
     """The components of a node by their browse names."""
-    described = await node.get_children_descriptions(refs=ua.ObjectIds.HierarchicalReferences)
+    described = await node.get_children_descriptions(refs=ObjectIds.HierarchicalReferences)
     return {d.BrowseName.Name: Node(node.session, d.NodeId) for d in described if d.NodeClass == ua.NodeClass.Object}
 
 

@@ -14,7 +14,8 @@ from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
-from mbcacq.errors import ConfigError, ExitCode
+from mbcacq.errors import ConfigError, ExitCode, RecordingError
+from mbcacq.files.atomic_write import write_file
 
 if TYPE_CHECKING:
     from mbcacq.doctor import CheckupLine
@@ -91,9 +92,9 @@ def write(text: str, out: Path | None) -> None:
         echo(text.rstrip("\n"))
         return
     try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{out} cannot be written: {error.strerror}; give another --out") from error
+        write_file(out, text)
+    except RecordingError as error:
+        raise ConfigError(f"{error}; give another --out") from error
     echo(f"written: {out}", err=True)
 
 

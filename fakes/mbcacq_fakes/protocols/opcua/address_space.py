@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from asyncua import Node, Server, ua
+from asyncua import ua
+from asyncua.common.node import Node
+from asyncua.server.server import Server
 
 ROBOTICS, DI = "http://opcfoundation.org/UA/Robotics/", "http://opcfoundation.org/UA/DI/"
 CODES = {"deg": ("DD", "°"), "rad": ("C81", "rad"), "kg": ("KGM", "kg")}  # UNECE recommendation 20, and what is shown
@@ -38,20 +40,25 @@ def unit(code: str) -> ua.EUInformation:
     )
 
 
+def node_id(path: str, space: int) -> ua.NodeId:
+    """A node by its name in a namespace."""
+    return ua.NodeId(ua.String(path), ua.Int16(space))
+
+
 async def build(server: Server, arm: ArmNodes) -> list[Node]:
     """Adds the nodes; returns those of the axes' positions. ``arm.values`` gets the others that change."""
     robotics, di = await server.register_namespace(ROBOTICS), await server.register_namespace(DI)
-    device_set = await server.nodes.objects.add_object(ua.NodeId("DeviceSet", di), ua.QualifiedName("DeviceSet", di))
+    device_set = await server.nodes.objects.add_object(node_id("DeviceSet", di), ua.QualifiedName("DeviceSet", di))
 
     async def obj(parent: Node, name: str, space: int = robotics) -> Node:
         path = f"{parent.nodeid.Identifier}.{name}"
-        return await parent.add_object(ua.NodeId(path, space), ua.QualifiedName(name, space))
+        return await parent.add_object(node_id(path, space), ua.QualifiedName(name, space))
 
     async def var(parent: Node, name: str, value: Any, space: int = robotics, eu: str | None = None) -> Node:
         path = f"{parent.nodeid.Identifier}.{name}"
-        node = await parent.add_variable(ua.NodeId(path, space), ua.QualifiedName(name, space), value)
+        node = await parent.add_variable(node_id(path, space), ua.QualifiedName(name, space), value)
         if eu is not None:
-            await node.add_property(ua.NodeId(f"{path}.EngineeringUnits", space), ua.QualifiedName("EngineeringUnits", 0), unit(eu))
+            await node.add_property(node_id(f"{path}.EngineeringUnits", space), ua.QualifiedName("EngineeringUnits", 0), unit(eu))
         return node
 
     system = await obj(device_set, "MotionDeviceSystem")

@@ -7,12 +7,14 @@ import logging
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import UTC
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from asyncua import Server, ua
+from asyncua import ua
+from asyncua.server.server import Server
+from asyncua.ua.status_codes import StatusCodes
 
 from mbcacq_fakes.protocols.opcua.address_space import ArmNodes, build, served
 
@@ -96,7 +98,7 @@ class FakeOpcUaServer:
         positions = await build(server, self.arm)
         await self._show(server, positions)
         async with server:
-            self.port = server.bserver._server.sockets[0].getsockname()[1]
+            self.port = port_of(server)
             self._ready.set()
             last = time.monotonic()
             while not self._quit.is_set():
@@ -130,9 +132,15 @@ class FakeOpcUaServer:
             return
         for axis, (node, value) in enumerate(zip(positions, served(np.degrees(self.q).tolist(), self.arm), strict=True), 1):
             shown = float("nan") if self._faults.get("not_a_number") == axis else value
-            code = ua.StatusCodes.BadSensorFailure if self._faults.get("bad") == axis else ua.StatusCodes.Good
+            code = StatusCodes.BadSensorFailure if self._faults.get("bad") == axis else StatusCodes.Good
             variant = ua.Variant(shown, ua.VariantType.Double)
-            await server.write_attribute_value(node.nodeid, ua.DataValue(variant, ua.StatusCode(code), datetime.now(UTC)))
+            await server.write_attribute_value(node.nodeid, ua.DataValue(variant, ua.StatusCode(ua.UInt32(code)), ua.DateTime.now(UTC)))
+
+
+def port_of(server: Server) -> int:
+    """The port at which a started server listens; it was free to take any."""
+    listening: Any = server.bserver
+    return listening._server.sockets[0].getsockname()[1]
 
 
 def start_in_cell(
