@@ -10,7 +10,7 @@ from typing import Any
 
 from mbcacq.devices.addresses import ADDRESS_KEY
 from mbcacq.recording.run_folder.journal import read_journal, read_log
-from mbcacq.recording.run_folder.run_plan import plan_of_run
+from mbcacq.recording.run_folder.run_plan import read_kept_plan
 from mbcacq.version import __version__
 
 FORMAT = "mbcacq-evidence/1"
@@ -36,7 +36,7 @@ def evidence(run: Path, anonymous: bool = False) -> dict[str, Any]:
         "events": [entry for entry in entries if entry.get("event") != "device"],
         "poses": [entry for entry in journal if entry.get("event") == "pose_done"],
         "log": read_log(run),
-        "plan": plan_of_run(run).text,
+        "plan": read_kept_plan(run).plan or "",
     }
     if not anonymous:
         return found
