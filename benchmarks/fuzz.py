@@ -16,6 +16,7 @@ import json
 import os
 import random
 import resource
+import signal
 import sys
 import tempfile
 import time
@@ -39,7 +40,9 @@ if "--atheris" in sys.argv:  # ours are instrumented while they are imported
             "mbcacq.recording",
             "mbcacq.plan.yaml_source",
             "mbcacq.exports",
-            "mbcacq.spheres.ply_header",
+            "mbcacq.files",
+            "mbcacq.model",
+            "mbcacq.spheres",
         ]
     ):
         from fuzz_targets import Target, targets
@@ -49,6 +52,7 @@ from fuzz_corpus import corpus, write_corpus  # noqa: E402
 from mutate import mutate  # noqa: E402
 
 TRACED = 1000
+MOST_S, MOST_MB = 20.0, 1024.0  # of processor time for one input, and of memory that all inputs of a parser make the process grow by
 LONGEST = 2048  # bytes of an input in the corpus
 OURS = tuple(str(HERE.parent / name) for name in ("mbcacq", "drivers"))
 HEAD = "| parser | inputs | accepted | a second | slowest | memory | largest | faults |\n|---|---|---|---|---|---|---|---|"
@@ -93,11 +97,18 @@ def fuzz(target: Target, inputs: int, seconds: float, seed: int, keep: Path | No
     outcome = Outcome(target.name, seed, largest=trace(target, known, random.Random(f"{seed} {target.name} traced")))
     memory, began, run, clock = resident_MB(), time.process_time(), target.run, time.process_time
     start = began
+
+    def too_long(*_: object) -> None:
+        if clock() - start > MOST_S:
+            raise TooLongError
+
+    signal.signal(signal.SIGVTALRM, too_long)
+    signal.setitimer(signal.ITIMER_VIRTUAL, 1.0, 1.0)
     while outcome.inputs < inputs and start - began < seconds:
         data = mutate(known[int(rng.random() * len(known))], known, rng)
         try:
             outcome.accepted += run(data)
-        except Exception as error:
+        except (Exception, TooLongError) as error:
             place = traceback.extract_tb(error.__traceback__)[-1]
             key = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {str(error)[:100]}"
             if key.split(": ")[0] not in {k.split(": ")[0] for k in outcome.faults}:
@@ -109,8 +120,15 @@ def fuzz(target: Target, inputs: int, seconds: float, seed: int, keep: Path | No
         now = clock()
         outcome.slowest = max(outcome.slowest, now - start)
         start = now
+    signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
     outcome.seconds, outcome.memory = start - began, resident_MB() - memory
+    if outcome.memory > MOST_MB:
+        outcome.faults[f"memory grew by {outcome.memory:.0f} MB"] = b""
     return outcome
+
+
+class TooLongError(BaseException):
+    """An input takes longer than any may; no parser of a library that catches everything takes it for its own."""
 
 
 def grow(target: Target, inputs: int, seed: int) -> None:
@@ -179,6 +197,12 @@ def trace(target: Target, known: Sequence[bytes], rng: random.Random) -> int:
     return largest
 
 
+def bounded_memory() -> None:
+    """No input may take the machine's memory: an allocation of more than twice what is allowed fails."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (used + int(2 * MOST_MB) * 2**20, resource.RLIM_INFINITY))
+
+
 def quiet_libraries() -> None:
     """The reader of clouds writes every complaint to standard error by itself; ours goes to a copy of it."""
     sys.stderr = os.fdopen(os.dup(2), "w", buffering=1)
@@ -240,6 +264,8 @@ def main() -> int:
         for name in given.only:
             grow(targets()[name], given.inputs, given.seed)
         return 0
+    targets()
+    bounded_memory()
     print(HEAD)
     faults = 0
     for name in given.only:

@@ -58,7 +58,9 @@ def catalogue() -> list[Effect]:
     """Every effect of the catalogue that acts on an arm at standstill, and those outside it, in their forms."""
 
     def one(family, form, unit, step, plausible, key, name=None, vector=None, **fixed):
-        return Effect(family, form, unit, step, plausible, name or family, key, fixed, vector)
+        return Effect(
+            family=family, form=form, unit=unit, step=step, plausible=plausible, name=name or family, key=key, fixed=fixed, vector=vector
+        )
 
     out = [one("joint_compliance", a, "rad/Nm", 2e-6, 1e-5, "compliance_rad_per_Nm", where=a) for a in ("A2", "A3")]
     out += [one("joint_compliance", "A5", "rad/Nm", 2e-5, 5e-5, "compliance_rad_per_Nm", where="A5")]

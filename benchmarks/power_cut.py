@@ -65,43 +65,60 @@ class File:
 
 
 class Disk:
-    """Files by name, and the names that are on the disk."""
+    """Files by name, the names that are on the disk, and what was done to names since: each a creation, a renaming or a removal."""
 
-    def __init__(self) -> None:
-        self.names: dict[str, File] = {}
-        self.durable_names: dict[str, File] = {}
+    def __init__(self, files: dict[str, bytes] | None = None) -> None:
+        self.names = {path: File(bytearray(data), data) for path, data in (files or {}).items()}
+        self.durable_names = dict(self.names)
+        self.pending: list[tuple[Record, File]] = []
 
     def apply(self, record: Record) -> None:
-        if record.kind == "s" and not record.path:  # the folder itself
-            self.durable_names = dict(self.names)
-        elif record.kind == "s" and record.path in self.names:
-            file = self.names[record.path]
+        path = record.path
+        if record.kind == "s" and path not in self.names:  # a folder: the names in it are on the disk
+            for change, file in self.pending:
+                if _folder(change.path) == path:
+                    _rename(self.durable_names, change, file)
+            self.pending = [(change, file) for change, file in self.pending if _folder(change.path) != path]
+        elif record.kind == "s":
+            file = self.names[path]
             file.durable, file.pending = bytes(file.content), []
-        elif record.kind == "r" and record.path in self.names:
-            self.names[record.other] = self.names.pop(record.path)
-        elif record.kind == "u":
-            self.names.pop(record.path, None)
-        elif record.kind in "ct":
-            file = self.names.setdefault(record.path, File())
+        elif record.kind in "ru" and path in self.names:
+            self._renamed(record, self.names[path])
+        elif record.kind in "ctw":
+            if path not in self.names:
+                self._renamed(record, File())
+            file = self.names[path]
             if record.kind == "t" and file.content:
                 file.content.clear()
                 file.pending.append(record)
-        elif record.kind == "w":
-            file = self.names.setdefault(record.path, File())
-            _write(file.content, record.at, record.data)
-            file.pending.append(record)
+            elif record.kind == "w":
+                _write(file.content, record.at, record.data)
+                file.pending.append(record)
+
+    def _renamed(self, record: Record, file: File) -> None:
+        _rename(self.names, record, file)
+        self.pending.append((record, file))
 
     def after_cut(self, rng: random.Random | None) -> dict[str, bytes]:
-        """Name -> content. rng: keeps unsynced blocks and names by chance; None keeps none."""
+        """Name -> content. rng: keeps unsynced blocks and names by chance; None keeps none. A renaming is kept or lost as a whole, as file
+        systems with a journal promise; of several, any may be lost."""
         names = dict(self.durable_names)
-        if rng is not None:
-            for name in {*self.names, *names}:
-                if self.names.get(name) is not names.get(name) and rng.random() < 0.5:
-                    if name in self.names:
-                        names[name] = self.names[name]
-                    else:
-                        names.pop(name)
+        for record, file in self.pending if rng is not None else ():
+            if rng.random() < 0.5:
+                _rename(names, record, file)
         return {name: _kept(file, rng) for name, file in names.items()}
+
+
+def _rename(names: dict[str, File], record: Record, file: File) -> None:
+    """What a record does to names: one comes, one goes, or both."""
+    if record.kind in "ru":
+        names.pop(record.path, None)
+    if record.kind != "u":
+        names[record.other if record.kind == "r" else record.path] = file
+
+
+def _folder(path: str) -> str:
+    return path.rpartition("/")[0]
 
 
 def _kept(file: File, rng: random.Random | None) -> bytes:

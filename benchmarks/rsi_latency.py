@@ -2,7 +2,9 @@
 
 Ours against RSIPI (PyPI ``rsipi``) and against a C program of 60 lines that does nothing but answer, which is the floor of what this
 machine can do. The controller is a C program, too, so that its own time does not count. Each round lets every program answer for the
-given time, one after the other, so that all of them see the same machine.
+given time, one after the other, so that all of them see the same machine. With --witness the C program runs beside each of them with a
+controller of its own: a virtual machine is stopped for some cycles now and then, and what both miss within the same moment is not the
+program's. Medians are to be taken without a witness, which keeps the processor awake.
 
 python benchmarks/rsi_latency.py --write        three rounds of 60 s each, idle and under scan load: 18 minutes on a quiet machine
 """
@@ -19,7 +21,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -31,6 +33,7 @@ from mbcacq.devices import MbcacqError, MotionLimits
 HERE = Path(__file__).parent
 LIMITS_DEG = [(-185, 185), (-140, 10), (-120, 168), (-350, 350), (-125, 125), (-350, 350)]
 HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
+STALL_S = 0.05  # what two programs miss within such a time is the machine's
 MOTION = MotionLimits(np.radians(np.full(6, 90.0)), np.radians(np.full(6, 360.0)), np.radians(np.full(6, 3600.0)))
 
 LOAD = """
@@ -80,6 +83,7 @@ def main() -> None:
     arguments.add_argument(
         "--load", choices=("none", "scans", "both"), default="both", help="another process decodes scans and logs them to rerun"
     )
+    arguments.add_argument("--witness", action="store_true", help="tell cycles in which the machine stood from those of the program alone")
     arguments.add_argument("--write", action="store_true", help="write the figures to rsi_latency.md")
     given = arguments.parse_args()
     found: dict[tuple[bool, str], list[np.ndarray]] = {}
@@ -95,7 +99,12 @@ def main() -> None:
             for _ in range(given.rounds):
                 with scan_load() if loaded else nullcontext():
                     for name, program in programs.items():
-                        found.setdefault((loaded, name), []).append(measure(metronome, program, given.seconds))
+                        rows = (
+                            witnessed(metronome, echo, program, given.seconds)
+                            if given.witness
+                            else measure(metronome, program, given.seconds)
+                        )
+                        found.setdefault((loaded, name), []).append(rows)
                         busy.append(os.getloadavg()[0])
     text = report(found, busy)
     print(text)
@@ -111,9 +120,23 @@ def compiled(name: str, folder: Path) -> Path:
     return folder / name
 
 
-def measure(metronome: Path, program: Callable, seconds: int) -> np.ndarray:
-    """Latency of every cycle in us, negative for a cycle without an answer."""
-    port = free_port()
+def witnessed(metronome: Path, echo: Path, program: Callable, seconds: int) -> np.ndarray:
+    """As ``measure``, and a third column: 1.0 where the C program beside it missed a cycle within STALL_S, else 0.0."""
+    cycles: list[np.ndarray] = []
+    first, second = free_ports(2)
+    beside = threading.Thread(target=lambda: cycles.append(measure(metronome, lambda port: c_echo(echo, port), seconds + 2, first)))
+    beside.start()
+    rows = measure(metronome, program, seconds, second)
+    beside.join()
+    missed_s = np.concatenate([[-np.inf], cycles[0][cycles[0][:, 1] < 0.0, 0], [np.inf]])
+    next_one = np.searchsorted(missed_s, rows[:, 0])
+    apart = np.minimum(missed_s[next_one] - rows[:, 0], rows[:, 0] - missed_s[next_one - 1])
+    return np.column_stack([rows, apart < STALL_S])
+
+
+def measure(metronome: Path, program: Callable, seconds: int, port: int = 0) -> np.ndarray:
+    """(n, 2): when each telegram was sent, s, and the latency in us, negative for a cycle without an answer."""
+    port = port or free_ports(1)[0]
     controller: list[subprocess.Popen[bytes]] = []
 
     def begin() -> subprocess.Popen[bytes]:
@@ -122,7 +145,7 @@ def measure(metronome: Path, program: Callable, seconds: int) -> np.ndarray:
 
     with program(port)(begin):
         data, _ = controller[0].communicate()
-    return np.frombuffer(data, dtype=float)
+    return np.frombuffer(data, dtype=float).reshape(-1, 2)
 
 
 @contextmanager
@@ -202,28 +225,35 @@ def report(found: dict[tuple[bool, str], list[np.ndarray]], busy: list[float]) -
         "",
         f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from sending a "
         "telegram to having the answer, at the controller's side, us. The programs took turns. 'Missed': cycles without an answer within "
-        f"4 ms. Load average meanwhile: {min(busy):.0f} to {max(busy):.0f}. Made by `python benchmarks/rsi_latency.py --write`.",
+        "4 ms; 'alone': those of them within 50 ms of which a second C program, which ran beside each of them, missed none, so that the "
+        f"machine did not stand ('-': there was none). Load average meanwhile: {min(busy):.0f} to {max(busy):.0f}. "
+        "Made by `python benchmarks/rsi_latency.py --write`.",
         "",
-        "| other load | program | cycles | median | 99 % | 99.9 % | missed | median / floor |",
-        "|---|---|--:|--:|--:|--:|--:|--:|",
+        "| other load | program | cycles | median | 99 % | 99.9 % | missed | alone | median / floor |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for (loaded, name), rounds in found.items():
-        latency = np.concatenate(rounds)
+        _, latency, *stalled = np.concatenate(rounds).T
         answered = latency[latency >= 0.0]
-        floor = np.concatenate(found[loaded, "C, answers only"])
+        floor = np.concatenate(found[loaded, "C, answers only"])[:, 1]
+        missed = latency < 0.0
+        alone = str(np.count_nonzero(missed & (stalled[0] == 0.0))) if stalled else "-"
         ratio = np.median(answered) / np.median(floor[floor >= 0.0])
         p50, p99, p999 = (np.percentile(answered, p) for p in (50, 99, 99.9))
         load = "decoding scans and logging to rerun" if loaded else "none of ours"
         lines.append(
-            f"| {load} | {name} | {len(latency)} | {p50:.0f} | {p99:.0f} | {p999:.0f} | {np.count_nonzero(latency < 0.0)} | {ratio:.2f} |"
+            f"| {load} | {name} | {len(latency)} | {p50:.0f} | {p99:.0f} | {p999:.0f} "
+            f"| {np.count_nonzero(missed)} | {alone} | {ratio:.2f} |"
         )
     return "\n".join(lines) + "\n"
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        return sock.getsockname()[1]
+def free_ports(count: int) -> list[int]:
+    with ExitStack() as open_ones:
+        sockets = [open_ones.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(count)]
+        for sock in sockets:
+            sock.bind(("127.0.0.1", 0))
+        return [sock.getsockname()[1] for sock in sockets]
 
 
 if __name__ == "__main__":

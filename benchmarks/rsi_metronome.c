@@ -1,5 +1,6 @@
 /* A controller by the clock for benchmarks/rsi_latency.py: one RSI telegram every 4 ms, an arm that follows its corrections at once.
-   rsi_metronome PORT SECONDS; writes the latency of every cycle (double, us; negative: no answer within the cycle) to standard output. */
+   rsi_metronome PORT SECONDS; writes two doubles a cycle to standard output: when its telegram was sent (s), and the latency (us; negative:
+   no answer within the cycle). */
 #define _GNU_SOURCE
 #include <arpa/inet.h>
 #include <poll.h>
@@ -81,8 +82,10 @@ int main(int count, char **given)
         }
         if (latency < 0.0)
             delay += active;
-        if (active)
-            fwrite(&latency, sizeof latency, 1, stdout);
+        if (active) {
+            double row[2] = {(double)sent.tv_sec + (double)sent.tv_nsec * 1e-9, latency};
+            fwrite(row, sizeof row, 1, stdout);
+        }
     }
     return 0;
 }

@@ -3,7 +3,7 @@ burst, angles that jump, stops and turns. Every set point that the controller is
 acceleration on the path that it saw, and none may move after a stop.
 
 Arms are ideal, lag, or lag and hum. Every tenth controller adds up its corrections (#RELATIVE), every second of these only once it was
-probed.
+probed: it carries corrections out from some moment on before or after its first motion was asked for. So does every twentieth absolute one.
 
 python benchmarks/rsi_path.py [MOTIONS] [SEED]
 """
@@ -25,12 +25,15 @@ from rsi_bench import ACCELERATION, JERK, LIMITS, SOURCE, SPEED, START, T
 
 EVENTS = ("good", "lost", "rejected", "late", "burst")
 SHARES = (0.94, 0.02, 0.02, 0.015, 0.005)
-ABSOLUTE, RELATIVE, HIDDEN = "absolute", "relative", "relative once it was probed"
-GROUPS = (ABSOLUTE,) * 18 + (RELATIVE, HIDDEN)
+ABSOLUTE, AWAKENING = "absolute", "absolute once it was probed"
+RELATIVE, HIDDEN = "relative", "relative once it was probed"
+GROUPS = (ABSOLUTE,) * 17 + (AWAKENING, RELATIVE, HIDDEN)
 NAMES, ARMS = ("ideal", "lag", "lag and hum"), ((0.0, 0.0), (0.02, 0.0), (0.02, 3e-4))  # s, deg
+SLOW = 0.1  # s: lag of relative arms instead; an absolute one with such a lag is refused at this speed, as it does not follow
 JUMPS = 0.05  # share of the motions in which the reported angles jump once
 CYCLES = 340
 QUIET = 120  # cycles after a stop, or after a fault: braking takes no longer
+AT_ONCE = ("relative", "connect")  # faults after which not even that
 ROUNDING_DEG = 1e-6  # of the answers
 _AXES = re.compile(rb'A\d="([^"]+)"')
 
@@ -52,6 +55,7 @@ class Controller:
         self.ipoc, self.delay, self.behind, self.deaf, self.ended = 1000, 0, 0.0, False, False
         self.path: list[np.ndarray] = []
         self.given: list[bool] = []
+        self.woken = 0  # the cycle of the first answer that was carried out
 
     def cycle(self, event: str = "good", jump_deg: float = 0.0) -> None:
         self.ipoc += 4
@@ -64,6 +68,7 @@ class Controller:
         used = answer is not None and event in ("good", "burst") and self.behind < 0.9 * T and not self.ended
         self.delay += not used and not self.ended
         if used and answer is not None and not self.deaf:
+            self.woken = self.woken or len(self.path)
             self.ended = b"<Stop>1<" in answer
             if not self.ended:
                 self.set_point = np.array([float(v) for v in _AXES.findall(answer)]) + (self.set_point if self.relative else START)
@@ -102,31 +107,36 @@ def drive(seed: int, number: int) -> Found:
     """One motion of one controller."""
     rng = np.random.default_rng([seed, number])
     group, arm = number % len(GROUPS), number // len(GROUPS) % len(ARMS)
-    relative = GROUPS[group] != ABSOLUTE
-    one = Controller(relative, *ARMS[arm], rng)
+    relative, asleep = GROUPS[group] in (RELATIVE, HIDDEN), GROUPS[group] in (AWAKENING, HIDDEN)
+    lag_s, noise_deg = ARMS[arm]
+    one = Controller(relative, SLOW if relative and lag_s else lag_s, noise_deg, rng)
+    awake_at = int(rng.integers(0, 200)) if asleep else 0
     try:
-        one.deaf = GROUPS[group] == HIDDEN  # RSI_MOVECORR is not reached yet when it is probed
+        one.deaf = asleep  # RSI_MOVECORR is not reached yet when it is probed
         one.connect()
-        one.deaf = False
+        one.deaf = awake_at > 0
         if one.shared.fault() is None:
             one.move()
-        begin, stopped = len(one.path), CYCLES
+        begin, still_from = len(one.path), CYCLES
         stop_at, turn_at = rng.integers(20, CYCLES - QUIET), rng.integers(20, CYCLES)
         jump_at = rng.integers(20, CYCLES) if rng.random() < JUMPS else -1
         for cycle in range(CYCLES):
+            one.deaf = cycle < awake_at
             if cycle == turn_at and turn_at < stop_at:
                 one.move()
             elif cycle == stop_at:
                 one.shared.send(RsiCommand(STOP))
-                stopped = min(stopped, cycle)
+                still_from = min(still_from, cycle + QUIET)
             one.cycle(str(rng.choice(EVENTS, p=SHARES)) if not one.behind else "good", 30.0 if cycle == jump_at else 0.0)
-            if one.shared.fault() is not None:
-                stopped = min(stopped, cycle)
+            if (fault := one.shared.fault()) is not None:
+                still_from = min(still_from, cycle + (1 if fault["kind"] in AT_ONCE else QUIET))
         fault = one.shared.fault()
     finally:
         one.shared.close()
     path, given = np.array(one.path), np.array(one.given)
-    after = float(np.abs(np.diff(path[begin + stopped + QUIET :], axis=0)).max(initial=0.0))
+    if asleep and not relative:
+        given[: one.woken + 3] = False  # it wakes where the proof's bump is: a jump of 0.016 deg, of its own doing
+    after = float(np.abs(np.diff(path[begin + still_from :], axis=0)).max(initial=0.0))
     steps, changes = np.abs(np.diff(path, axis=0)), np.abs(np.diff(path, 2, axis=0)).max(axis=1)
     speed = (steps.max() - 2 * ROUNDING_DEG) / (SPEED * T)
     acceleration = (changes[given[2:]].max(initial=0.0) - 4 * ROUNDING_DEG) / (ACCELERATION * T**2)

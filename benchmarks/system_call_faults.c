@@ -4,7 +4,7 @@
  *   gcc -O2 -shared -fPIC -o system_call_faults.so system_call_faults.c -ldl
  *
  * Nothing happens until fault_arm, fault_clock or fault_record is called (by ctypes), or FAULT_ARM=call:n:errno stands in the environment
- * of a process whose command line contains FAULT_ROLE. Calls that a library makes without the C library (its own mmap inside malloc, futex)
+ * of a process whose command line contains FAULT_ROLE, or FAULT_RECORD=folder|file in that of a program that another one starts. Calls that a library makes without the C library (its own mmap inside malloc, futex)
  * are not seen.
  */
 #define _GNU_SOURCE
@@ -39,6 +39,8 @@ static atomic_long count[CALLS];
 static atomic_int armed_call = -1, armed_errno, struck, counting;
 static atomic_long armed_n, clock_shift_s;
 static int log_fd = -1;
+static char below_folder[4096];
+static size_t below_length;
 static char log_folder[4096];
 static size_t log_length;
 static atomic_int log_lock;
@@ -63,6 +65,28 @@ int fault_arm(const char *call, long n, int error) {
     atomic_store(&armed_errno, error);
     atomic_store(&counting, 1);
     return atomic_load(&armed_call);
+}
+/* From now on only writes below this folder count and fail, as on a disk of its own. */
+void fault_below(const char *folder) {
+    strncpy(below_folder, folder, sizeof below_folder - 1);
+    below_length = strlen(below_folder);
+}
+static int is_below(int fd) {
+    char link[64], path[4096];
+    if (!below_length) return 1;
+    snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+    ssize_t n = readlink(link, path, sizeof path - 1);
+    return n > 0 && (size_t)n > below_length && !strncmp(path, below_folder, below_length);
+}
+/* Every call from the n-th on fails: a disk that is full stays full. */
+static int fails_for_good(int call, int fd) {
+    if (!atomic_load_explicit(&counting, memory_order_relaxed) || !is_below(fd)) return 0;
+    if (!below_length) return fails(call);
+    long n = atomic_fetch_add(&count[call], 1);
+    if (call != atomic_load(&armed_call) || n < atomic_load(&armed_n)) return 0;
+    atomic_store(&struck, 1);
+    errno = atomic_load(&armed_errno);
+    return 1;
 }
 int fault_disarm(void) { atomic_store(&counting, 0); return atomic_load(&struck); }
 long fault_count(int call) { return atomic_load(&count[call]); }
@@ -123,7 +147,13 @@ int fault_record(const char *folder, const char *file) {
 }
 
 __attribute__((constructor)) static void from_environment(void) {
-    const char *what = getenv("FAULT_ARM"), *role = getenv("FAULT_ROLE");
+    const char *what = getenv("FAULT_ARM"), *role = getenv("FAULT_ROLE"), *log = getenv("FAULT_RECORD");
+    char place[4096] = "";
+    if (log && strchr(log, '|')) { /* folder|file */
+        strncpy(place, log, sizeof place - 1);
+        *strchr(place, '|') = 0;
+        fault_record(place, strchr(log, '|') + 1);
+    }
     if (!what || !role) return;
     char line[8192] = "", call[32];
     long n;
@@ -176,21 +206,21 @@ ssize_t read(int fd, void *data, size_t size) {
     return fails(C_READ) ? -1 : real(fd, data, size);
 }
 ssize_t write(int fd, const void *data, size_t size) {
-    if (fails(C_WRITE)) return -1;
+    if (fails_for_good(C_WRITE, fd)) return -1;
     ssize_t done = raw_write(fd, data, size);
     written(fd, data, done, -1);
     return done;
 }
 ssize_t pwrite64(int fd, const void *data, size_t size, off64_t at) {
     REAL(ssize_t, pwrite64, int, const void *, size_t, off64_t);
-    if (fails(C_WRITE)) return -1;
+    if (fails_for_good(C_WRITE, fd)) return -1;
     ssize_t done = real(fd, data, size, at);
     written(fd, data, done, at);
     return done;
 }
 ssize_t writev(int fd, const struct iovec *parts, int n) {
     REAL(ssize_t, writev, int, const struct iovec *, int);
-    if (fails(C_WRITE)) return -1;
+    if (fails_for_good(C_WRITE, fd)) return -1;
     if (log_fd >= 0 && n > 0) { /* one part at a time, so that each can be recorded; a short write is allowed */
         for (int i = 0; i < n; i++)
             if (parts[i].iov_len) {

@@ -34,7 +34,8 @@ def some(obs: Observations, poses: int) -> Observations:
 def learnt(obs: Observations) -> tuple[mbcacq.Calibration, mbcacq.Calibration]:
     """The cell with what a diagnosis finds, and as geometry alone."""
     options = mbcacq.CalibrationOptions(refuse=False)
-    return calibrate_with_effects(obs, options, diagnose(obs).model), mbcacq.calibrate(obs, options)
+    geometry = replace(options, discrepancy=False, random_links=False)
+    return calibrate_with_effects(obs, options, diagnose(obs).model), mbcacq.calibrate(obs, geometry)
 
 
 def tried(cell: mbcacq.Calibration, alone: mbcacq.Calibration, other: Observations, name: str) -> str:

@@ -193,7 +193,7 @@ class ModbusLink:
                 raise Closed from error
             self._miss(sent)
             raise _NoAnswer("gave no valid answer") from error
-        except (OSError, TypeError, AttributeError) as error:  # the last two come where another thread closes the port
+        except Exception as error:  # of a port that is lost, or closed by another thread, pymodbus and pyserial raise whatever they meet
             transport.close()
             raise Closed from error
         if answer.function_code & 0x7F != request.function or not (answer.isError() or request.fits(answer)):
@@ -246,6 +246,8 @@ class ModbusLink:
     def _connect(self, transport: Transport) -> None:
         transport.open()
         try:
+            if transport is not self._transport:  # closed meanwhile, by another thread
+                raise ConnectError(f"{self._device} was closed")
             if self._options.identity is not None:
                 self._identify(transport, self._options.identity)
         except BaseException:

@@ -133,7 +133,7 @@ class SerialSensor:
         """Whether a question left; where the line is lost, the reason is kept as the failure."""
         try:
             self._port.write(text.encode())
-        except OSError as error:
+        except Exception as error:  # not only OSError: pyserial lets termios.error and TypeError of a lost port through
             with self._news:
                 self._failure, self._lost = f"the connection was lost ({error})", True
             return False
@@ -193,7 +193,7 @@ class SerialSensor:
     def _send(self, text: str) -> None:
         try:
             self._port.write(text.encode())
-        except OSError as error:
+        except Exception as error:  # as above
             raise DeviceTimeout(f"{self._device} was lost: {error}") from error
 
     def _identify(self) -> None:

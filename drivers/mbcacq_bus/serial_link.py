@@ -67,6 +67,7 @@ class SerialLink:
             self._identity = options.identity, compiled(options.identity.expect, device, "identity.expect")
         self._lock = threading.RLock()
         self._port: Any = None
+        self._wanted = False  # by whoever opened it: a thread that still asks must not open again what was closed
         # When they were asked, time.monotonic; a line brings their answers after it was closed and opened, too.
         self._unanswered: list[float] = []
         self._stopped = stopped or threading.Event()
@@ -80,6 +81,7 @@ class SerialLink:
         """Open the port and identify what is there. Raises ConnectError, IdentityError."""
         with self._lock:
             self.close()
+            self._wanted = True
             try:
                 self._open()
             except BaseException:
@@ -87,13 +89,18 @@ class SerialLink:
                 raise
 
     def _open(self) -> None:
+        if not self._wanted:
+            raise ConnectError(f"{self.name} was closed")
         o = self._options
         line = {"baudrate": o.baudrate, "parity": o.parity, "stopbits": o.stopbits, "bytesize": o.bytesize}
         self._port = open_port(self._device, o.port, **line, timeout=POLL_S, write_timeout=o.timeout_s)
+        if not self._wanted:  # closed meanwhile
+            self.close()
         if self._identity is not None:
             self._identify(*self._identity)
 
     def close(self) -> None:
+        self._wanted = False
         port, self._port = self._port, None
         close_port(port)
 

@@ -36,9 +36,11 @@ class ControlChannel:
     After a reply that did not come or made no sense the channel is closed: a late reply could otherwise be taken for the next one.
     """
 
-    def __init__(self, address: str, port: int, connect_timeout_s: float = 3.0, reply_limit_s: float | None = None) -> None:
+    def __init__(
+        self, address: str, port: int, connect_timeout_s: float = 3.0, reply_limit_s: float | None = None, grace_s: float = 0.0
+    ) -> None:
         self._address, self._port = address, port
-        self._connect_timeout_s, self._reply_limit_s = connect_timeout_s, reply_limit_s
+        self._connect_timeout_s, self._reply_limit_s, self._grace_s = connect_timeout_s, reply_limit_s, grace_s
         self._sock: socket.socket | None = None
         self._turn = threading.Lock()
         self.version: tuple[int, int] = (0, 0)
@@ -89,7 +91,7 @@ class ControlChannel:
         wire.shut(sock)
 
     def _limit(self, command: GocatorCommand) -> float:
-        return command.limit_s if self._reply_limit_s is None else min(command.limit_s, self._reply_limit_s)
+        return self._grace_s + (command.limit_s if self._reply_limit_s is None else min(command.limit_s, self._reply_limit_s))
 
     def _exchange(self, sock: socket.socket, command: GocatorCommand, payload: bytes) -> memoryview:
         deadline = time.monotonic() + self._limit(command)

@@ -86,17 +86,17 @@ def parse_reply(data: bytes) -> FoundSensor:
     except (struct.error, IndexError):
         raise ProtocolError(f"a Gocator's discovery reply ends after {len(data)} bytes") from None
     return FoundSensor(
-        serial,
-        tuple(version.to_bytes(4, "big")),
-        socket.inet_ntoa(ip),
-        prefix,
-        socket.inet_ntoa(gateway),
-        bool(dhcp),
-        uptime_us / 1e6,
-        control,
-        health,
-        data_port,
-        properties,
+        serial=serial,
+        firmware=tuple(version.to_bytes(4, "big")),
+        address=socket.inet_ntoa(ip),
+        prefix_length=prefix,
+        gateway=socket.inet_ntoa(gateway),
+        dhcp=bool(dhcp),
+        uptime_s=uptime_us / 1e6,
+        control_port=control,
+        health_port=health,
+        data_port=data_port,
+        properties=properties,
     )
 
 

@@ -18,7 +18,8 @@ _MAX_BRACKET, _MAX_PASSWORD = 16, 63
 class GocatorOptions:
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. job_file: a file to
     store on the sensor as ``job`` (default: its own name) first. timeout_s: longest wait for a scan. reply_limit_s: caps the
-    protocol's own time limit of every command. retries: attempts after a dropped connection. exposures_us: all of them at every
+    protocol's own time limit of every command. grace_s: added to all of them, for a sensor that a busy computer plays. retries: attempts
+    after a dropped connection. exposures_us: all of them at every
     capture, made into one scan as ``bracket`` says. allow_aligned: accept points that are not in the sensor's own coordinates. password: of
     the sensor's administrator, where its security is on; "$NAME" takes that environment variable, so that no plan need hold it.
     """
@@ -43,6 +44,7 @@ class GocatorOptions:
     timeout_s: float = 10.0
     connect_timeout_s: float = 3.0
     reply_limit_s: float | None = None
+    grace_s: float = 0.0
     retries: int = 2
     broadcast: str = "255.255.255.255"
     discovery_port: int = 3220
@@ -67,6 +69,7 @@ class GocatorOptions:
             _number(name, given, key, (int, float), 1e-3, 1e7)
         for key in ("temperature_warning_C", "temperature_stop_C"):
             _number(name, given, key, (int, float), -50, 150)
+        _number(name, given, "grace_s", (int, float), 0, 1e4)
         _number(name, given, "retries", int, 0, 10)
         _number(name, given, "serial", int, 1, 2**32 - 1)
         _one_of(name, given, "mode", MODES)

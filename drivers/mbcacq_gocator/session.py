@@ -34,7 +34,9 @@ class GocatorSession:
         self, options: GocatorOptions, model: str, cancelled: Callable[[], bool] = lambda: False, before: jobs.Before | None = None
     ) -> None:
         self.options, self._model, self._cancelled, self.before = options, model, cancelled, before
-        self.control = ControlChannel(options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s)
+        self.control = ControlChannel(
+            options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s, options.grace_s
+        )
         self.files = SensorFiles(self.control)
         self.health = HealthReader(options.address, options.health_port, options.connect_timeout_s)
         self._data: socket.socket | None = None

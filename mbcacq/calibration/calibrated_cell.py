@@ -52,7 +52,18 @@ class CalibratedCell(CalibratedCellMethods):
         first = CellState(nominal, T, state.T_base_station, state.balls)
         stations = tuple(str(s["id"]) for s in content["stations"])
         effects = result_io.effects_of(content)
-        return cls(robot, state, first, layout, covariance, noise, stations, tuple(b["id"] for b in content["balls"]), content, effects)
+        return cls(
+            robot=robot,
+            state=state,
+            preliminary=first,
+            layout=layout,
+            covariance=covariance,
+            noise=noise,
+            stations=stations,
+            ball_ids=tuple(b["id"] for b in content["balls"]),
+            content=content,
+            effects=effects,
+        )
 
     @classmethod
     def from_json(cls, source: str | Path, *, any_of_them: bool = False) -> CalibratedCell:

@@ -106,31 +106,40 @@ class CalibrationFit:
         rank = layout.size + int(normal.station_rank.sum())
         dof = int(used.sum()) * rows.width + solution.prior.rows - rank
         return cls(
-            obs,
-            options,
-            layout,
-            solution.estimate.state,
-            preliminary,
-            solution.estimate.coefficients,
-            C,
-            station_covariance,
-            noise,
-            weights,
-            solution.linear.residual,
-            solution.whitened_residual,
-            solution.cost,
-            dof,
-            rank,
-            solution.iterations,
-            tuple(found),
-            _rejected(obs, solution, weights),
-            _correlated(layout.names, C),
+            observations=obs,
+            options=options,
+            layout=layout,
+            state=solution.estimate.state,
+            preliminary=preliminary,
+            coefficients=solution.estimate.coefficients,
+            covariance=C,
+            station_covariance=station_covariance,
+            noise=noise,
+            weights=weights,
+            residual=solution.linear.residual,
+            whitened=solution.whitened_residual,
+            chi2=solution.cost,
+            dof=dof,
+            rank=rank,
+            iterations=solution.iterations,
+            undetermined=tuple(found),
+            rejected=_rejected(obs, solution, weights),
+            correlated=_correlated(layout.names, C),
         )
 
     @classmethod
     def adjusted(cls, obs: Observations, options: CalibrationOptions, a: Adjustment) -> Self:
         """The fit of an adjustment of the observations under the same options."""
-        return cls.of(obs, options, a.lineariser, a.solution, a.noise, a.weights, a.preliminary, a.found)
+        return cls.of(
+            obs=obs,
+            options=options,
+            lineariser=a.lineariser,
+            solution=a.solution,
+            noise=a.noise,
+            weights=a.weights,
+            preliminary=a.preliminary,
+            found=a.found,
+        )
 
     @property
     def cell(self) -> Cell:

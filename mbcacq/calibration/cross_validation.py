@@ -82,18 +82,18 @@ def held_out(
     d = np.concatenate(distances)
     gross = d > GROSS * np.median(d)
     return HeldOut(
-        split,
-        len(masks),
-        int(sum(m.sum() for m in masks)),
-        len(d),
-        _rms(d, freedom),
-        _rms(np.concatenate(scatter), 0) if scatter else None,
-        float(np.median(d)),
-        float(d.max()),
-        int(gross.sum()),
-        _rms(d[~gross], freedom),
-        tuple(rms),
-        seed,
+        split=split,
+        fits=len(masks),
+        poses=int(sum(m.sum() for m in masks)),
+        centres=len(d),
+        rms_mm=_rms(d, freedom),
+        spread_mm=_rms(np.concatenate(scatter), 0) if scatter else None,
+        median_mm=float(np.median(d)),
+        max_mm=float(d.max()),
+        gross=int(gross.sum()),
+        rms_without_gross_mm=_rms(d[~gross], freedom),
+        per_fit_mm=tuple(rms),
+        seed=seed,
     )
 
 

@@ -13,6 +13,7 @@ from mbcacq.calibration.competing_methods import compared_on_held_out, plain_lea
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.influence import InfluenceOptions, joint_factor, joint_noise_check, joint_noise_sentence
+from mbcacq.calibration.known_length import with_length_uncertainty
 from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
@@ -87,7 +88,9 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
         fitted = with_random_links(fitted, options)
         return _arm_and_hand_eye(obs, options, fitted)
     result = _collected(obs, options, fitted)
-    return _hand_eye_alone(result, fitted) if options.discrepancy else result
+    result = _hand_eye_alone(result, fitted) if options.discrepancy else result
+    lenient = replace(options, refuse=False)
+    return with_length_uncertainty(result, lambda other: adjust_recording(other, lenient).state)
 
 
 def _collected(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:

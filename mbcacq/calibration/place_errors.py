@@ -107,14 +107,14 @@ def arm_improvement(
         new = bool(elsewhere.sum() >= FEWEST)
         counted = elsewhere if new else counted
     return ArmImprovement(
-        MissedBy.of(before[counted]),
-        MissedBy.of(after[counted]),
-        float(np.sqrt(np.mean(noise_mm[enough][counted] ** 2))),
-        int(counted.sum()),
-        new,
-        tuple(int(p) for p in obs.pose_id[counted]),
-        tuple(float(v) for v in before[counted]),
-        tuple(float(v) for v in after[counted]),
+        before=MissedBy.of(before[counted]),
+        after=MissedBy.of(after[counted]),
+        noise_mm=float(np.sqrt(np.mean(noise_mm[enough][counted] ** 2))),
+        poses=int(counted.sum()),
+        new=new,
+        pose=tuple(int(p) for p in obs.pose_id[counted]),
+        before_mm=tuple(float(v) for v in before[counted]),
+        after_mm=tuple(float(v) for v in after[counted]),
     )
 
 

@@ -92,16 +92,16 @@ class Transfer:
         """The transfer that ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
         own, normalised = content["own_geometry"], content["normalised_error"]
         return cls(
-            content["place"],
-            content["poses"],
-            content["centres"],
-            TransferFigures(**content["geometry_alone"]),
-            TransferFigures(**content["with_effects"]),
-            None if own is None else TransferFigures(**own),
-            tuple(EffectGain(**{**e, "where": tuple(e["where"])}) for e in content["effects"]),
-            None if normalised is None else NormalisedError(**normalised),
-            tuple(content["warnings"]),
-            content["recording"],
+            place=content["place"],
+            poses=content["poses"],
+            centres=content["centres"],
+            geometry_alone=TransferFigures(**content["geometry_alone"]),
+            with_effects=TransferFigures(**content["with_effects"]),
+            own_geometry=None if own is None else TransferFigures(**own),
+            effects=tuple(EffectGain(**{**e, "where": tuple(e["where"])}) for e in content["effects"]),
+            normalised_error=None if normalised is None else NormalisedError(**normalised),
+            warnings=tuple(content["warnings"]),
+            recording=content["recording"],
         )
 
     @property
@@ -165,16 +165,16 @@ def check_transfer(
         gains.append(EffectGain(name, where, without, (without**2 - whole.rms_mm**2) / max(plain.rms_mm**2, 1e-300)))
     departures = model.departures(observations)
     return Transfer(
-        place,
-        observations.n_poses,
-        int(used.sum()),
-        plain,
-        whole,
-        tried.own_geometry(used),
-        tuple(sorted(gains, key=lambda e: -e.gain)),
-        normalised_error(best, cell, model, used) if place == "fitted" else None,
-        (*left_out, *(str(d) for d in departures), *model.absent(observations)),
-        recording,
+        place=place,
+        poses=observations.n_poses,
+        centres=int(used.sum()),
+        geometry_alone=plain,
+        with_effects=whole,
+        own_geometry=tried.own_geometry(used),
+        effects=tuple(sorted(gains, key=lambda e: -e.gain)),
+        normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
+        warnings=(*left_out, *(str(d) for d in departures), *model.absent(observations)),
+        recording=recording,
     )
 
 

@@ -192,7 +192,14 @@ def with_groups(stage: _Stage[Fitted], noise: Noise, parametric: EffectModel, un
     at = stage.system(noise)
     chosen = replace(stage.options, terms=stage.terms)
     result = type(fitted).of(
-        fitted.observations, chosen, stage.lineariser, at, noise, fitted.weights, fitted.preliminary, list(fitted.undetermined)
+        obs=fitted.observations,
+        options=chosen,
+        lineariser=stage.lineariser,
+        solution=at,
+        noise=noise,
+        weights=fitted.weights,
+        preliminary=fitted.preliminary,
+        found=list(fitted.undetermined),
     )
     groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
     model = replace(parametric, terms=(*parametric.terms, *groups))
@@ -233,7 +240,16 @@ class _Stage(Generic[Fitted]):
         if not poses.all():
             obs, weights = obs.select(poses), Weights(weights.centre[poses[obs.pose]], weights.pose[poses])
         built = (*parametric.at(obs), *unmodelled.at(obs))
-        return cls(fitted, options, obs, weights, built, groups, np.ones(len(groups)), start)
+        return cls(
+            fitted=fitted,
+            options=options,
+            observations=obs,
+            weights=weights,
+            built=built,
+            groups=groups,
+            scale=np.ones(len(groups)),
+            estimate=start,
+        )
 
     def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage[Fitted]:
         """The same sizes and estimate by all poses."""

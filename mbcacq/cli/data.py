@@ -44,6 +44,9 @@ _TABLE_OPTIONS = (
     ),
     click.option("--robot", metavar="ROBOT", help="The arm of joint angles: one of the tool's, or a robot file."),
     click.option("--noise", nargs=3, type=click.FloatRange(0, min_open=True), metavar="X Y Z", help="Sigma of one measured point, mm."),
+    click.option(
+        "--diameter", "diameter_mm", type=click.FloatRange(0, min_open=True), metavar="MM", help="Of the sphere in line profiles."
+    ),
     click.option("--force", is_flag=True, help="Replace the set if it exists."),
     click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout."),
 )
@@ -65,12 +68,14 @@ def new(
     """Make an observation set of FILES and say how they were understood.
 
     One table (.csv, .txt): a row is a pose, with the flange's x, y, z and orientation (or joint angles, with --robot), and what the camera
-    saw: the target's pose, the centre of one sphere, or those of several. What headings leave open is tried on the data.
+    saw: the target's pose, the centre of one sphere, or those of several. What headings leave open is tried on the data. A row may also
+    be a point of a line profile of a sphere (profile, profile_x_mm, profile_z_mm), with the flange's pose in each row or in a table before.
 
     \b
     Examples:
       mbcacq data new poses.csv
       mbcacq data new poses.csv --flange fanuc --eye-to-hand --out cell-3
+      mbcacq data new flange.csv profiles.csv --diameter 30
       mbcacq calibrate cell-3 --hand-eye-only
     """
     from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files

@@ -113,7 +113,9 @@ def predicted_calibration(
         layout = with_common_sizes(layout, blocks.usual_sizes(obs.cell))
     lineariser = Lineariser(obs, layout, options)
     solution = system(lineariser, estimate, noise, weights)
-    return Calibration.of(obs, options, lineariser, solution, noise, weights, state, found)
+    return Calibration.of(
+        obs=obs, options=options, lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=state, found=found
+    )
 
 
 def _calibration_share(calibration: Calibration, observations: Observations) -> list[float]:

@@ -75,7 +75,18 @@ class TorqueInformation:
         )
         named, names, scale = _named(placed, len(chosen))
         arm = np.array([position[int(i)] for i in model.store.base[len(group.joints) : -robot.n]], dtype=int)
-        return cls(robot, group, normal, weights, runs[0].step_s, placed, named, names, scale, arm)
+        return cls(
+            robot=robot,
+            group=group,
+            normal=normal,
+            weights=weights,
+            step_s=runs[0].step_s,
+            placed=placed,
+            named=named,
+            names=names,
+            scale=scale,
+            arm=arm,
+        )
 
     def of_motion(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float) -> np.ndarray:
         """(P, P): what recording a motion adds, of which the angles (T, n) and their rates are given every so many s."""

@@ -126,7 +126,19 @@ def varying_most(obs: Observations, squares: SquaresOfPoses, of: str, sigma_mm: 
     near, far = (float(np.interp(end, np.sort(x), scale[np.argsort(x)])) for end in (low, high))
     if p_value > LEAST_P or max(near, far) < OPTIONS.noticeable * min(near, far):
         return None
-    return Variation(NoiseDependence(of, name, unit, float(low), float(high), sigma_mm * near, sigma_mm * far, p_value), scale)
+    return Variation(
+        NoiseDependence(
+            of=of,
+            covariate=name,
+            unit=unit,
+            low=float(low),
+            high=float(high),
+            sigma_low_mm=sigma_mm * near,
+            sigma_high_mm=sigma_mm * far,
+            p_value=p_value,
+        ),
+        scale,
+    )
 
 
 def with_noise_scale(obs: Observations, found: list[Variation]) -> Observations:

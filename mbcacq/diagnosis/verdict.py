@@ -54,7 +54,18 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
     effects, mismatch = with_alternatives(full, found), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     model = kept_model(setup, full, effects) or None
-    return JudgedFit(full, proof, before, residual, verdict_of(full), mismatch, effects, not_separable, pairs, model)
+    return JudgedFit(
+        full=full,
+        proof=proof,
+        before=before,
+        residual=residual,
+        verdict=verdict_of(full),
+        mismatch=mismatch,
+        effects=effects,
+        not_separable=not_separable,
+        pairs=pairs,
+        model=model,
+    )
 
 
 def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:

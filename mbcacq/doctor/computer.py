@@ -87,19 +87,26 @@ def _disk() -> Iterator[CheckupLine]:
 
 
 def _priority() -> CheckupLine:
-    """A robot's cycle that waits behind other programs answers late."""
+    """A robot's cycle that waits behind other programs, or for memory that was paged out, answers late."""
     cores = os.cpu_count() or 1
     if sys.platform != "linux":
         return CheckupLine("ok", "cycle", f"{cores} processor cores")
     import resource
 
-    if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
-        return CheckupLine("ok", "cycle", f"{cores} processor cores; the robot's cycle may take real-time priority")
+    root = os.geteuid() == 0
+    missing = {
+        "take real-time priority": ("rtprio 80", root or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0),
+        "lock its memory": ("memlock unlimited", root or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY),
+    }
+    refused = {what: limit for what, (limit, permitted) in missing.items() if not permitted}
+    if not refused:
+        return CheckupLine("ok", "cycle", f"{cores} processor cores; the robot's cycle may {' and '.join(missing)}")
+    lines = " and ".join(f"'@realtime - {limit}'" for limit in refused.values())
     return CheckupLine(
         "warning",
         "cycle",
-        f"{cores} processor cores, but this user may not take real-time priority for the robot's cycle",
-        "put '@realtime - rtprio 80' into /etc/security/limits.d/mbcacq.conf, join the group realtime, log in again",
+        f"{cores} processor cores, but of this user the robot's cycle may not {' nor '.join(refused)}",
+        f"put {lines} into /etc/security/limits.d/mbcacq.conf, join the group realtime, log in again",
     )
 
 

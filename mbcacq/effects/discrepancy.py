@@ -169,4 +169,19 @@ def _term(
     names = tuple(f"{label}[{i}]" for i in range(k))
     none = np.zeros(k)
     ranges = learnt_ranges(here, parts)
-    return EffectTerm(UNKNOWN, (where,), depends_on, parts, names, ("rad",) * k, none, none, sigma, sigma, variant, {}, ranges, clamped)
+    return EffectTerm(
+        name=UNKNOWN,
+        where=(where,),
+        depends_on=depends_on,
+        parts=parts,
+        names=names,
+        units=("rad",) * k,
+        coefficients=none,
+        std=none,
+        sigma=sigma,
+        typical=sigma,
+        variant=variant,
+        hyper={},
+        ranges=ranges,
+        clamped=clamped,
+    )

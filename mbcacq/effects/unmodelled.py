@@ -247,20 +247,20 @@ def _term(
     (where, covariate), k = at, len(sigma)
     label = f"{UNKNOWN}:{'+'.join(where)}:{covariate}" + (f":{variant}" if variant else "")
     return EffectTerm(
-        UNKNOWN,
-        where,
-        covariate,
-        tuple(parts),
-        tuple(f"{label}[{j}]" for j in range(k)),
-        (units,) * k if isinstance(units, str) else tuple(units),
-        np.zeros(k),
-        np.zeros(k),
-        np.asarray(sigma, dtype=float),
-        np.asarray(sigma, dtype=float),
-        variant,
-        hyper or {},
-        learnt_ranges(here, parts),
-        clamped,
+        name=UNKNOWN,
+        where=where,
+        depends_on=covariate,
+        parts=tuple(parts),
+        names=tuple(f"{label}[{j}]" for j in range(k)),
+        units=(units,) * k if isinstance(units, str) else tuple(units),
+        coefficients=np.zeros(k),
+        std=np.zeros(k),
+        sigma=np.asarray(sigma, dtype=float),
+        typical=np.asarray(sigma, dtype=float),
+        variant=variant,
+        hyper=hyper or {},
+        ranges=learnt_ranges(here, parts),
+        clamped=clamped,
     )
 
 

@@ -116,7 +116,16 @@ def predict(observations: Observations, state: CellState, displacements: Displac
     rotation = None if obs.rotation is None else to_instrument[obs.pose, :3, :3]
     if rotation is not None and moved.orientation is not None:
         rotation = rotation @ se3.rotation_exp(moved.orientation)
-    return Prediction(xyz, frames, T_base_scanner, T_base_station, ball, obs.pose, obs.cell.measurement, rotation)
+    return Prediction(
+        xyz=xyz,
+        frames=frames,
+        T_base_scanner=T_base_scanner,
+        T_base_station=T_base_station,
+        ball=ball,
+        pose=obs.pose,
+        measurement=obs.cell.measurement,
+        rotation=rotation,
+    )
 
 
 def residual(observations: Observations, prediction: Prediction) -> np.ndarray:

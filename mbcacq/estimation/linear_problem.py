@@ -69,7 +69,16 @@ class LinearProblem:
         lineariser = Lineariser(obs, layout, options)
         residual = forward_model.residual(obs, prediction)
         linear = lineariser.at(state.chain, prediction, residual)
-        whole = cls(obs, state, np.ones(obs.n_centres, bool), layout, lineariser.rows, prediction, residual, linear.columns)
+        whole = cls(
+            obs=obs,
+            state=state,
+            keep=np.ones(obs.n_centres, bool),
+            layout=layout,
+            rows=lineariser.rows,
+            prediction=prediction,
+            residual=residual,
+            columns_by_pose=linear.columns,
+        )
         # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
         # holds of it already is added back.
         residual = residual + whole.geometry @ _deviation(obs, state, layout)

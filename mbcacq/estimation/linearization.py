@@ -109,7 +109,18 @@ class Lineariser:
             other = self._beside(other, prediction)
         own = OwnColumns(self._turn(prediction), self.ball, self.free_balls, other)
         return Linearization(
-            prediction, residual, PoseColumns(basis, moved, of_station, jointly, own, rows.pad(self.weighted(residual)), by_rows, wide)
+            prediction,
+            residual,
+            PoseColumns(
+                basis=basis,
+                twists=moved,
+                station=of_station,
+                joints=jointly,
+                own=own,
+                residual=rows.pad(self.weighted(residual)),
+                by_rows=by_rows,
+                wide=wide,
+            ),
         )
 
     def _twists(self, chain: Chain, prediction: forward_model.Prediction, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

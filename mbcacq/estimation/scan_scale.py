@@ -53,6 +53,28 @@ def scan_scale(obs: Observations, used: np.ndarray, noise_mm: np.ndarray) -> Sca
     return ScanScale(float(np.sum(weight * ppm)), total, from_certificates, int(count.sum()))
 
 
+def known_length_sigma(obs: Observations) -> float | None:
+    """Standard uncertainty (relative) of a scale that was taken from one known length: that of the length, and that of its mean over the
+    scans, from their scatter. None where the scale is not from a known length."""
+    known = next((a.known_length for a in obs.cell.artefacts if a.known_length is not None), None)
+    if known is None or obs.scale is None:
+        return None
+    mean, sigma = measured_length(obs, known.balls)
+    return float(np.hypot(known.uncertainty_mm / known.length_mm, sigma / mean)) if mean > 0 else None
+
+
+def measured_length(obs: Observations, balls: tuple[int, int]) -> tuple[float, float]:
+    """Mean distance (mm) of two balls over the scans that show both, and its standard uncertainty from their scatter (0 of one scan);
+    0, 0 where no scan shows both."""
+    a, b = (obs.ball == obs.cell.ball_ids.index(ball) for ball in balls)
+    both, of_a, of_b = np.intersect1d(obs.pose[a], obs.pose[b], return_indices=True)
+    if not len(both):
+        return 0.0, 0.0
+    lengths = np.linalg.norm(obs.xyz[a][of_a] - obs.xyz[b][of_b], axis=1)
+    scatter = float(np.std(lengths, ddof=1)) if len(both) > 1 else 0.0
+    return float(lengths.mean()), scatter / np.sqrt(len(both))
+
+
 def scale_in_words(obs: Observations) -> str:
     """Whose scale the calibrated cell has, where an artefact is not certified; '' where all are."""
     unknown = [a for a in obs.cell.artefacts if not a.certified]
@@ -62,7 +84,7 @@ def scale_in_words(obs: Observations) -> str:
     if not lengths or obs.scale is None:
         return "the instrument's own; no length of the artefact is certified"
     ppm, known = 1e6 * (obs.scale - 1), lengths[0]
-    sigma = 1e6 * known.uncertainty_mm / known.length_mm
+    sigma = 1e6 * (known_length_sigma(obs) or known.uncertainty_mm / known.length_mm)
     return (
         f"that of the known length of balls {known.balls[0]} and {known.balls[1]} ({known.length_mm:g} mm, +- {sigma:.0f} ppm); all "
         "that was "

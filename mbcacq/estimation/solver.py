@@ -104,7 +104,9 @@ def _system(lineariser: Lineariser, estimate: Estimate, linear: Linearization, n
     prior = prior_rows(lineariser.obs.cell, lineariser.layout, estimate, lineariser.rows.stations)
     poses = PoseInformation.of(lineariser.rows, linear.columns, noise, weights.centre, weights.pose)
     normal = Normal(lineariser.rows, poses.normal_equations(), prior)
-    return Solution(estimate, linear, poses, normal, prior, noise, weights, iterations)
+    return Solution(
+        origin=estimate, linear=linear, poses=poses, normal=normal, prior=prior, noise=noise, weights=weights, iterations=iterations
+    )
 
 
 def reweighted(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weights) -> Solution:

@@ -20,7 +20,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
 from mbcacq.files.csv_text import Dialect, csv_text, read_csv_text, read_text, text_of_mappings
 from mbcacq.files.table import Column, Table, TableSchema, as_table
-from mbcacq.files.table_schema import coverage_factor, score
+from mbcacq.files.table_schema import HeadingError, HeadingMatch, coverage_factor, matched, score
 from mbcacq.files.units import same_dimension, unit_named
 from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact
@@ -145,8 +145,13 @@ def certificate_csv(artefact: Artefact) -> str:
 
 def _schema(headings: Sequence[str], unit: str = "mm") -> TableSchema:
     """Columns of a table of spheres. unit: of lengths whose heading has none."""
+    return TableSchema(WHAT, (*_geometry(unit), *_about(headings, unit)), max_bytes=MAX_BYTES, comment="#", preamble=True)
+
+
+def _geometry(unit: str) -> tuple[Column, ...]:
+    """Label, centre and diameter of a sphere."""
     lengths = (*(Column(axis, "mm", assumed=unit) for axis in "xyz"), Column("d", "mm", aliases=("diameter", "dia"), assumed=unit))
-    return TableSchema(WHAT, (LABEL, *lengths, *_about(headings, unit)), max_bytes=MAX_BYTES, comment="#", preamble=True)
+    return (LABEL, *lengths)
 
 
 def _about(headings: Sequence[str], unit: str) -> tuple[Column, ...]:
@@ -208,7 +213,7 @@ def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:
             raise ConfigError(f"{path}: sphere {i} is not a mapping; give label, x, y, z and diameter")
     stated = data.get("units", data.get("unit"))
     unit = (_unit_in(f"unit {stated}", str(path)) if stated is not None else "") or "mm"
-    text = text_of_mappings([_with_axes(ball) for ball in balls], "sphere")
+    text = text_of_mappings(_under_one_heading(path, [_with_axes(ball) for ball in balls], unit), "sphere")
     table = as_table(path, text, _schema(text.headings, unit))
     # Our own artefact files give the standard uncertainty (k = 1) as uncertainty_mm.
     others = {("sigma_mm" if key == "uncertainty_mm" else str(key)): value for key, value in data.items() if key not in OURS}
@@ -219,7 +224,7 @@ def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:
     return _rows(table), _rows(about)[0], (*table.unused, *about.unused)
 
 
-def _with_axes(ball: dict[Any, Any]) -> dict[str, Any]:
+def _with_axes(ball: Mapping[Any, Any]) -> dict[str, Any]:
     """A sphere with its centre as three coordinates: ``centre_mm: [x, y, z]`` as x_mm, y_mm, z_mm."""
     out: dict[str, Any] = {}
     for key, value in ball.items():
@@ -228,6 +233,27 @@ def _with_axes(ball: dict[Any, Any]) -> dict[str, Any]:
             out |= {f"{axis}_{unit}" if unit else axis: v for axis, v in zip("xyz", value, strict=True)}
         else:
             out[str(key)] = value
+    return out
+
+
+def _under_one_heading(path: Path, balls: Sequence[Mapping[str, Any]], unit: str) -> list[dict[str, Any]]:
+    """Spheres that name their place differently (x, x_mm, centre_cm) as rows of one table: each value under the heading of the first that
+    gives it, with its own unit where that differs."""
+    columns = {column.name: column for column in _geometry(unit)}
+    first: dict[str, HeadingMatch] = {}
+    out = []
+    for i, ball in enumerate(balls, 1):
+        try:
+            found = matched(tuple(columns.values()), list(ball))
+        except HeadingError as error:
+            raise ConfigError(f"{path}: sphere {i}: {error}") from None
+        row = dict(ball)
+        for name, match in found.items():
+            shared, assumed = first.setdefault(name, match), columns[name].assumed
+            if shared.heading != match.heading and shared.heading not in row:
+                value, own = row.pop(match.heading), match.unit or assumed
+                row[shared.heading] = value if own == (shared.unit or assumed) else f"{value} {own}"
+        out.append(row)
     return out
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import read_bounded
 from mbcacq.model import yaml12
 from mbcacq.recording.datasets import quaternions
 
@@ -52,7 +53,7 @@ def read_hand_eye(path: str | Path) -> np.ndarray:
     """T_flange_scanner (4, 4) mm from an easy_handeye2 file, or from the older flat form. Raises ConfigError naming the file."""
     path = Path(path)
     try:
-        text = path.read_bytes()[: MAX_BYTES + 1]
+        text = read_bounded(path, MAX_BYTES)
         if len(text) > MAX_BYTES:
             raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; this is no hand-eye calibration")
         data: Any = yaml12.load(text.decode("utf-8"))

@@ -12,7 +12,7 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -23,6 +23,7 @@ ABANDONED_S = 3600.0  # a temporary file of a process that was killed; none is w
 INCOMPLETE = "INCOMPLETE.txt"
 _SAYS = "These files were being replaced as a set when the program was stopped; any mbcacq command on this folder completes it."
 _NAME_BYTES = 200  # of a temporary name; file systems allow 255
+Content = bytes | str | Callable[[Path], object]  # of a file; a function writes it to a path
 _NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)  # what cannot be synchronised, such as some network folders
 
 
@@ -79,7 +80,9 @@ def replacing(path: Path | str) -> Iterator[Path]:
         raise _unwritable(path, error) from error
 
 
-def write_files(folder: Path | str, files: Mapping[str, bytes | str]) -> list[Path]:
+def write_files(
+    folder: Path | str, files: Mapping[str, Content], *, on_disk: Callable[[str, Path], object] = lambda name, partial: None
+) -> list[Path]:
     """Write several files of one folder as a set.
 
     A folder that is new appears with all of them. In one that is there, all are on the disk before the first takes its name, and a file
@@ -88,7 +91,9 @@ def write_files(folder: Path | str, files: Mapping[str, bytes | str]) -> list[Pa
     Parameters
     ----------
     files
-        Name to content; text is written as UTF-8.
+        Name to content; text is written as UTF-8. A function gets a temporary path and writes the file itself.
+    on_disk
+        Called for each with its name and temporary path, when its content is on the disk and none of them has taken its name.
 
     Returns
     -------
@@ -100,12 +105,13 @@ def write_files(folder: Path | str, files: Mapping[str, bytes | str]) -> list[Pa
         One of them cannot be written; the files of the folder are as they were.
     """
     folder = Path(folder)
-    content = {name: d.encode("utf-8", errors="surrogateescape") if isinstance(d, str) else d for name, d in files.items()}
     try:
         if folder.exists():
-            _replace_set(folder, content)
+            _replace_set(folder, files, on_disk)
         else:
-            _new_folder(folder, content)
+            _new_folder(folder, files, on_disk)
+    except RecordingError:
+        raise
     except OSError as error:
         raise _unwritable(folder, error) from error
     return [folder / name for name in files]
@@ -161,23 +167,35 @@ def _pair(folder: Path, line: str) -> tuple[Path, Path]:
     return target.with_name(entry["from"]), target
 
 
-def _replace_set(folder: Path, content: Mapping[str, bytes]) -> None:
+def _replace_set(folder: Path, files: Mapping[str, Content], on_disk: Callable[[str, Path], object]) -> None:
     finish_set(folder)
-    targets = {name: _target(folder / name) for name in content}
+    targets = {name: _target(folder / name) for name in files}
     partials: dict[str, Path] = {}
     try:
-        for name, data in content.items():
+        for name, content in files.items():
             partials[name] = _partial(targets[name])
-            partials[name].write_bytes(data)
+            _put(partials[name], content)
             _prepare(partials[name], targets[name])
+        for name, partial in partials.items():
+            on_disk(name, partial)
         if len(partials) > 1:
+            for parent in {target.parent for target in targets.values()}:
+                sync_folder(parent)  # a list of files whose temporary names a power cut may take would list nothing
             _list_set(folder, partials)
     except BaseException:
         if not (folder / INCOMPLETE).exists():  # else the set is the new one, whatever else happens
             for partial in partials.values():
                 _remove(partial)
         raise
-    _rename_set(folder, [(partials[name], targets[name]) for name in content])
+    _rename_set(folder, [(partials[name], targets[name]) for name in files])
+
+
+def _put(partial: Path, content: Content) -> None:
+    """Write the content of one file under a temporary name."""
+    if callable(content):
+        content(partial)
+    else:
+        partial.write_bytes(content.encode("utf-8", errors="surrogateescape") if isinstance(content, str) else content)
 
 
 def _list_set(folder: Path, partials: Mapping[str, Path]) -> None:
@@ -203,16 +221,18 @@ def _rename_set(folder: Path, pairs: Sequence[tuple[Path, Path]]) -> None:
         sync_folder(folder)
 
 
-def _new_folder(folder: Path, content: Mapping[str, bytes]) -> None:
+def _new_folder(folder: Path, files: Mapping[str, Content], on_disk: Callable[[str, Path], object]) -> None:
     partial = _partial(_target(folder))
     _remove(partial)
     try:
         partial.mkdir()
-        for name, data in content.items():
+        for name, content in files.items():
             _make_folder((partial / name).parent)
-            (partial / name).write_bytes(data)
-            _sync_file(partial / name)
+            _put(partial / name, content)
+            sync_file(partial / name)
             sync_folder((partial / name).parent)
+        for name in files:
+            on_disk(name, partial / name)
         os.replace(partial, folder)
     finally:
         _remove(partial)
@@ -267,11 +287,13 @@ def _prepare(partial: Path, target: Path) -> None:
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(target))
         with suppress(OSError):
             shutil.copymode(target, partial)
-    _sync_file(partial)
+    sync_file(partial)
 
 
-def _sync_file(path: Path) -> None:
-    """``os.fsync`` works on a handle that may be written, on POSIX and on Windows."""
+def sync_file(path: Path) -> None:
+    """Bring a file to the disk, where it can be synchronised. Raises OSError.
+
+    ``os.fsync`` works on a handle that may be written, on POSIX and on Windows."""
     handle = os.open(path, os.O_RDWR)
     try:
         os.fsync(handle)

@@ -8,11 +8,12 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-DAY_S = 86_400.0
+DAY_S, HALF_DAY_S = 86_400.0, 43_200.0
 _CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2}(?:[.,]\d+)?))?"
 _ZONE = r"(?:\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2}))?"
 _ISO = re.compile(rf"(?P<Y>\d{{4}})[-/.](?P<M>\d{{1,2}})[-/.](?P<D>\d{{1,2}})(?:[T\s]+{_CLOCK}{_ZONE})?")
 _DOTS = re.compile(rf"(?P<D>\d{{1,2}})\.(?P<M>\d{{1,2}})\.(?P<Y>\d{{4}})(?:,?\s+{_CLOCK}{_ZONE})?")
+_US = re.compile(rf"(?P<M>\d{{1,2}})/(?P<D>\d{{1,2}})/(?P<Y>\d{{4}}),?\s+{_CLOCK}\s*(?P<half>[AP])\.?M\.?", re.IGNORECASE)
 _TIME = re.compile(_CLOCK)
 _SLASHES = re.compile(r"\d{1,2}/\d{1,2}/\d{2,4}.*")
 
@@ -27,7 +28,7 @@ class ClockError(ValueError):
 
 def is_clock(cell: str) -> bool:
     """Whether a cell looks like a date or a time of day, and not like a number."""
-    return any(pattern.fullmatch(cell.strip()) for pattern in (_ISO, _DOTS, _TIME, _SLASHES))
+    return any(pattern.fullmatch(cell.strip()) for pattern in (_ISO, _DOTS, _TIME, _US, _SLASHES))
 
 
 def seconds(cells: Sequence[str]) -> np.ndarray:
@@ -47,18 +48,24 @@ def seconds(cells: Sequence[str]) -> np.ndarray:
 
 def _second(row: int, cell: str) -> tuple[float | None, float]:
     """Seconds of the date since 1970, None without one, and those within the day."""
+    if match := _US.fullmatch(cell):  # AM and PM stand behind dates with the month first
+        return _day(row, match), _of_day(match) % HALF_DAY_S + HALF_DAY_S * (match["half"].upper() == "P")
     if _SLASHES.fullmatch(cell):
         raise ClockError(row, "may be day/month or month/day; write dates as 2026-11-25")
     for pattern in (_ISO, _DOTS):
         if match := pattern.fullmatch(cell):
-            try:
-                day = datetime(int(match["Y"]), int(match["M"]), int(match["D"]), tzinfo=UTC).timestamp()
-            except ValueError:
-                raise ClockError(row, "is no day of the calendar") from None
-            return day - _zone(match["zone"]), _of_day(match) if match["h"] else 0.0
+            return _day(row, match) - _zone(match["zone"]), _of_day(match) if match["h"] else 0.0
     if match := _TIME.fullmatch(cell):
         return None, _of_day(match)
     raise ClockError(row, "is no number, time of day or date")
+
+
+def _day(row: int, match: re.Match[str]) -> float:
+    """s from 1970 to the day of a date."""
+    try:
+        return datetime(int(match["Y"]), int(match["M"]), int(match["D"]), tzinfo=UTC).timestamp()
+    except ValueError:
+        raise ClockError(row, "is no day of the calendar") from None
 
 
 def _of_day(match: re.Match[str]) -> float:

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import read_bounded
+from mbcacq.files.instrument_forms import as_one_table
 
 SPREADSHEETS = (".xlsx", ".xls", ".ods")
 SEPARATORS = (",", ";", "\t")
@@ -68,7 +70,9 @@ def read_csv_text(
     comments = tuple(line.strip() for line in lines if comment and line.lstrip().startswith(comment))
     if comment:
         lines = ["\n" if line.lstrip().startswith(comment) else line for line in lines]
-    if hint is None and (blank := _blanks_as_tabs(lines, score)) is not None:
+    if score is not None and (made := as_one_table(lines)) is not None:
+        lines = made
+    elif hint is None and (blank := _blanks_as_tabs(lines, score)) is not None:
         lines = blank
     start, separator = _headings_at(lines, hint[1] if hint else None, score)
     preamble = tuple(line.strip() for line in lines[:start] if line.strip())
@@ -76,6 +80,7 @@ def read_csv_text(
     newline = "\r\n" if "\r\n" in text else "\n" if "\n" in text or "\r" not in text else "\r"
     headings, rows, numbers, at = _parsed(path, lines, separator)
     headings, rows = _without_empty_columns(path, at, headings, rows)
+    rows = [_without_empty_end(row, len(headings)) for row in rows]
     _refuse_ragged(path, headings, rows, numbers)
     return CsvText(headings, rows, numbers, at, replace(dialect, separator=separator, newline=newline), preamble, comments)
 
@@ -124,6 +129,13 @@ def _without_empty_columns(path: Path, line: int, headings: list[str], rows: lis
     if twice := next((name for name in headings if headings.count(name) > 1), None):
         raise ConfigError(f"{path}:{line}: column {twice} appears twice; remove one")
     return headings, rows
+
+
+def _without_empty_end(row: list[str], width: int) -> list[str]:
+    """A row without the empty cells that separators at its end make."""
+    while len(row) > width and not row[-1].strip():
+        row = row[:-1]
+    return row
 
 
 def _refuse_ragged(path: Path, headings: list[str], rows: list[list[str]], line: list[int]) -> None:
@@ -198,8 +210,7 @@ def _outside_quotes(line: str) -> str:
 
 def _bytes(path: Path, max_bytes: int) -> bytes:
     try:
-        with path.open("rb") as file:
-            data = file.read(max_bytes + 1)
+        data = read_bounded(path, max_bytes)
     except OSError as error:
         cure = next((f"save {path.stem}{s} as CSV" for s in SPREADSHEETS if path.with_suffix(s).exists()), "check the path")
         raise ConfigError(f"{path} cannot be read: {error.strerror}; {cure}") from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 from mbcacq.files.units import AmbiguousUnit, same_dimension, suffix_unit, unit_named
@@ -160,12 +161,12 @@ def score(columns: Sequence[Column], headings: Sequence[str]) -> tuple[int, bool
 def _hit(column: Column, heading: str) -> tuple[int, str] | None:
     """Rank (0 is best) and unit ('' where none is named) of a heading as this column; None where it is another."""
     names = (column.name, *column.aliases)
-    keys = [_key(name) for name in names]
-    exact = [column.preferred, *names]
+    keys = _keys(column)
     for base, unit, bracket in _readings(column, heading):
-        if _key(base) not in keys:
+        key = _key(base)
+        if key not in keys:
             continue
-        rank = 2 * keys.index(_key(base)) + (heading not in exact and base not in names)
+        rank = 2 * keys.index(key) + (heading != column.preferred and heading not in names and base not in names)
         if column.unit is None or not unit:
             return rank, ""
         if same_dimension(unit, column.unit):
@@ -182,7 +183,7 @@ def _readings(column: Column, heading: str) -> list[tuple[str, str, bool]]:
     marked = _BRACKETS.fullmatch(heading) or _BEHIND_WORD.fullmatch(heading)
     if marked:
         base, unit = _without_suffix(marked[1].strip().rstrip("_"), column), marked[2]
-        named = _named(column, heading, unit) if _key(base) in map(_key, (column.name, *column.aliases)) else None
+        named = _named(column, heading, unit) if _key(base) in _keys(column) else None
         out.append((base, named or "", named is not None))
     parts = re.split(r"[_ ]", heading)
     for cut in range(1, len(parts)):
@@ -209,7 +210,13 @@ def _named(column: Column, heading: str, text: str) -> str | None:
 def _without_suffix(name: str, column: Column) -> str:
     """What stands before both units of a heading that says its unit twice, 'x_mm [mm]'; any other heading as it is."""
     base, _, unit = name.rpartition("_")
-    return base if base and suffix_unit(unit) and _key(base) in map(_key, (column.name, *column.aliases)) else name
+    return base if base and suffix_unit(unit) and _key(base) in _keys(column) else name
+
+
+@lru_cache(maxsize=1024)
+def _keys(column: Column) -> tuple[str, ...]:
+    """The names of a column as headings are compared; every heading of a table is compared with every column."""
+    return tuple(map(_key, (column.name, *column.aliases)))
 
 
 def _key(name: str) -> str:

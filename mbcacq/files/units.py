@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ SUFFIXES = frozenset(
     "mm cm dm m um in ft deg rad mrad arcsec arcmin gon s ms us min h degC degF K N*m kN*m N*mm A mA percent kg g N V W ppm/K 1/K".split()
     + ["deg/s", "rad/s", "mm/s", "m/s"]
 )
-_WORD = r"[A-Za-zµμ°]{1,16}(?:\^-?\d|\*\*-?\d)?"
+_WORD = r"[A-Za-zµμ°]{1,16}(?:\^-?[1-9]|\*\*-?[1-9])?"
 _UNIT = re.compile(rf"{_WORD}(?:[*/·.]{_WORD}){{0,3}}")  # nothing else goes to pint, which evaluates powers of powers
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _WITH_UNIT = re.compile(rf"({_NUMBER})\s*([^\d\s.,+\-][^,]*)")
@@ -80,6 +80,7 @@ def suffix_unit(text: str) -> str | None:
     return unit if unit in SUFFIXES else None
 
 
+@lru_cache(maxsize=4096)
 def same_dimension(unit: str, other: str) -> bool:
     """Whether numbers in one unit can be given in the other. An angle is no plain number here."""
     if unit == other:
@@ -104,7 +105,7 @@ def _registry() -> Any:
     return pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
 
 
-@cache
+@lru_cache(maxsize=4096)
 def _parsed(unit: str) -> Any:
     """The unit of pint; None where the text is none."""
     import pint

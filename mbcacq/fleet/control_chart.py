@@ -133,7 +133,18 @@ def control_chart(name: str, value: np.ndarray, std: np.ndarray, arm: np.ndarray
     usual = float(np.median(middle[there]))
     among = excess_variance(middle[there] - usual, of_middle[there])
     arm_limit = half_width(share, among + of_middle, among, int(there.sum()))
-    return ControlChart(name, value, std, arm, arms, middle[arm], limit, middle, arm_limit, usual)
+    return ControlChart(
+        name=name,
+        value=value,
+        std=std,
+        arm=arm,
+        arms=arms,
+        centre=middle[arm],
+        limit=limit,
+        arm_value=middle,
+        arm_limit=arm_limit,
+        usual=usual,
+    )
 
 
 def excess_variance(deviation: np.ndarray, stated: np.ndarray) -> float:

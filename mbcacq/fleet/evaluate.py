@@ -13,7 +13,7 @@ from mbcacq.fleet.control_chart import Outlier, arm_types, outliers
 from mbcacq.fleet.evaluation import EVALUATED, FleetTask
 from mbcacq.fleet.page import fleet_content
 from mbcacq.fleet.recordings import FleetRecording, find_recordings
-from mbcacq.fleet.store import PAGE, FleetStore
+from mbcacq.fleet.store import FleetStore
 
 Progress = Callable[[int, int, Mapping[str, Any]], None]
 
@@ -53,7 +53,7 @@ def evaluate_fleet(
     Raises ConfigError for recordings that cannot be found, ConnectError where the scheduler does not answer; never for a broken recording.
     """
     from mbcacq.diagnosis.validation.workers import cores
-    from mbcacq.report import write_fleet_page
+    from mbcacq.report import fleet_page
 
     task = task or FleetTask()
     if not recordings:
@@ -67,8 +67,7 @@ def evaluate_fleet(
     outside = outliers(kinds)
     for row in rows:
         row["out_of_control"] = sorted({o.name for o in outside if o.recording == row["recording"]})
-    table = store.write_table(rows)
-    page = write_fleet_page(fleet_content(rows, kinds, outside), Path(out) / PAGE)
+    table, page = store.write(rows, fleet_page(fleet_content(rows, kinds, outside)))
     return Fleet(tuple(rows), tuple(outside), table, page, tuple(store.damaged))
 
 

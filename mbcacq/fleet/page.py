@@ -76,15 +76,15 @@ def _farthest(chart: ControlChart) -> float:
 def _chart(chart: ControlChart) -> FleetChart:
     scale, unit = scale_and_unit(chart.name)
     return FleetChart(
-        TITLES.get(chart.name, chart.name),
-        unit,
-        chart.arm,
-        scale * chart.value,
-        scale * chart.std,
-        scale * chart.deviation,
-        scale * chart.limit,
-        chart.outside,
-        scale * chart.usual,
-        float(scale * np.nanmedian(chart.arm_limit)) if np.isfinite(chart.arm_limit).any() else np.nan,
-        chart.unusual,
+        title=TITLES.get(chart.name, chart.name),
+        unit=unit,
+        arm=chart.arm,
+        value=scale * chart.value,
+        std=scale * chart.std,
+        deviation=scale * chart.deviation,
+        limit=scale * chart.limit,
+        outside=chart.outside,
+        usual=scale * chart.usual,
+        permitted=float(scale * np.nanmedian(chart.arm_limit)) if np.isfinite(chart.arm_limit).any() else np.nan,
+        unusual=chart.unusual,
     )

@@ -126,7 +126,11 @@ def listed(table: Path) -> list[FleetRecording]:
     for row, (recording, arm, time) in enumerate(zip(found.text("recording"), arms, times, strict=True)):
         if not recording.strip():
             raise ConfigError(f"{found.where(row, 'recording')}: the recording is missing; give its path")
-        one = described(table.absolute().parent / recording.strip())
+        try:
+            one = described(table.absolute().parent / recording.strip())
+        except OSError as error:  # a name that no system takes
+            where = found.where(row, "recording")
+            raise ConfigError(f"{where}: '{recording.strip()[:40]}' is no path ({error.strerror}); give the recording's path") from None
         if time.strip() and not _iso(time.strip()):
             raise ConfigError(f"{found.where(row, 'time')}: '{time.strip()}' is no time; write it as 2026-03-01 or 2026-03-01T08:30:00")
         out.append(replace(one, arm=arm.strip() or one.arm, time=_iso(time.strip()) or one.time))

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.calibration.sealed_json import sealed_text, unsealed
-from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask
+from mbcacq.errors import ConfigError
+from mbcacq.fleet.evaluation import EVALUATED, FAILED, FORMAT, FleetTask
 from mbcacq.fleet.recordings import FleetRecording
+from mbcacq.geometry.chain import PARAMETERS
 
+LARGEST = 1e100  # of a figure of a table: its square is a number too
 TABLE, PAGE, RECORDINGS = "fleet.parquet", "fleet.html", "recordings"
 TEXTS = ("recording", "arm", "time", "robot", "status", "reason", "verdict")
 COUNTS = ("poses", "centres", "rejected")
@@ -84,26 +86,28 @@ class FleetStore:
         write_file(self.path(recording), outcome.text)
         return outcome.row
 
-    def write_table(self, rows: Sequence[Mapping[str, Any]]) -> Path:
-        """All rows as one Parquet table, in the order given. Raises RecordingError."""
-        import pyarrow as pa
-        from pyarrow import parquet
+    def write(self, rows: Sequence[Mapping[str, Any]], page: str) -> tuple[Path, Path]:
+        """All rows as one Parquet table, in the order given, and the page about them (HTML), as a set. Raises RecordingError."""
+        from mbcacq.files.atomic_write import write_files
 
-        from mbcacq.files.atomic_write import publish
+        def table(partial: Path) -> None:
+            from pyarrow import parquet
 
-        parameters = dict.fromkeys(name for row in rows for name in row if name.startswith(("error.", "std.")))
-        types = {name: pa.string() for name in TEXTS} | {name: pa.int64() for name in COUNTS}
-        types |= {name: pa.float64() for name in (*NUMBERS, *parameters)}
-        types |= {name: pa.list_(pa.string() if kind == "string" else pa.float64()) for name, kind in LISTS.items()}
-        table = pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema(list(types.items())))
-        path = self.folder / TABLE
-        made = path.with_suffix(".part")
-        try:
-            parquet.write_table(table, made)
-            publish(made, path)
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be written ({error.strerror or error}); free space or give another --out") from error
-        return path
+            parquet.write_table(as_table(rows), partial)
+
+        written = write_files(self.folder, {TABLE: table, PAGE: page})
+        return written[0], written[1]
+
+
+def as_table(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Rows as a table of Arrow, of the same columns whatever the recordings have."""
+    import pyarrow as pa
+
+    parameters = dict.fromkeys(name for row in rows for name in row if name.startswith(("error.", "std.")))
+    types = {name: pa.string() for name in TEXTS} | {name: pa.int64() for name in COUNTS}
+    types |= {name: pa.float64() for name in (*NUMBERS, *parameters)}
+    types |= {name: pa.list_(pa.string() if kind == "string" else pa.float64()) for name, kind in LISTS.items()}
+    return pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema(list(types.items())))
 
 
 def read_table(fleet: Path) -> list[dict[str, Any]]:
@@ -114,9 +118,34 @@ def read_table(fleet: Path) -> list[dict[str, Any]]:
     path = fleet / TABLE if fleet.is_dir() else fleet
     try:
         rows = parquet.read_table(path).to_pylist()
-    except (OSError, ArrowException) as error:
+    except (OSError, ArrowException, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read as the table of a fleet ({error}); give what mbcacq fleet wrote") from error
     needed = {"recording", "arm", "status", "names", "covariance", "nominal"}
     if not rows or not needed <= set(rows[0]):
         raise ConfigError(f"{path} is no table of a fleet; give what mbcacq fleet wrote")
+    for number, row in enumerate(rows, 1):
+        if row["status"] == EVALUATED and not is_evaluated(row):
+            raise ConfigError(f"{path}: row {number} is damaged; evaluate the fleet anew")
     return rows
+
+
+def is_evaluated(row: Mapping[str, Any]) -> bool:
+    """Whether a row has the figures of a calibrated arm, each of its kind: errors of its parameters, their covariance, the nominal arm."""
+    names, figures = row["names"], [row[name] for name in row if name.startswith(("error.", "std."))]
+    lists = [names, row["covariance"], row["nominal"]]
+    return (
+        all(isinstance(row.get(name), str) for name in ("recording", "arm", "robot"))
+        and isinstance(row.get("time"), str | None)
+        and all(isinstance(values, list) for values in lists)
+        and all(isinstance(name, str) for name in names)
+        and all(_is_figure(row.get(f"error.{name}")) for name in names if name.rpartition("_")[0] in PARAMETERS)
+        and len(row["covariance"]) == len(names) ** 2
+        and len(row["nominal"]) % len(PARAMETERS) == 0
+        and all(map(_is_figure, (*row["covariance"], *row["nominal"])))
+        and all(figure is None or _is_figure(figure) for figure in figures)
+        and all(row.get(name) is None or isinstance(row[name], int | float) for name in NUMBERS)
+    )
+
+
+def _is_figure(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) <= LARGEST

@@ -119,4 +119,13 @@ def _history(content: Mapping[str, Any]) -> CheckHistory:
     if not (np.isfinite(q).all() and all(math.isfinite(float(v)) and v >= 0 for v in figures)):
         raise ValueError("a figure is no number")
     days = tuple(CheckedDay.from_dict(day) for day in content["days"])
-    return CheckHistory(str(content["result"]), str(content["plan"]), poses, q, bool(content["standing"]), usual, stations, days)
+    return CheckHistory(
+        result=str(content["result"]),
+        plan=str(content["plan"]),
+        poses=poses,
+        q=q,
+        standing=bool(content["standing"]),
+        usual_days=usual,
+        stations=stations,
+        days=days,
+    )

@@ -66,7 +66,9 @@ def planned_check(
     noise = jitter(obs, state, prediction, cell.noise.point, cell.noise.joint)
     rows = Rows(noise, _daily(obs, state, prediction, stations, standing, days), free)
     found = possible_changes(obs, state, prediction, standing, options)
-    return PlannedCheck(tuple(poses), cell, state, obs, prediction, rows, tuple(found), standing)
+    return PlannedCheck(
+        poses=tuple(poses), cell=cell, state=state, obs=obs, prediction=prediction, rows=rows, changes=tuple(found), standing=standing
+    )
 
 
 def calibrated_state(loaded: LoadedPlan, cell: CalibratedCell) -> CellState:

@@ -224,7 +224,18 @@ def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Est
         named = r.name != UNNAMED
         sizes, stds = (tuple(float(v) for v in x) if named else () for x in (size, std))
         names, units = (r.parameters, r.units) if named else ((), ())
-        out.append(Suspect(r.name, r.where, float(probability[k]), names, units, sizes, stds, chi2 / max(most, 1e-300)))
+        out.append(
+            Suspect(
+                name=r.name,
+                where=r.where,
+                probability=float(probability[k]),
+                parameters=names,
+                units=units,
+                size=sizes,
+                std=stds,
+                explains=chi2 / max(most, 1e-300),
+            )
+        )
     return tuple(out)
 
 

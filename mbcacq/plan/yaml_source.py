@@ -12,6 +12,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import read_bounded
 from mbcacq.model.yaml12 import Yaml12Loader
 
 MAX_BYTES = 1_000_000
@@ -63,8 +64,7 @@ def read(path: Path, role: str = "file") -> YamlFile:
         what = "folder" if path.is_dir() else "pipe or a device"
         raise ConfigError(f"{path}: the {role} cannot be read (it is a {what}); correct the path")
     try:
-        with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
+        raw = read_bounded(path, MAX_BYTES)
     except OSError as error:
         raise ConfigError(f"{path}: the {role} cannot be read ({error.strerror}); correct the path") from None
     if len(raw) > MAX_BYTES:

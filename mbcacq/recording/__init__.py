@@ -89,9 +89,10 @@ def _load_observations(path: Path) -> Observations:
 
         return read_observation_set(path)
     if path.is_file() and path.suffix.lower() in (".csv", ".tsv"):
-        from mbcacq.recording.datasets.loose_table import read_loose_table
+        from mbcacq.recording.datasets.hand_eye_sets import read_hand_eye_files
+        from mbcacq.recording.datasets.loose_table import TableOptions
 
-        return read_loose_table(path).observations
+        return read_hand_eye_files([path], TableOptions()).observations
     if _is_recording(path):
         from mbcacq.recording.rrd.reader import read_observations
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = [
     "accuracy_in_words",
     "content_of",
+    "fleet_page",
     "judged",
     "pdf_from_result",
     "read_kept_findings",
@@ -22,7 +23,6 @@ __all__ = [
     "read_run_info",
     "report_from_result",
     "write_diagnosis_page",
-    "write_fleet_page",
     "write_report_page",
 ]
 
@@ -95,8 +95,8 @@ def write_diagnosis_page(
     return write(render_diagnosis(diagnosis_content(diagnosis, pictures), title, about), path)
 
 
-def write_fleet_page(fleet: FleetContent, path: str | Path, title: str = "Fleet") -> Path:
-    """Write the page of a fleet. Raises RecordingError where the file cannot be written."""
-    from mbcacq.report.page import render_fleet, write
+def fleet_page(fleet: FleetContent, title: str = "Fleet") -> str:
+    """The page of a fleet as HTML; it is written as a set with the table."""
+    from mbcacq.report.page import render_fleet
 
-    return write(render_fleet(fleet, title), path)
+    return render_fleet(fleet, title)

@@ -217,7 +217,18 @@ def inertia(arm: MujocoArm, body: str, start: np.ndarray | None = None, sigma: f
     origin = back[rows, columns]
     origin[diagonal] = np.log(origin[diagonal])
     bound = np.full(10, 20.0)
-    return Block("inertia", body, origin, -bound, bound, np.full(10, RELATIVE_STEP), np.full(10, sigma), apply, values, first=np.zeros(10))
+    return Block(
+        name="inertia",
+        where=body,
+        start=origin,
+        lower=-bound,
+        upper=bound,
+        step=np.full(10, RELATIVE_STEP),
+        sigma=np.full(10, sigma),
+        apply=apply,
+        values=values,
+        first=np.zeros(10),
+    )
 
 
 def pseudo_inertia(spec: Any, body: str) -> np.ndarray:
@@ -262,16 +273,16 @@ def _delay(
     name: str, where: str, start: float, timestep_s: float, prepare: Callable[[Any], None], apply: Callable[[Any, np.ndarray], None]
 ) -> Block:
     return Block(
-        name,
-        where,
-        np.array([start]),
-        np.zeros(1),
-        np.array([LONGEST_DELAY_S]),
-        np.array([DELAY_STEP * timestep_s]),
-        np.array([LONGEST_DELAY_S]),
-        apply,
-        lambda x: {"delay_s": _possible_delay(x[0], timestep_s)},
-        prepare,
+        name=name,
+        where=where,
+        start=np.array([start]),
+        lower=np.zeros(1),
+        upper=np.array([LONGEST_DELAY_S]),
+        step=np.array([DELAY_STEP * timestep_s]),
+        sigma=np.array([LONGEST_DELAY_S]),
+        apply=apply,
+        values=lambda x: {"delay_s": _possible_delay(x[0], timestep_s)},
+        prepare=prepare,
     )
 
 
@@ -291,13 +302,13 @@ def _block(
     lower: float = 0.0,
 ) -> Block:
     return Block(
-        name,
-        where,
-        start,
-        np.full(len(start), lower),
-        np.full(len(start), np.inf),
-        step,
-        sigma,
-        apply,
-        lambda x: dict(zip(names, (float(v) for v in x), strict=True)),
+        name=name,
+        where=where,
+        start=start,
+        lower=np.full(len(start), lower),
+        upper=np.full(len(start), np.inf),
+        step=step,
+        sigma=sigma,
+        apply=apply,
+        values=lambda x: dict(zip(names, (float(v) for v in x), strict=True)),
     )

@@ -43,6 +43,8 @@ def read_cloud_file(path: str | Path) -> CloudFile:
     if path.stat().st_size > MAX_BYTES:
         raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one cloud")
     columns = _ply(path) if kind == ".ply" else _pcd(path)
+    if any(columns[axis].dtype.kind not in "fiu" for axis in "xyz"):
+        raise ConfigError(f"{path}: its x, y, z are no numbers; export the cloud anew")
     points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
     if points.dtype not in (np.float32, np.float64):
         points = points.astype(np.float64)
@@ -71,7 +73,7 @@ def in_mm(path: str | Path, points: np.ndarray, unit: str | None) -> np.ndarray:
 
 def _ply(path: Path) -> dict[str, np.ndarray]:
     header = read_header(path)
-    at = next(i for i, element in enumerate(header.elements) if element.name == "vertex")
+    at = next(i for i, element in enumerate(header.elements) if element.name == "vertex" and element.count)
     vertex, before = header.elements[at], header.elements[:at]
     if any(p.counted for element in (vertex, *before) for p in element.properties):
         raise ConfigError(f"{path}: has lists before or in its vertices, which are not read; export the points alone")

@@ -95,12 +95,17 @@ def _read(path: Path, suffix: str, form: CloudFormat) -> np.ndarray:
 def _text(path: Path) -> np.ndarray:
     """The first three columns of numbers; a header, comments and a line with the number of points are passed over."""
     raw = path.read_bytes()
-    text = raw.decode("utf-16") if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else raw.decode("latin-1")
+    try:
+        text = raw.decode("utf-16") if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else raw.decode("latin-1")
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: begins as UTF-16 and is none; save the cloud as text") from None
     lines = text.splitlines()
     start = next((k for k, line in enumerate(lines[:100]) if _numbers(line) is not None), None)
     if start is None:
         raise ConfigError(f"{path}: none of its first lines has three numbers; save the cloud as x, y, z a line")
     kept = [k for k in range(start, len(lines)) if lines[k].strip() and lines[k].lstrip()[0] not in "#/;"]
+    if not kept:
+        raise _bad_line(path, lines, start)
     separator = _separator(lines[start])
     decimal_comma = separator != "," and any("," in lines[k] for k in kept)
     _refuse_two_readings(path, lines, kept, separator, decimal_comma)

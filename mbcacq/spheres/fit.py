@@ -179,14 +179,14 @@ def _summary(centre, u, f, w, normal, disk) -> SphereFit:
     inverse = np.linalg.inv(free + 1e-12 * np.eye(4))
     radius_error = float(inverse[3] @ np.append(u @ (w * f), w @ f))
     return SphereFit(
-        centre,
-        covariance,
-        float(np.sqrt(variance)),
-        float(np.sqrt(f @ f / len(f))),
-        len(f),
-        _coverage(disk @ u),
-        radius_error,
-        float(np.sqrt(variance * max(inverse[3, 3], 0.0))),
+        centre=centre,
+        covariance=covariance,
+        noise_mm=float(np.sqrt(variance)),
+        rms_mm=float(np.sqrt(f @ f / len(f))),
+        n_points=len(f),
+        coverage=_coverage(disk @ u),
+        radius_error=radius_error,
+        radius_sigma=float(np.sqrt(variance * max(inverse[3, 3], 0.0))),
     )
 
 

@@ -62,7 +62,16 @@ def plan_acquisition(loaded: LoadedPlan, poses: Sequence[PlannedPose], done: fro
     from mbcacq.plan.routing import path_home
 
     last = next(p for p in reversed(poses) if p.number not in done)
-    acquisition = Acquisition(loaded, poses, path(loaded, poses, done), path_home(loaded, last), Path(), part, done, cell)
+    acquisition = Acquisition(
+        loaded=loaded,
+        poses=poses,
+        paths=path(loaded, poses, done),
+        path_home=path_home(loaded, last),
+        folder=Path(),
+        part=part,
+        done=done,
+        cell=cell,
+    )
     refuse_unsafe(loaded, list(segments(loaded, poses, acquisition.paths, acquisition.path_home, done)))
     return acquisition
 
@@ -145,20 +154,20 @@ class Acquisition:
             if recorder.live_url:
                 message(f"watch it live: rerun {recorder.live_url}")
             Runner(
-                self.loaded,
-                self.poses,
-                self.paths,
-                self.path_home,
-                create_devices(self.loaded, overrides),
-                EventBus([recorder, journal, *subscribers]),
-                partial(find_spheres, options=SphereOptions.for_noise(self.loaded.plan.scanner.noise_mm)),
-                cell_to_yaml(replace(solver_cell(self.loaded), simulated=self.simulated)),
-                versions(),
-                gate,
-                self.done,
-                pause,
-                known,
-                self.simulated,
+                loaded=self.loaded,
+                poses=self.poses,
+                paths=self.paths,
+                path_home=self.path_home,
+                devices=create_devices(self.loaded, overrides),
+                bus=EventBus([recorder, journal, *subscribers]),
+                find_balls=partial(find_spheres, options=SphereOptions.for_noise(self.loaded.plan.scanner.noise_mm)),
+                cell_yaml=cell_to_yaml(replace(solver_cell(self.loaded), simulated=self.simulated)),
+                versions=versions(),
+                confirm=gate,
+                done=self.done,
+                pause=pause,
+                known=known,
+                simulated=self.simulated,
                 plan_files=plan_files,
             ).run()
         if self.part:

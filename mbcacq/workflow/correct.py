@@ -110,7 +110,16 @@ def correct(
         before[programmed] = np.linalg.norm(there - goals[:, :3, 3], axis=1)[programmed]
     change = np.where(programmed, np.abs(found.q - start).max(axis=1), np.nan)
     write_file(output, points.written(found))
-    return Correction(output, points.names, points.lines, before, change, found, points.left_alone, points.notes)
+    return Correction(
+        file=output,
+        names=points.names,
+        lines=points.lines,
+        before_mm=before,
+        change=change,
+        found=found,
+        left_alone=points.left_alone,
+        notes=points.notes,
+    )
 
 
 def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:

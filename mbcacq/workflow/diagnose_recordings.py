@@ -71,7 +71,7 @@ def checked(
     options = CalibrationOptions(refuse=False)
     progress("calibrating with what was found")
     try:
-        alone = calibrate(learnt, options)
+        alone = calibrate(learnt, replace(options, discrepancy=False, random_links=False))
         cell = calibrate_with_effects(learnt, options, found.model) if found.model else alone
     except Exception as error:  # noqa: BLE001 -- whatever it is, the diagnosis is not lost for it
         return with_note(found, f"what was found was tried on no other recording, as the cell cannot be calibrated with it: {said(error)}")

@@ -9,7 +9,9 @@ from typing import Any
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 from mbcacq.recording import write_diagnosis
-from mbcacq.recording.rrd.checksums import note_copy
+from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.checksums import note_made
+from mbcacq.recording.rrd.diagnosis_recording import stream_diagnosis
 
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
@@ -24,10 +26,13 @@ def keep_in_run(content: dict[str, Any], words: str, pictures: dict[str, Any], o
 
     Raises RecordingError where that cannot be written.
     """
-    texts = {DIAGNOSIS_JSON: json.dumps(content, indent=1, allow_nan=False) + "\n", PICTURES_JSON: json.dumps(pictures, allow_nan=False)}
-    for path in write_files(run, texts):
-        note_copy(path)
-    note_copy(write_diagnosis(run / "diagnosis.rrd", observations, words, pictures, run, cards_of(content)))
+    cards = cards_of(content)
+    files = {
+        DIAGNOSIS_JSON: json.dumps(content, indent=1, allow_nan=False) + "\n",
+        PICTURES_JSON: json.dumps(pictures, allow_nan=False),
+        layout.DIAGNOSIS_FILE: lambda partial: stream_diagnosis(partial, observations, words, pictures, run, cards),
+    }
+    write_files(run, files, on_disk=lambda name, partial: note_made(partial, run / name))
 
 
 def cards_of(content: dict[str, Any]) -> str:

@@ -226,4 +226,14 @@ def _resumed(folder: Path, dry_run: bool, seed: int, live: bool, operator: Opera
         ) from error
     if begun_from_run:
         loaded = replace(loaded, grown_from=plan_of_recording(folder).grown_from or len(expand(loaded)))
-    return CellInvestigation(loaded, folder, budget, dry_run, seed, live, operator, decisions, begun_from_run)
+    return CellInvestigation(
+        loaded=loaded,
+        folder=folder,
+        budget=budget,
+        dry_run=dry_run,
+        seed=seed,
+        live=live,
+        operator=operator,
+        decisions=decisions,
+        begun_from_run=begun_from_run,
+    )

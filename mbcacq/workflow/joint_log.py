@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.bounded_read import read_bounded
 from mbcacq.files.table import Column, TableSchema, joint_columns, read_table
 from mbcacq.files.table_schema import JOINT_NAMES
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.controller_joints import from_controller
 
 NEAR = float(np.radians(3.0))  # of a planned pose: a program goes there exactly
+MAX_BYTES = 64 << 20
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _AT = re.compile(r"mb_at\[(\d+)\]\s*=\s*\{([^{}]*)\}", re.IGNORECASE)
 _TEXT_MESSAGE = re.compile(r"mbcacq joints\s*\[([^\]]*)\]")
 
@@ -53,8 +56,8 @@ def _table(path: Path, n: int) -> tuple[np.ndarray, list[int] | None]:
 def _krl(path: Path, n: int) -> tuple[np.ndarray, None]:
     rows: list[list[float]] = []
     for match in _AT.finditer(_text(path)):
-        values = [re.search(rf"\bA{k}\s+([-+\d.eE]+)", match[2], re.IGNORECASE) for k in range(1, n + 1)]
-        if not all(values):
+        values = [re.search(rf"\bA{k}\s+({_NUMBER})\s*(?:,|$)", match[2], re.IGNORECASE | re.ASCII) for k in range(1, n + 1)]
+        if not all(v is not None and np.isfinite(float(v[1])) for v in values):
             raise ConfigError(f"{path}: mb_at[{match[1]}] has not the angles of {n} axes; copy the file from the controller anew")
         rows.append([float(v[1]) for v in values if v is not None])
     if not rows:
@@ -63,17 +66,21 @@ def _krl(path: Path, n: int) -> tuple[np.ndarray, None]:
 
 
 def _messages(path: Path, n: int) -> tuple[np.ndarray, None]:
-    rows = [[float(v) for v in match[1].split(",")] for match in _TEXT_MESSAGE.finditer(_text(path))]
-    if any(len(row) != n for row in rows):
-        raise ConfigError(f"{path}: a message 'mbcacq joints' has not {n} angles; save the log anew")
-    return np.degrees(np.array(rows)), None
+    rows = [[cell.strip() for cell in match[1].split(",")] for match in _TEXT_MESSAGE.finditer(_text(path))]
+    for row in rows:
+        if len(row) != n or not all(re.fullmatch(_NUMBER, v, re.ASCII) and np.isfinite(float(v)) for v in row):
+            raise ConfigError(f"{path}: a message 'mbcacq joints' has not {n} angles that are numbers; save the log anew")
+    return np.degrees(np.array(rows, dtype=float)), None
 
 
 def _text(path: Path) -> str:
     try:
-        return path.read_bytes()[: 64 << 20].decode("latin-1")
+        data = read_bounded(path, MAX_BYTES)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the log of the joint angles") from error
+    if len(data) > MAX_BYTES:
+        raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; give the part of the log with the joint angles")
+    return data.decode("latin-1")
 
 
 def _away(q: np.ndarray, poses: list[PlannedPose]) -> np.ndarray:

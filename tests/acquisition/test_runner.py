@@ -52,7 +52,18 @@ def world():
         }
     )
     poses = [
-        PlannedPose(k, 0 if k < 2 else 1, "s", "position", "ab"[k // 2], "mbc", np.full(6, 0.1 * (k + 1)), (1, 2, 3, 4), 3, 9)
+        PlannedPose(
+            number=k,
+            step=0 if k < 2 else 1,
+            step_name="s",
+            phase="position",
+            station="ab"[k // 2],
+            artefact="mbc",
+            q=np.full(6, 0.1 * (k + 1)),
+            balls=(1, 2, 3, 4),
+            exposures=3,
+            line=9,
+        )
         for k in range(4)
     ]
     return LoadedPlan(Path("plan.yaml"), plan, cell, "text", {}), poses
@@ -77,14 +88,14 @@ def make(world, **changes):
     parts = {"robot": JumpingRobot(), "scanner": StillScanner(), "positioner": Placer(), "finder": Finder(), "done": frozenset()} | changes
     seen = Recorded()
     runner = Runner(
-        loaded,
-        poses,
-        [Transit()] * len(poses),
-        [HOME],
-        CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
-        EventBus([seen]),
-        parts["finder"],
-        "cell",
+        loaded=loaded,
+        poses=poses,
+        paths=[Transit()] * len(poses),
+        path_home=[HOME],
+        devices=CellDevices(parts["robot"], parts["scanner"], parts["positioner"]),
+        bus=EventBus([seen]),
+        find_balls=parts["finder"],
+        cell_yaml="cell",
         done=parts["done"],
     )
     return runner, seen, parts
@@ -121,7 +132,21 @@ def test_no_cycle_is_lost(world):
 
 def test_direction_is_that_of_the_last_motion(world):
     loaded, poses = world
-    back = [*poses[:2], PlannedPose(2, 1, "s", "position", "b", "mbc", np.array([0.2, 0.1, 0.3, 0.2, 0.2, 0.2]), (1, 2, 3, 4), 1, 9)]
+    back = [
+        *poses[:2],
+        PlannedPose(
+            number=2,
+            step=1,
+            step_name="s",
+            phase="position",
+            station="b",
+            artefact="mbc",
+            q=np.array([0.2, 0.1, 0.3, 0.2, 0.2, 0.2]),
+            balls=(1, 2, 3, 4),
+            exposures=1,
+            line=9,
+        ),
+    ]
     runner, seen, _ = make((loaded, back))
     runner.run()
     last = seen.of(events.PoseDone)[-1]

@@ -6,6 +6,7 @@ import time
 import pytest
 from mbcacq_bus.serial import SerialSensor
 from mbcacq_fakes.protocols.bus.serial_sensor import FakeSerialSensor
+from scripted_line import ScriptedLine
 
 from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
 
@@ -66,15 +67,16 @@ def test_a_line_cut_in_half_is_not_taken():
         thread.join()
 
 
-def test_polled_sensor_and_identity():
+def test_polled_sensor_and_identity(monkeypatch):
     with FakeSerialSensor(lambda: "unasked", answers={"READ?": "T=1.25 R=-3", "*IDN?": "ACME,PT100,7"}) as fake:
         fake.silent = True
         spec = {"port": fake.url, "line": LINE, "ask": "READ?\n", "identity": {"ask": "*IDN?\n", "expect": "ACME,.*"}}
         with SerialSensor("s", "", spec) as sensor:
             assert sensor.read() == {"air_C": 1.25, "robot_C": -3.0}
-        wrong = {**spec, "identity": {"ask": "*IDN?\n", "expect": "OTHER.*"}, "timeout_s": 3.0}
-        with pytest.raises(IdentityError, match="ACME,PT100,7"):
-            SerialSensor("s", "", wrong).connect()
+    ScriptedLine(lambda heard: (0.01, b"ACME,PT100,7\n")).install(monkeypatch)
+    wrong = {**spec, "identity": {"ask": "*IDN?\n", "expect": "OTHER.*"}, "timeout_s": 3.0}
+    with pytest.raises(IdentityError, match="ACME,PT100,7"):
+        SerialSensor("s", "", wrong).connect()
 
 
 def test_silence_garbage_and_loss_are_named():

@@ -8,8 +8,8 @@ from mbcacq_bus.options import parse
 from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptions
 from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
+from scripted_line import ScriptedLine
 
-from mbcacq.conformance.bounded import eventually
 from mbcacq.devices import Aborted, ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, Positioner, ProtocolError, create
 
 WORDS = {
@@ -111,55 +111,69 @@ def test_stop_halts_and_ends_the_wait():
 
 
 @needs_terminal
-def test_the_wrong_device_silence_and_absence_are_different_errors():
+def test_the_wrong_device_silence_and_absence_are_different_errors(monkeypatch):
     with fake(identity={"ask": "*IDN?\r\n", "expect": "OTHER 1"}) as line:
         with pytest.raises(IdentityError, match="answered 'OTHER 1' where 'LIFT 3000' was expected"):
             driver(line).connect()
-    with fake() as line:
-        line.silent = True
-        with pytest.raises(IdentityError, match=r"cannot be identified.*answered nothing to '\*IDN\?'"):
-            driver(line, timeout_s=0.5).connect()
     with pytest.raises(ConnectError, match="cannot be opened"):
         SerialPositioner("p", "", {"port": "/dev/does-not-exist", **WORDS}).connect()
+    with pytest.raises(IdentityError, match=r"cannot be identified.*answered nothing to '\*IDN\?'"):
+        scripted(monkeypatch, lambda heard: None)
+
+
+def scripted(monkeypatch, answer, **changes):
+    """A positioner on a line of the test, whose answers come at once unless they are (s, bytes)."""
+
+    def reply(heard):
+        said = answer(heard)
+        return said if said is None or isinstance(said, tuple) else (0.01, said)
+
+    line = ScriptedLine(reply)
+    line.install(monkeypatch)
+    positioner = SerialPositioner("p", "lift", {"port": "COM3", **WORDS, **changes})
+    positioner._stopped = positioner._link._stopped = line.stopped()
+    positioner.connect()
+    return line, positioner
 
 
 @pytest.mark.parametrize(
-    ("corrupt", "error", "words"),
+    ("said", "error", "words"),
     [
-        (lambda data: data[:-2], DeviceTimeout, "half a line"),
-        (lambda data: b"\xff\x00#", DeviceTimeout, "half a line"),
-        (lambda data: b"\xff\x00#\r\n", DeviceFault, "answered"),
-        (lambda data: b"x" * 3000, ProtocolError, "without an end of line"),
-        (lambda data: None, DeviceTimeout, "was lost|answered nothing"),
+        (b"OK", DeviceTimeout, "half a line"),
+        (b"\xff\x00#", DeviceTimeout, "half a line"),
+        (b"\xff\x00#\r\n", DeviceFault, "answered"),
+        (b"x" * 3000, ProtocolError, "without an end of line"),
+        (None, DeviceTimeout, "answered nothing"),
     ],
 )
-def test_noise_on_the_line_is_an_error_and_never_a_position(corrupt, error, words):
+def test_noise_on_the_line_is_an_error_and_never_a_position(monkeypatch, said, error, words):
+    line, positioner = scripted(monkeypatch, lambda heard: b"LIFT 3000\r\n" if heard == "*IDN?" else said, fault=None, timeout_s=2.0)
+    with pytest.raises(error, match=words):
+        positioner.go_to("2", "")
+    assert line.heard[-1] == "MA 15250"
+
+
+def test_a_line_that_is_cut_is_lost():
     with fake(pty=False) as line, driver(line, fault=None, timeout_s=2.0) as positioner:
-        line.corrupt = corrupt
-        with pytest.raises(error, match=words):
+        line.corrupt = lambda data: None
+        with pytest.raises(DeviceTimeout, match="was lost|answered nothing"):
             positioner.go_to("2", "")
 
 
-@needs_terminal
-def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one():
-    replies = iter(["P=15250", None])
-    held = threading.Event()
-
-    def answer(heard):
-        if heard == "?P":
-            if next(replies, None):
-                held.wait()  # until the driver has given up
-                return "P=15250"
-            return "P=0"
-        return {"*IDN?": "LIFT 3000", "?S": "S=READY"}.get(heard, "OK")
-
-    with SerialLine(answer, pty=True) as line, driver(line, fault=None, timeout_s=1.0, move_timeout_s=0.5) as positioner:
-        with pytest.raises(DeviceTimeout, match="answered nothing"):
-            positioner.go_to("2", "")
-        held.set()
-        eventually(lambda: positioner._link._port.in_waiting > 0, 20.0, "the late answer has come")
-        with pytest.raises(DeviceTimeout, match="at 0 mm"):
-            positioner.go_to("2", "")
+def test_an_answer_that_came_too_late_is_not_taken_for_the_next_one(monkeypatch):
+    places = iter([(1.5, b"P=15250\r\n")])
+    said = {"*IDN?": b"LIFT 3000\r\n", "?S": b"S=READY\r\n"}
+    _, positioner = scripted(
+        monkeypatch,
+        lambda heard: next(places, b"P=0\r\n") if heard == "?P" else said.get(heard, b"OK\r\n"),
+        fault=None,
+        timeout_s=1.0,
+        move_timeout_s=0.5,
+    )
+    with pytest.raises(DeviceTimeout, match="answered nothing"):
+        positioner.go_to("2", "")
+    with pytest.raises(DeviceTimeout, match="at 0 mm"):
+        positioner.go_to("2", "")
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,17 @@ def left_out(found, plan):
     """Numbers of the poses that the checks of a run leave out."""
     heard = []
     session = found.session
-    CollectedRun(loaded(plan), 16, found.poses, [], EventBus([heard.append]), session.read, session.find, "", {}).run()
+    CollectedRun(
+        loaded=loaded(plan),
+        n_poses=16,
+        poses=found.poses,
+        notes=[],
+        bus=EventBus([heard.append]),
+        read=session.read,
+        find_balls=session.find,
+        cell_yaml="",
+        versions={},
+    ).run()
     return [e.pose for e in heard if type(e).__name__ == "Gap" and e.kind == "pose"]
 
 

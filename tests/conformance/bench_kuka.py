@@ -75,14 +75,14 @@ def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Itera
         stack.callback(lambda: [robot.close() for robot in made])
         use = moves(HOME_DEG, lambda: np.degrees(fake.state.read().q))
         yield Stand(
-            make,
-            use,
-            proxies,
-            (lambda: make("KR 210 R2700-2")) if eki else None,
-            begin,
-            lambda: fake.state.read().standstill,
-            {"silence_s": 0.8, "connect_timeout_s": 1.5},
-            lambda: not fake.counters()["active"],
+            make=make,
+            use=use,
+            proxies=proxies,
+            wrong=(lambda: make("KR 210 R2700-2")) if eki else None,
+            begin=begin,
+            at_rest=lambda: fake.state.read().standstill,
+            short_limits={"silence_s": 0.8, "connect_timeout_s": 1.5},
+            ready=lambda: not fake.counters()["active"],
         )
 
 

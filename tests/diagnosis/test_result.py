@@ -48,10 +48,24 @@ FOUND = Diagnosis(
     notes=("a note",),
     exclusion_limits=(
         ExclusionLimit("joint_scale", ("A6",), "A6.ratio", 2e-4, 0.05, 0.03),
-        ExclusionLimit("joint_step", ("A6",), "A6.step_deg", 0.01, None, None, 12.0, False, ExclusionBand("at_pose", 3.0, 90.0, (17.0,))),
+        ExclusionLimit(
+            name="joint_step",
+            where=("A6",),
+            parameter="A6.step_deg",
+            value=0.01,
+            workspace_mm=None,
+            length_mm=None,
+            in_usual_sizes=12.0,
+            tested=False,
+            holds_for=ExclusionBand("at_pose", 3.0, 90.0, (17.0,)),
+        ),
         ExclusionLimit("station_drift", ("stationp1",), "shift_mm", None, None, None),
     ),
-    noise_depends_on=(NoiseDependence("instrument", "reach", "mm", 500.0, 900.0, 0.005, 0.015, 1e-9),),
+    noise_depends_on=(
+        NoiseDependence(
+            of="instrument", covariate="reach", unit="mm", low=500.0, high=900.0, sigma_low_mm=0.005, sigma_high_mm=0.015, p_value=1e-9
+        ),
+    ),
 )
 
 

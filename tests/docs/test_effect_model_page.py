@@ -48,7 +48,17 @@ def result(postures: np.ndarray) -> dict:
         names = tuple(f"{name}[{j}]" for j in range(len(values)))
         ranges = learnt_ranges(here, parts)
         return EffectTerm(
-            name, ("A2",), "q2", tuple(parts), names, ("rad",) * len(values), np.array(values), none, none + np.inf, none, ranges=ranges
+            name=name,
+            where=("A2",),
+            depends_on="q2",
+            parts=tuple(parts),
+            names=names,
+            units=("rad",) * len(values),
+            coefficients=np.array(values),
+            std=none,
+            sigma=none + np.inf,
+            typical=none,
+            ranges=ranges,
         )
 
     soft = named("joint_compliance", [DescribedPart("joint", 1, 0, (linear("gravity_torque_2"),))], [4e-6])

@@ -47,6 +47,25 @@ def test_csv_with_semicolons_and_decimal_commas_is_read(write):
     np.testing.assert_array_equal(a.centres[0], [1.5, -2.25, 3])
 
 
+def test_spheres_that_name_their_place_differently_are_one_list(write):
+    """The first by its centre, others by x, y, z, in the file's unit, in another, or with a label of another name."""
+    text = """balls:
+  - {label: K1, centre_mm: [1, 2.5, 3], diameter_mm: 12}
+  - {id: K2, x: 10, y: 0.5, z: -3, diameter: 12.5}
+  - {label: K3, centre_cm: [2, 3, 4.25], d: 11}
+  - {label: K4, x_m: 0.04, y_um: 1500, Z (mm): 7, diameter: 12}
+"""
+    a = read_certificate(write("c.yaml", text), "mbc")
+    assert a.ball_ids == (1, 2, 3, 4)
+    assert a.centres == pytest.approx(np.array([[1, 2.5, 3], [10, 0.5, -3], [20, 30, 42.5], [40, 1.5, 7]]), abs=1e-12)
+    assert a.diameters.tolist() == [12, 12.5, 11, 12]
+    in_inches = "units: inch\nspheres:\n  - {label: 1, x: 1, y: 2, z: 3, d: 0.5}\n  - {label: 2, centre_mm: [25.4, 0, 0], d: 0.5}\n"
+    b = read_certificate(write("d.yaml", in_inches), "mbc")
+    assert b.centres == pytest.approx(np.array([[25.4, 50.8, 76.2], [25.4, 0, 0]]), abs=1e-12)
+    with pytest.raises(ConfigError, match="sphere 2 has no|column z_mm|the cell is empty"):
+        read_certificate(write("e.yaml", "balls:\n  - {label: 1, centre_mm: [1, 2, 3], d: 9}\n  - {label: 2, x: 1, y: 2, d: 9}\n"), "mbc")
+
+
 def test_a_yaml_certificate_is_read(write):
     text = (
         "certificate: DKD-1\ndate: 2026-03-04\nT: 20.5\nalpha: 11.5\nU: 0.002\nk: 2\nspheres:\n"

@@ -58,7 +58,17 @@ def result() -> dict:
         k = len(values)
         names, many = tuple(f"{name}[{j}]" for j in range(k)), np.full(k, 1e-9)
         return EffectTerm(
-            name, (where,), on, tuple(parts), names, ("rad",) * k, np.array(values), many, many, many, ranges=learnt_ranges(here, parts)
+            name=name,
+            where=(where,),
+            depends_on=on,
+            parts=tuple(parts),
+            names=names,
+            units=("rad",) * k,
+            coefficients=np.array(values),
+            std=many,
+            sigma=many,
+            typical=many,
+            ranges=learnt_ranges(here, parts),
         )
 
     terms = (

@@ -15,7 +15,18 @@ from mbcacq.model.cell_schema import RobotSpec
 
 def effect(name, where, cause, parts, value):
     one = np.array([value])
-    return EffectTerm(name, where, cause, tuple(parts), ("c",), ("",), one, 0.01 * one, np.array([np.inf]), one)
+    return EffectTerm(
+        name=name,
+        where=where,
+        depends_on=cause,
+        parts=tuple(parts),
+        names=("c",),
+        units=("",),
+        coefficients=one,
+        std=0.01 * one,
+        sigma=np.array([np.inf]),
+        typical=one,
+    )
 
 
 def compliance(axis, value):

@@ -146,6 +146,12 @@ def test_urscript(read):
     assert changed[9] == "    movej([d2r(10.572958), d2r(-89.427042), 1.510000000, 0.010000000, -0.490000000, 0.110000000], a=1.4)"
 
 
+def test_a_target_whose_elements_make_another_one_stays(read):
+    program = read("prog.script", "home = [0,-1,1,0,1,0]\nmovej(home)\nmovej([home[0],-1,1,0,1,0])\nmovej([0,-1,1,0,1,0])\n")
+    assert targets(program) == [("line 4", 4)]
+    assert left(program)["home"] == "is a target, and is used otherwise too (line 3)"
+
+
 RAPID = """MODULE MainModule
   CONST jointtarget jp10:=[[0,-20,30.5,0,30,0],[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]];
   PERS jointtarget jcounted := [[0.1,0.1,0.1,0.1,0.1,0.1],[9E9,9E9,9E9,9E9,9E9,9E9]];

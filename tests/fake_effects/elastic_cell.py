@@ -58,15 +58,15 @@ def cell(q=None):
     """One station, placed so that the first of q looks straight at the artefact."""
     place = ARM.flange((spread_q(1) if q is None else np.atleast_2d(q))[:1]) @ HAND_EYE
     return CellFacts(
-        SIGN,
-        ROWS,
-        MASSES,
-        np.array([119.2, 126.1, 99.6, 80, 80.9, 50.4]),
-        HAND_EYE,
-        (MBC,),
-        ("1",),
-        np.array([0]),
-        place,
+        sign=SIGN,
+        rows=ROWS,
+        masses=MASSES,
+        gear_ratio=np.array([119.2, 126.1, 99.6, 80, 80.9, 50.4]),
+        hand_eye=HAND_EYE,
+        artefacts=(MBC,),
+        station_ids=("1",),
+        station_artefact=np.array([0]),
+        station_pose=place,
         planned_q=spread_q(100) if q is None or len(np.atleast_2d(q)) < 2 else None,
         pace_s=10.0,
     )
@@ -76,15 +76,15 @@ def moments(q, direction=None, air=None, robot=None, time_s=None):
     p = len(q)
     time_s = 10.0 * np.arange(p) if time_s is None else np.asarray(time_s, dtype=float)
     return Moments(
-        q,
-        np.zeros_like(q),
-        np.zeros_like(q) if direction is None else direction,
-        np.arange(p),
-        time_s,
-        np.full(p, 21.0) if air is None else air,
-        np.full(p, 25.0) if robot is None else robot,
-        np.zeros(p, int),
-        np.zeros(p, int),
+        q=q,
+        velocity=np.zeros_like(q),
+        direction=np.zeros_like(q) if direction is None else direction,
+        arrival=np.arange(p),
+        time_s=time_s,
+        air_C=np.full(p, 21.0) if air is None else air,
+        robot_C=np.full(p, 25.0) if robot is None else robot,
+        station=np.zeros(p, int),
+        artefact=np.zeros(p, int),
     )
 
 

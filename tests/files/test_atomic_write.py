@@ -116,3 +116,32 @@ def test_a_library_that_fails_while_writing_leaves_the_old_file(tmp_path):
     with pytest.raises(KeyError):
         foreign_writer()
     assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"old"]
+
+
+def test_temporary_names_are_on_the_disk_before_a_set_is_listed(tmp_path, monkeypatch):
+    """Else a power cut may keep the list and take the files that it lists."""
+    write_files(tmp_path / "set", {"a": "1", "b": "2"})
+    done = []
+    monkeypatch.setattr(atomic_write, "sync_folder", lambda folder: done.append("folder"))
+    replace = os.replace
+    monkeypatch.setattr(atomic_write.os, "replace", lambda old, new: (done.append(os.path.basename(new)), replace(old, new)))
+    write_files(tmp_path / "set", {"a": "3", "b": "4"})
+    assert done[:2] == ["folder", "INCOMPLETE.txt"]
+
+
+def test_a_function_writes_its_file_of_a_set_and_a_failure_leaves_the_old_set(tmp_path):
+    def fails(partial):
+        partial.write_bytes(b"half")
+        raise RecordingError("the disk is full")
+
+    seen = []
+    write_files(tmp_path / "set", {"a": "1", "b": lambda partial: partial.write_bytes(b"2")})
+    with pytest.raises(RecordingError, match="the disk is full"):
+        write_files(tmp_path / "set", {"a": "3", "b": fails})
+    assert {p.name: p.read_text() for p in (tmp_path / "set").iterdir()} == {"a": "1", "b": "2"}
+
+    def note(name, partial):
+        seen.append((name, partial.read_text(), (tmp_path / "set" / name).read_text()))
+
+    write_files(tmp_path / "set", {"a": "3", "b": lambda partial: partial.write_bytes(b"4")}, on_disk=note)
+    assert seen == [("a", "3", "1"), ("b", "4", "2")]

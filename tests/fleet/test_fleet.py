@@ -318,7 +318,7 @@ def test_a_prior_is_read_from_the_table_of_a_fleet(tmp_path):
     rows = made_rows(9, 2, np.random.default_rng(5))
     for row in rows:
         row["out_of_control"] = []
-    FleetStore(tmp_path, FleetTask()).write_table(rows)
+    FleetStore(tmp_path, FleetTask()).write(rows, "")
     (prior,) = read_priors(tmp_path)
     assert prior.arms == 9
     assert len(read_table(tmp_path / "fleet.parquet")) == 18

@@ -136,3 +136,39 @@ def test_the_tree_is_found_by_walking_as_for_the_vendors_resources(client):
         href = children[0]["_links"]["self"]["href"]
     assert client.ask("read", href)["serialNumber"] == client.ask("read", SENSOR)["serialNumber"] == "12345"
     assert client.ask("read", "/system/info")["appId"]
+
+
+def test_configure_sensor_writes_what_it_reads_back(client):
+    client.ask("update", "/system", {"quickEditEnabled": True})
+    assert client.ask("read", "/system")["quickEditEnabled"] is True
+    client.ask("update", SCANNER, {"parameters": {"triggerSettings": {"source": 3}}})
+    client.ask("call", "/system/commands/start", {})
+    client.ask("call", f"{SCANNER}/actions/trigger", {})
+    client.ask("call", "/system/commands/stop", {})
+    exposures = {"exposureMode": 1, "multipleExposures": [1080, 2010, 5040]}
+    client.ask("update", SENSOR, {"parameters": {"exposureSettings": exposures}})
+    client.ask("update", SENSOR, {"displayName": "Main-Sensor-Change"})
+    client.ask("update", SENSOR, {"parameters": {"activeAreaSettings": {"activeArea": {"width": 3.5}}}})
+    found = client.ask("read", SENSOR)
+    assert found["displayName"] == "Main-Sensor-Change"
+    assert found["parameters"]["exposureSettings"] == {**exposures, "singleExposure": 1200}
+    assert found["parameters"]["activeAreaSettings"]["activeArea"]["width"] == 3.5
+    assert client.ask("read", "/environ/ipConfig")["interfaces"][0]["ipAddress"]
+
+
+def test_a_job_is_saved_renamed_fetched_brought_and_deleted(client):
+    def names():
+        items = client.ask("read", "/jobs/files", None, expandLevel=1)["_embedded"]["item"]
+        return [item["jobName"] for item in items]
+
+    client.ask("call", "/jobs/commands/save", {"name": "demo"})
+    client.ask("call", "/jobs/commands/rename", {"sourceName": "demo", "destName": "other"})
+    assert "other" in names()
+    assert "demo" not in names()
+    assert isinstance(client.ask("read", "/jobs/files/other/data")["content"], bytes)
+    client.ask("create", "/jobs/files", {"fromLive": False, "name": "brought", "content": b"\x01\x02"})
+    assert client.ask("read", "/jobs/files/brought/data")["content"] == b"\x01\x02"
+    client.ask("call", "/jobs/commands/load", {"name": "brought"})
+    assert client.ask("read", "/jobs")["loadedJob"] == "brought"
+    client.ask("delete", "/jobs/files/other")
+    assert "other" not in names()

@@ -41,7 +41,16 @@ def history_of(planned, days):
         for t, rows in enumerate(days)
     ]
     q = np.array([p.q for p in planned.poses])
-    return CheckHistory("result", "plan", tuple(p.number for p in planned.poses), q, True, UsualChanges(), {}, tuple(kept))
+    return CheckHistory(
+        result="result",
+        plan="plan",
+        poses=tuple(p.number for p in planned.poses),
+        q=q,
+        standing=True,
+        usual_days=UsualChanges(),
+        stations={},
+        days=tuple(kept),
+    )
 
 
 def noise(planned, days, seed=0):

@@ -32,7 +32,7 @@ def test_priority_and_one_core_come_together(cpu):
     assert not found["collects"]
     if found["granted"]:
         assert found["policy"] == os.SCHED_FIFO
-        assert found["cores"] == [allowed[-1] if cpu is None else cpu]
+        assert found["cores"] == (allowed if cpu is None else [cpu])
     else:
         assert found["cores"] == allowed
 
@@ -44,3 +44,10 @@ def test_memory_is_locked_where_it_is_permitted():
     if not found["granted"]:
         pytest.skip("this system grants no privileges")
     assert found["locked_kb"] > 1000
+
+
+def test_the_process_of_the_cycle_loads_nothing_of_the_rest():
+    """What is not loaded cannot take its interpreter: arrays, scans, the viewer, the program itself."""
+    code = "import sys, mbcacq_kuka.rsi.cycle; print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    assert not loaded & {"numpy", "scipy", "rerun", "mbcacq", "pydantic", "mbcacq_gocator"}

@@ -47,7 +47,16 @@ def signals(**other):
 def group(name, joints=tuple(range(N))):
     shape = (len(TIME), len(joints))
     unit = "N m" if name == "tau" else "rad"
-    return ChannelGroup(name, unit, joints, (np.zeros(shape),), (np.ones(shape, bool),), (np.zeros((*shape, 0)),), np.zeros(0), True)
+    return ChannelGroup(
+        name=name,
+        unit=unit,
+        joints=joints,
+        mismatch=(np.zeros(shape),),
+        use=(np.ones(shape, bool),),
+        base=(np.zeros((*shape, 0)),),
+        prior=np.zeros(0),
+        refit=True,
+    )
 
 
 def candidate(module, channel, run, where, form=""):
@@ -157,7 +166,12 @@ def check_payload():
     r, c, s = 0.7 + offset, np.cos(q[:, 1]), np.sin(q[:, 1])
     first = mass * r**2 * (c**2 * qdd[:, 0] - 2 * c * s * qd[:, 0] * qd[:, 1])
     second = mass * r**2 * (qdd[:, 1] + c * s * qd[:, 0] ** 2) - mass * g * r * c
-    chosen = payload.motion_candidates(ChannelGroup("tau", "N m", (0, 1), (q,), (q > 9,), (q[:, :, None],), np.zeros(1), False), (run,))[0]
+    chosen = payload.motion_candidates(
+        ChannelGroup(
+            name="tau", unit="N m", joints=(0, 1), mismatch=(q,), use=(q > 9,), base=(q[:, :, None],), prior=np.zeros(1), refit=False
+        ),
+        (run,),
+    )[0]
     assert chosen.where == ("mount",)
     # mass, first moment, then the tensor about the flange: a point on its x axis has two equal moments
     inertial = mass * np.array([1.0, offset, 0, 0, *(offset**2 * np.array([0, 0, 0, 1, 0, 1]))])

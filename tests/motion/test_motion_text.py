@@ -17,7 +17,18 @@ def text_of(*effects):
 @pytest.mark.parametrize(("std", "said"), [(125.3, "A2 phase is not determined"), (20.0, "A2 phase (−84 ± 40)°")])
 def test_a_phase_that_may_be_anywhere_is_not_given_as_a_number(std, said):
     parameters = {"A2.order": {"value": 829.2, "std": 1.93}, "A2.phase_deg": {"value": -83.65, "std": std}}
-    effect = MotionEffect("gear_transmission_error", ("A2",), "q2", "q_joint", parameters, 1e-9, 0.1, 0.1, (), ())
+    effect = MotionEffect(
+        name="gear_transmission_error",
+        where=("A2",),
+        depends_on="q2",
+        channel="q_joint",
+        parameters=parameters,
+        p_value=1e-9,
+        held_out_gain=0.1,
+        held_out_gain_here=0.1,
+        alternatives=(),
+        steps=(),
+    )
     text = text_of(effect)
     assert said in text
     assert "A2 order 829.2 ± 3.9" in text

@@ -21,7 +21,14 @@ def run():
 
 def normal_store(noise):
     group = ChannelGroup(
-        "q_joint", "rad", (0,), (noise[:, None],), (np.ones((LENGTH, 1), dtype=bool),), (np.zeros((LENGTH, 1, 0)),), np.zeros(0), True
+        name="q_joint",
+        unit="rad",
+        joints=(0,),
+        mismatch=(noise[:, None],),
+        use=(np.ones((LENGTH, 1), dtype=bool),),
+        base=(np.zeros((LENGTH, 1, 0)),),
+        prior=np.zeros(0),
+        refit=True,
     )
     return NormalStore(group, (run(),))
 

@@ -65,14 +65,14 @@ def cycles(rng: np.random.Generator, time_s: float, count: int = 10) -> Cycles:
 
 def scan(rng: np.random.Generator, points: int = 500) -> Scan:
     return Scan(
-        rng.normal(size=(points, 3)).astype(np.float32),
-        rng.integers(0, 256, points).astype(np.uint8),
-        (100, 50),
-        rng.permutation(5000)[:points].astype(np.int32),
-        12.5,
-        7,
-        900.0,
-        {"width": 1.25},
+        points=rng.normal(size=(points, 3)).astype(np.float32),
+        intensity=rng.integers(0, 256, points).astype(np.uint8),
+        shape=(100, 50),
+        pixel=rng.permutation(5000)[:points].astype(np.int32),
+        time_s=12.5,
+        frame=7,
+        exposure_us=900.0,
+        measurements={"width": 1.25},
     )
 
 

@@ -7,6 +7,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from mbcacq.errors import ConfigError
 from mbcacq.recording import load_observations, load_trajectories
+from mbcacq.recording.datasets.bag import Bag, BagSpec, _points
 
 ROBOT = """
 robot:
@@ -151,3 +152,33 @@ def test_a_bag_that_is_not_as_described_is_refused_with_the_reason(bag, old, new
     (bag / "cell.yaml").write_text(TRACKER.replace(old, new))
     with pytest.raises(ConfigError, match=message):
         load_observations(bag)
+
+
+def test_a_topic_without_a_message_is_named(tmp_path):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+    (tmp_path / "cell.yaml").write_text(MOTION)
+    with pytest.raises(ConfigError, match="the topic /joint_states holds no message"):
+        load_trajectories(tmp_path)
+
+
+@pytest.mark.parametrize(("step", "offset"), [(12, 8), (16, 8), (12, 10)])
+def test_a_cloud_that_announces_more_than_it_holds_is_damaged(tmp_path, step, offset):
+    """Three points of 12 bytes: of 16 there are not as many bytes, and a field that begins at 10 ends beyond its point."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = store.types
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/cloud", "sensor_msgs/msg/PointCloud2", typestore=store)
+        header = kind["std_msgs/msg/Header"](kind["builtin_interfaces/msg/Time"](1, 0), "scanner")
+        fields = [kind["sensor_msgs/msg/PointField"](axis, at, 7, 1) for axis, at in (("x", 0), ("y", 4), ("z", offset))]
+        data = np.arange(9, dtype="<f4").view(np.uint8)
+        message = kind["sensor_msgs/msg/PointCloud2"](header, 1, 3, fields, False, step, 3 * step, data, True)
+        writer.write(topic, 10**9, store.serialize_cdr(message, message.__msgtype__))
+    found = Bag(tmp_path, BagSpec(file="run"))
+    read = found.messages("/cloud", ("sensor_msgs/msg/PointCloud2",), lambda _, m: _points(found, "/cloud", m))
+    if (step, offset) == (12, 8):
+        assert [points.tolist() for points in read] == [[[0, 1, 2], [3, 4, 5], [6, 7, 8]]]
+    else:
+        with pytest.raises(ConfigError, match="a cloud of /cloud announces 3 points of .* bytes and holds 36 bytes"):
+            list(read)

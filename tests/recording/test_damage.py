@@ -21,11 +21,12 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.files import atomic_write
 from mbcacq.recording import Journal, Recorder, Recording, find_gaps, load_observations, log_result, poses_done, repair_and_read_progress
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
-from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, is_as_written, note_stretch, read_stretches
+from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, is_as_written, note_made, note_stretch, read_stretches
 from mbcacq.recording.rrd.reader import opened_once
 from mbcacq.recording.run_folder.check import check
 from mbcacq.recording.run_folder.journal import read_journal
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text, read_kept_plan, refuse_change
+from mbcacq.workflow import diagnosis_files
 from mbcacq.workflow.diagnosis_files import keep_in_run
 
 FILES = {"robots/made.yaml": "name: six axes\n", "balls.yaml": "id: mbc\n"}
@@ -197,6 +198,32 @@ def test_what_was_computed_from_a_run_is_checked_and_read_without_a_second_proce
     for name in computed:
         (folder / name).unlink()
     assert faults(folder) == []  # they may be deleted: they can be computed again
+
+
+def test_a_diagnosis_is_the_old_one_or_the_new_one_with_its_recording(folder, monkeypatch):
+    obs = load_observations(folder)
+    keep_in_run({"effects": []}, "nothing", PICTURES, obs, folder)
+    before = {name: (folder / name).read_bytes() for name in ("diagnosis.json", "diagnosis-pictures.json", "diagnosis.rrd")}
+
+    def full(*_):
+        raise RecordingError("the disk is full")
+
+    monkeypatch.setattr(diagnosis_files, "stream_diagnosis", full)
+    with pytest.raises(RecordingError, match="the disk is full"):
+        keep_in_run({"effects": [1]}, "something", PICTURES, obs, folder)
+    assert {name: (folder / name).read_bytes() for name in before} == before
+    assert faults(folder) == []
+
+
+def test_a_checksum_that_was_noted_for_a_file_that_never_came_accuses_nobody(folder):
+    """It is on the disk before the file takes its name: a power cut between leaves the old file, which was noted, too."""
+    keep_in_run({"effects": []}, "nothing", PICTURES, load_observations(folder), folder)
+    (folder / "new").write_text("another diagnosis")
+    note_made(folder / "new", folder / "diagnosis.json")
+    assert faults(folder) == []
+    assert is_as_written(folder / "diagnosis.json")
+    (folder / "diagnosis.json").write_text("a third one")
+    assert faults(folder) == ["diagnosis.json: it is not as it was written"]
 
 
 def test_a_damaged_line_of_the_journal_is_not_believed(folder):

@@ -19,7 +19,22 @@ def done(pose):
     import numpy as np
 
     none = np.zeros(0)
-    return events.PoseDone(1.0, pose, "p", "position", "s", none, none, 0.0, none, none, none, none, none, 1)
+    return events.PoseDone(
+        time_s=1.0,
+        pose=pose,
+        station="p",
+        phase="position",
+        step="s",
+        q=none,
+        direction=none,
+        robot_time_s=0.0,
+        ball=none,
+        xyz=none,
+        n_points=none,
+        rms_mm=none,
+        scatter_mm=none,
+        n_exposures=1,
+    )
 
 
 def gaps_of(folder, *stream):

@@ -76,6 +76,73 @@ def test_the_delay_that_was_put_in_comes_out_and_the_cell_with_it(tmp_path, moti
     assert np.abs(obs.xyz - truth).max() < 0.02
 
 
+def as_rtde(t, q):
+    yield "timestamp " + " ".join(f"actual_q_{i}" for i in range(6))
+    yield from (f"{a} " + " ".join(f"{v:.7f}" for v in row) for a, row in zip(t, q, strict=True))
+
+
+def as_rtde_poses(t, q):
+    T = robot_of("ur10e").chain.flange(q)
+    yield "timestamp " + " ".join(f"actual_TCP_pose_{i}" for i in range(6))
+    for a, one in zip(t, T, strict=True):
+        yield f"{a} " + " ".join(f"{v:.8f}" for v in (*(one[:3, 3] / 1e3), *se3.rotation_log(one[:3, :3])))
+
+
+def as_trace(t, q):
+    yield "Time\t" + "\t".join(f"$AXIS_ACT.A{i}" for i in range(1, 7))
+    yield from (f"{a}\t" + "\t".join(f"{v:.6f}" for v in np.degrees(row)) for a, row in zip(t, q, strict=True))
+
+
+def as_scope(t, q):
+    yield from ("Name\tYT Scope Project", "File\tC:\\arm.tcscopex", "Starttime of export\t133774012345670000\t25.11.2026", "")
+    yield "\t".join(f"Name\tActPos_A{i}" for i in range(1, 7))
+    yield "\t".join("Sample time [ms]\t10" for i in range(1, 7))
+    yield ""
+    yield from ("\t".join(f"{1e3 * a:.0f}\t{v:.6f}" for v in np.degrees(row)) for a, row in zip(t, q, strict=True))
+    yield "EOF"
+
+
+def us_time(s):
+    return f"11/25/2026 {int(s // 3600) % 12 or 12}:{int(s // 60) % 60:02d}:{s % 60:06.3f} PM"
+
+
+def as_spatialanalyzer(t, xyz):
+    yield from ("// SpatialAnalyzer 2023.2.1", "// Working frame: A::WORLD", "// Units: Millimeters")
+    yield from (f"A, Robot, p{k}, {x:.4f}, {y:.4f}, {z:.4f}, {us_time(a)}" for k, (a, (x, y, z)) in enumerate(zip(t, xyz, strict=True)))
+
+
+def as_leica(t, xyz):
+    yield from ("Leica AT960-MR  serial 750123", "Units: mm", "", "No  Time [s]  X [mm]  Y [mm]  Z [mm]")
+    yield from (f"{k}  {a:.4f}  {x:.4f}  {y:.4f}  {z:.4f}" for k, (a, (x, y, z)) in enumerate(zip(t, xyz, strict=True)))
+
+
+def as_api(t, xyz):
+    yield from ("API Radian Pro", "Length unit: inch", "Time,X,Y,Z")
+    yield from (f"{a:.4f},{x / 25.4:.6f},{y / 25.4:.6f},{z / 25.4:.6f}" for a, (x, y, z) in zip(t, xyz, strict=True))
+
+
+WRITTEN = [(as_rtde, as_spatialanalyzer), (as_rtde_poses, as_leica), (as_trace, as_api), (as_scope, as_leica)]
+
+
+@pytest.mark.parametrize(("arm", "instrument"), WRITTEN, ids=lambda write: write.__name__)
+def test_logs_as_programs_write_them_become_a_set(tmp_path, motion, arm, instrument):
+    t, q = motion
+    times = np.arange(2.0, 2.0 + t[-1], 0.02)
+    xyz = seen_by_tracker(t, q, 3.5, 0.0, times)
+    for name, lines in (("arm.txt", arm(t, q)), ("seen.txt", instrument(times, xyz))):
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+    robot = [] if arm is as_rtde_poses else ["--robot", "ur10e"]
+    out = tmp_path / "set"
+    done = CliRunner().invoke(
+        command, ["merge", str(tmp_path / "arm.txt"), str(tmp_path / "seen.txt"), *robot, "--eye-to-hand", "--out", str(out)]
+    )
+    assert done.exit_code == 0, done.output + str(done.exception)
+    obs = load_observations(out)
+    truth = se3.apply(se3.inverse(TRACKER), se3.apply(obs.cell.robot.chain.flange(obs.q), REFLECTOR))
+    assert obs.n_poses >= POSES - 1
+    assert np.abs(obs.xyz - truth).max() < 0.02
+
+
 def test_what_the_speeds_do_not_show_is_refused(tmp_path, motion):
     t, q = motion
     with pytest.raises(ConfigError, match="agrees with the arm's at no delay"):

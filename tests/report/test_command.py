@@ -79,7 +79,24 @@ def test_calibrate_and_report_name_the_gaps_of_a_recording(a_set, tmp_path):
         journal(events.Gap(1.0, "cycles", "3 cycles of the controller were lost after pose 4", 4))
         for pose in range(24):
             none = np.zeros(0)
-            journal(events.PoseDone(2.0, pose, "s0", "position", "s", none, none, 0.0, none, none, none, none, none, 1))
+            journal(
+                events.PoseDone(
+                    time_s=2.0,
+                    pose=pose,
+                    station="s0",
+                    phase="position",
+                    step="s",
+                    q=none,
+                    direction=none,
+                    robot_time_s=0.0,
+                    ball=none,
+                    xyz=none,
+                    n_points=none,
+                    rms_mm=none,
+                    scatter_mm=none,
+                    n_exposures=1,
+                )
+            )
     shown = CliRunner().invoke(app, ["calibrate", str(run)], standalone_mode=False)
     assert shown.exception is None, shown.exception
     said = json.loads(CliRunner().invoke(app, ["calibrate", str(run), "--json"], standalone_mode=False).stdout)["gaps"]

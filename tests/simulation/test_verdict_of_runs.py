@@ -6,8 +6,10 @@ from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.simulation.model_match import ChannelError, ModelCheck, ModelMatch, ModelParameter
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
-MASS = ModelParameter("inertia", "link6", "mass_kg", 5.0, 10.99993, 2.7e-4, 0.0, True)
-CENTRE = ModelParameter("inertia", "link6", "centre_y_mm", 1.35024e-15, 20.0014, 0.0017, 0.0, True)
+MASS = ModelParameter(name="inertia", where="link6", parameter="mass_kg", before=5.0, after=10.99993, std=2.7e-4, p_value=0.0, named=True)
+CENTRE = ModelParameter(
+    name="inertia", where="link6", parameter="centre_y_mm", before=1.35024e-15, after=20.0014, std=0.0017, p_value=0.0, named=True
+)
 
 
 def error(before, after):

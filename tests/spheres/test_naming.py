@@ -20,7 +20,22 @@ def fitted(rng, artefact, balls, shift=0.0, stray=0):
     chosen = rng.permutation(len(centres))[:balls]
     centres_found = [*centres[chosen], *rng.uniform(60, 80, (stray, 3))]
     ids = [*(artefact.ball_ids[i] for i in chosen), *[None] * stray]
-    fits = [(6.0, SphereFit(p, np.eye(3) * 4e-8, 0.01, 0.01, 1500, 0.9, 0.0, 0.001)) for p in centres_found]
+    fits = [
+        (
+            6.0,
+            SphereFit(
+                centre=p,
+                covariance=np.eye(3) * 4e-8,
+                noise_mm=0.01,
+                rms_mm=0.01,
+                n_points=1500,
+                coverage=0.9,
+                radius_error=0.0,
+                radius_sigma=0.001,
+            ),
+        )
+        for p in centres_found
+    ]
     return fits, ids
 
 

@@ -47,13 +47,31 @@ def facts():
         ArtefactFacts("bar", (9, 10), np.array([[-30.0, 0, 0], [30.0, 0, 0]]), np.full(2, 25.0), 0.001),
     )
     plain = CellFacts(
-        SIGN, ROWS, MASSES, np.full(6, 100.0), HAND_EYE, artefacts, ("1", "2", "3"), np.array([0, 0, 1]), np.tile(np.eye(4), (3, 1, 1))
+        sign=SIGN,
+        rows=ROWS,
+        masses=MASSES,
+        gear_ratio=np.full(6, 100.0),
+        hand_eye=HAND_EYE,
+        artefacts=artefacts,
+        station_ids=("1", "2", "3"),
+        station_artefact=np.array([0, 0, 1]),
+        station_pose=np.tile(np.eye(4), (3, 1, 1)),
     )
     from mbcacq_fakes.world.world import World
 
     world = World(plain, Deviations(np.zeros((6, 5)), np.zeros(6), HAND_EYE, station_mm=0, station_rad=0))
     stations = world.arm.flange(q[[0, 3, 5]]) @ HAND_EYE
-    return CellFacts(SIGN, ROWS, MASSES, np.full(6, 100.0), HAND_EYE, artefacts, ("1", "2", "3"), np.array([0, 0, 1]), stations)
+    return CellFacts(
+        sign=SIGN,
+        rows=ROWS,
+        masses=MASSES,
+        gear_ratio=np.full(6, 100.0),
+        hand_eye=HAND_EYE,
+        artefacts=artefacts,
+        station_ids=("1", "2", "3"),
+        station_artefact=np.array([0, 0, 1]),
+        station_pose=stations,
+    )
 
 
 def poses_q():

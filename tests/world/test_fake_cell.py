@@ -66,7 +66,18 @@ def loaded(**plan):
     stations = tuple(cells.Station(str(s.id), s.artefact, s.pose_in_base.transform()) for s in plan.stations)
     cell = cells.Cell(robot, plan.hand_eye.transform(), artefacts, stations)
     poses = [
-        PlannedPose(k, 0, "s", "position", str(s + 1), "mbc" if s < 2 else "bar", q, (), 1, 1)
+        PlannedPose(
+            number=k,
+            step=0,
+            step_name="s",
+            phase="position",
+            station=str(s + 1),
+            artefact="mbc" if s < 2 else "bar",
+            q=q,
+            balls=(),
+            exposures=1,
+            line=1,
+        )
         for k, (q, s) in enumerate(zip(poses_q(), POSE_STATION, strict=True))
     ]
     return LoadedPlan(Path("small.yaml"), plan, cell, "", {}), poses

@@ -37,10 +37,12 @@ class GoPxLControl:
         port: int,
         connect_timeout_s: float,
         reply_limit_s: float | None = None,
+        grace_s: float = 0.0,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
         self._address, self._port = address, port
-        self._connect_timeout_s, self._reply_limit_s, self._cancelled = connect_timeout_s, reply_limit_s, cancelled
+        self._connect_timeout_s, self._cancelled = connect_timeout_s, cancelled
+        self._reply_limit_s, self._grace_s = reply_limit_s, grace_s
         self._sock: socket.socket | None = None
         self._one_request = threading.Lock()
 
@@ -85,7 +87,7 @@ class GoPxLControl:
         may_be_cancelled: bool = True,
     ) -> dict[str, Any]:
         """The payload of the reply. Raises Refused, ConnectError, DeviceTimeout, ProtocolError, Aborted."""
-        limit_s = min(limit_s, self._reply_limit_s or limit_s)
+        limit_s = self._grace_s + min(limit_s, self._reply_limit_s or limit_s)
         with self._one_request:
             sock = self._sock
             if sock is None:

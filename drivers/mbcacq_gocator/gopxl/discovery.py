@@ -53,14 +53,14 @@ def parse(data: bytes, sender: str) -> FoundInstance:
             raise ProtocolError("an announcement of GoPxL holds no JSON object")
         serial = str(content.get("SerialNumber", ""))
         return FoundInstance(
-            int(serial) if serial.isdigit() else 0,
-            str(content.get("DeviceModel", "")),
-            str(content.get("AppVersion", "")),
-            _reachable(str(content.get("Address", "")), sender),
-            _port(content, "ControlPort", 3600),
-            _port(content, "GdpPort", 3601),
-            bool(content.get("IsRemote")),
-            bool(content.get("AddressConflict")),
+            serial=int(serial) if serial.isdigit() else 0,
+            model=str(content.get("DeviceModel", "")),
+            build=str(content.get("AppVersion", "")),
+            address=_reachable(str(content.get("Address", "")), sender),
+            control_port=_port(content, "ControlPort", 3600),
+            data_port=_port(content, "GdpPort", 3601),
+            remote=bool(content.get("IsRemote")),
+            conflict=bool(content.get("AddressConflict")),
         )
     except (struct.error, ValueError, RecursionError):
         raise ProtocolError(f"a datagram of {len(data)} bytes cannot be read as an announcement of GoPxL") from None

@@ -30,7 +30,9 @@ class GoPxLSession:
 
     def __init__(self, options: GoPxLOptions, model: str, cancelled: Callable[[], bool], found: Found | None = None) -> None:
         self.options, self._model, self._cancelled = options, model, cancelled
-        self.control = GoPxLControl(options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s, cancelled)
+        self.control = GoPxLControl(
+            options.address, options.control_port, options.connect_timeout_s, options.reply_limit_s, options.grace_s, cancelled
+        )
         self.info: tree.SensorInfo | None = None
         self.found, self._first = found or Found(), found is None
         self._scanner: tree.ScannerPaths | None = None

@@ -258,13 +258,13 @@ def _status(element: Element) -> EkiStatus:
         return int(element.get(attribute, "0"))
 
     return EkiStatus(
-        number("ControlMode"),
-        number("CycleTime"),
-        bool(number("DrivesPowered")),
-        bool(number("EmergencyStop")),
-        bool(number("GuardStop")),
-        bool(number("InMotion")),
-        bool(number("MotionPossible")),
-        number("OperationMode"),
-        bool(number("RobotStopped")),
+        control_mode=number("ControlMode"),
+        cycle_time=number("CycleTime"),
+        drives_powered=bool(number("DrivesPowered")),
+        emergency_stop=bool(number("EmergencyStop")),
+        guard_stop=bool(number("GuardStop")),
+        in_motion=bool(number("InMotion")),
+        motion_possible=bool(number("MotionPossible")),
+        operation_mode=number("OperationMode"),
+        robot_stopped=bool(number("RobotStopped")),
     )

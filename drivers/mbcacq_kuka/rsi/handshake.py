@@ -3,12 +3,12 @@ are; and whether the controller takes corrections as absolute. But for the probe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any
 
-from mbcacq_kuka.rsi.mode import AXIS, ModeProbe
+from mbcacq_kuka.rsi.mode import AXIS, ModeProbe, Proof
 from mbcacq_kuka.rsi.sequence import Counts, advance
 from mbcacq_kuka.rsi.standstill import noise_of
 from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, decimals, finite
@@ -35,7 +35,7 @@ class SessionFault(Exception):
 class Layout:
     """What one session's telegrams look like. reference: axis angles (6,) deg without correction; planned: where ASPos stands in a row, or
     None; step: of IPOC; tick_s: seconds of one count of IPOC; noise_deg: standard deviation (6,) of the angles at rest; decimals:
-    with how many they are written."""
+    with how many they are written; carries_out: whether the arm was seen to carry out the probe's bump as an absolute correction."""
 
     source: Any
     parser: Parser
@@ -47,6 +47,23 @@ class Layout:
     tick_s: float = 0.0
     noise_deg: tuple[float, ...] = ZERO
     decimals: int = 0
+    carries_out: bool = False
+
+    def proof(self, settings: Mapping[str, Any]) -> Proof:
+        """What must come before the first motion of an arm that was not seen to carry anything out."""
+        wait, direction = lag_cycles(settings), roomy_direction(self.reference, settings)
+        return Proof(self.reference, self.noise_deg[AXIS], 10.0**-self.decimals, wait, direction)
+
+
+def lag_cycles(settings: Mapping[str, Any]) -> int:
+    """How many cycles an arm may lag behind its commands."""
+    return round(settings["follow_lag_s"] * 1e3 / settings["cycle_ms"])
+
+
+def roomy_direction(reference: Sequence[float], settings: Mapping[str, Any]) -> float:
+    """+1 or -1: where the last axis has room. reference: joints (6,) deg."""
+    low, high = settings["limits_deg"][AXIS]
+    return 1.0 if reference[AXIS] < 0.5 * (low + high) else -1.0
 
 
 class Handshake:
@@ -75,6 +92,10 @@ class Handshake:
     def discarded(self) -> float:
         """By how much the controller's Delay has risen."""
         return self._delays[-1] - self._delays[0] if self._delays else 0.0
+
+    def give_up(self) -> None:
+        """Whoever listens goes away: a bump that is under way must not be held, so answers are zero and Stop from now on."""
+        self.fault = self.fault or SessionFault("connect", "mbcacq ended while the session began")
 
     def take(self, data: bytes, source: Any, now: float) -> bytes | None:
         """The answer, or None for a datagram that gets none: also one that the network repeats."""
@@ -154,8 +175,8 @@ class Handshake:
         if len(known) <= _LEARN:
             return self._composer.compose(ZERO, digits)
         if self._settings["follow"]:
-            self._begin_probe(layout)  # the layout alone: no correction is sent to an arm that is only followed
-            self.done = self._finish()
+            # The layout alone: no correction is sent to an arm that is only followed.
+            self.done = self._finish(self._begin_probe(layout))
             return self._composer.compose(ZERO, digits)
         if self._probe is None:
             self._probe = self._begin_probe(layout)
@@ -163,7 +184,7 @@ class Handshake:
         if self._probe.done:
             self.fault = self._judge(self._probe)
             if self.fault is None:
-                self.done = self._finish()
+                self.done = self._finish(self._probe)
         return self._composer.compose(correction, digits, stop=self.fault is not None)
 
     def _begin_probe(self, layout: Layout) -> ModeProbe:
@@ -171,10 +192,8 @@ class Handshake:
         if not (layout.planned is not None and self._settings["check_set_point"]):  # else it is ASPos, which is known better than AIPos
             mean = tuple([sum(values) / len(values) for values in zip(*self._rows, strict=True)])
             self.layout = replace(layout, reference=mean)
-        low, high = self._settings["limits_deg"][AXIS]
-        direction = 1.0 if layout.reference[AXIS] < 0.5 * (low + high) else -1.0
-        wait = round(self._settings["follow_lag_s"] * 1e3 / self._settings["cycle_ms"])
-        return ModeProbe(self._rows, noise_of(self._rows)[AXIS], wait, direction)
+        direction = roomy_direction(layout.reference, self._settings)
+        return ModeProbe(self._rows, noise_of(self._rows)[AXIS], lag_cycles(self._settings), direction)
 
     def _judge(self, probe: ModeProbe) -> SessionFault | None:
         if probe.relative:
@@ -198,9 +217,11 @@ class Handshake:
             )
         return None
 
-    def _finish(self) -> Layout:
+    def _finish(self, probe: ModeProbe) -> Layout:
         assert self.layout is not None  # as above
-        return replace(self.layout, noise_deg=tuple(noise_of(self._rows)), decimals=self._decimals)
+        noise = tuple(noise_of(self._rows))
+        carries_out = probe.response.came_and_went(10.0**-self._decimals, noise[AXIS])
+        return replace(self.layout, noise_deg=noise, decimals=self._decimals, carries_out=carries_out)
 
     def _with_step(self, layout: Layout) -> Layout:
         cycle_ms, known = self._settings["cycle_ms"], self._ipocs

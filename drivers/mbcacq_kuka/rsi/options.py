@@ -58,7 +58,7 @@ class RsiOptions:
 
     follow_tolerance_deg, follow_cycles, follow_lag_s: the arm may leave the band of the commands of the last follow_lag_s by so much
     for so long. check_set_point: refuse to start on a controller that already applies a correction. cpu: processor core of the
-    cycle process; None: the last one that it may use.
+    cycle process; None: any.
 
     follow: of the plan's robot section: another program, or a person, moves the arm. Every answer is then a correction of zero, and the
     session is never ended from here.

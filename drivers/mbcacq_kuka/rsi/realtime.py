@@ -13,8 +13,11 @@ _PRESENT, _FUTURE = 1, 2  # MCL_CURRENT, MCL_FUTURE of sys/mman.h
 
 
 def become_real_time(cpu: int | None) -> bool:
-    """A fixed high priority, memory that is never paged out, one processor core whose caches stay warm, no cycle collection of the
-    interpreter. Each is left out where it is not permitted; returns whether the priority was."""
+    """A fixed high priority, memory that is never paged out, a processor core of its own where ``cpu`` names one, no cycle collection of
+    the interpreter. Each is left out where it is not permitted; returns whether the priority was.
+
+    Without ``cpu`` the process stays free to leave a core that the kernel holds: fixed to one it missed more cycles
+    (benchmarks/rsi_latency.md)."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -23,7 +26,8 @@ def become_real_time(cpu: int | None) -> bool:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     except (AttributeError, OSError):
         return False
-    _pin(cpu)
+    if cpu is not None:
+        _pin(cpu)
     return True
 
 
@@ -38,11 +42,10 @@ def _lock_memory() -> bool:
         return False
 
 
-def _pin(cpu: int | None) -> None:
+def _pin(cpu: int) -> None:
     """Only with priority: without it, a core of its own would be one that it must share with whatever else runs there."""
     try:
-        allowed = os.sched_getaffinity(0)
-        os.sched_setaffinity(0, {max(allowed) if cpu is None else cpu})
+        os.sched_setaffinity(0, {cpu})
     except (AttributeError, OSError):
         pass
 

@@ -24,28 +24,21 @@ from typing import Any
 from mbcacq_kuka.rsi.arrival import Arrival, too_coarse
 from mbcacq_kuka.rsi.handshake import WAITING_CYCLES, ZERO, Handshake, Layout, SessionFault, set_point_moved
 from mbcacq_kuka.rsi.lateness import Lateness
-from mbcacq_kuka.rsi.mode import Runaway
+from mbcacq_kuka.rsi.mode import Proof
 from mbcacq_kuka.rsi.motion import MotionRefused, RsiMotion
+from mbcacq_kuka.rsi.plausibility import ArmPlausibility, proof_fault
 from mbcacq_kuka.rsi.punctuality import Punctuality
 from mbcacq_kuka.rsi.sequence import NEXT, REPEATED, STRANGE, Counts, Sequence
-from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, Shared
+from mbcacq_kuka.rsi.shared import ANSWERED, ARRIVED, CLOSE, MOVE, MOVING, STOP, RsiCommand, Shared
 from mbcacq_kuka.rsi.standstill import Standstill
 from mbcacq_kuka.rsi.step_limits import StepLimits
 from mbcacq_kuka.rsi.telegram import Composer, Malformed, finite
-from mbcacq_kuka.rsi.watch import Follow, Jump
 
 _REST_CYCLES = 5  # standing still so long is being at rest
 _END_CYCLES = 12  # and so long, before the session is ended
-_STOP_CYCLES = 125
+_STOP_CYCLES = 50  # a rising edge is enough; some are lost, and a controller that ignores it ends by its own Timeout
 _SETTLE_S = 0.5  # after the last set point a session is ended in any case
 _AT_ONCE = ("follow", "relative")  # faults of an arm that does not do what it is told: no set point may move it any more
-_MOVED_DEG = 0.2  # more than noise and rounding
-_LIMITED = "look for a correction limit of the controller (AXISCORR, AXISCORRMON) or a stopped program"
-_IGNORED = (
-    "no axis has moved at all. Compare sen_type '{sen_type}' with SENTYPE, and correction '{correction}' with the names in the RECEIVE "
-    "section, of the controller's RSI Ethernet configuration; see that RSI_MOVECORR runs (in T1 its message must be "
-    "acknowledged) and that AXISCORR is connected and not limited to 0 deg"
-)
 _DELAY = re.compile(rb"<Delay[\s/>][^<]*")
 
 
@@ -73,7 +66,8 @@ class RsiSession:
         self._punctuality = Punctuality(self.cycle_s)
         self._layout: Layout | None = None
         self.over = False
-        self._muted = self._closing = self._relative = False
+        self._muted = self._closing = False
+        self._unproven = False  # a fault came before the controller was seen to be absolute: only zero is safe
         self._follows = bool(settings["follow"])  # others move the arm
         self._seq = shared.command_seq
         self._arrival = Arrival()
@@ -145,7 +139,10 @@ class RsiSession:
         if not self._closing:
             self._closing, self._close_began = True, now
             if self.connected:
-                self._motion.stop()
+                self._brake()
+            elif self._handshake.layout is not None and not self._muted and not self._follows:
+                self._handshake.give_up()
+                return
             self.over = self._muted or not self.connected
 
     # telegrams that are not just the next one
@@ -191,6 +188,8 @@ class RsiSession:
             self._punctuality.take(now, 1)
         if shake.fault is not None and not failed:
             self._fail(shake.fault)
+        self._stops += self._closing
+        self.over = self._stops > _STOP_CYCLES
         if shake.done is not None:
             self._data = data
             self._begin(shake.done)
@@ -233,15 +232,12 @@ class RsiSession:
         joint_limits = [tuple(pair) for pair in settings["limits_deg"]]
         self._motion = RsiMotion(layout.reference, self.cycle_s, joint_limits)
         self._step_limits = StepLimits(layout.reference, joint_limits, settings["dynamics"], self.cycle_s)
-        self._follow = Follow(
-            layout.reference, settings["follow_tolerance_deg"], settings["follow_cycles"], settings["follow_lag_s"], self.cycle_s
-        )
-        measured = layout.axes(row)
-        self._jump = Jump(measured, settings["dynamics"][0], self.cycle_s)
+        measured = self._measured = layout.axes(row)
+        self._plausibility = ArmPlausibility(layout.reference, measured, settings, self.cycle_s)
         self._standstill = Standstill(measured, layout.noise_deg, self.cycle_s)
-        self._runaway = Runaway(layout.reference, max(layout.noise_deg))
+        self._proof = None if layout.carries_out else layout.proof(settings)
         self._sent = self._used = self._next = layout.reference
-        self._sent_moving = self._used_moving = self._next_moving = self._stop = self._faulted = self._at_once = self._moved = False
+        self._sent_moving = self._used_moving = self._next_moving = self._stop = self._faulted = self._at_once = False
         self._consumed = True
         self._shared.decimals = layout.decimals
         self._command = self._seq
@@ -273,11 +269,13 @@ class RsiSession:
         """The controller held ``sent`` meanwhile. It gets it once more; from the next answer on the motion goes on."""
         self._motion.hold(self._sent)
         self._step_limits.rest(self._sent)
-        self._sent_moving, self._consumed = self._motion.moving, True
+        self._sent_moving, self._consumed = self._moves, True
 
     def _step(self) -> None:
         """The next set point, once it was seen to be within the axes' limits; one that is not is replaced by braking."""
         try:
+            if self._proof is not None and self._proof.wanted is not None and not self._at_once:
+                self._prove(self._proof)
             position = self._motion.step()
         except MotionRefused as error:
             self._fail(SessionFault("refused", str(error)))
@@ -290,7 +288,7 @@ class RsiSession:
             if still:  # nothing is sent any more, the controller stops the arm
                 return
         self._step_limits.take(position)
-        self._next, self._next_moving = position, self._motion.moving
+        self._next, self._next_moving = position, self._moves
 
     def _prepare(self, now: float) -> None:
         """Everything about the next answer, so that it only waits for its telegram."""
@@ -326,34 +324,21 @@ class RsiSession:
         flags |= (ARRIVED if self._arrival.arrived else 0) | (ANSWERED if taken.in_time else 0)
         self._shared.append(now, time_s, flags, self._command, self.counts, self._sent, taken.row)
         self._command = self._seq
-        self._check_plausible(measured, taken.steps)
+        self._measured = measured
+        self._plausibility.check(self._sent, measured, taken.steps)
 
-    def _check_plausible(self, measured: tuple[float, ...], steps: int) -> None:
-        jumped = self._jump.check(measured, steps)
-        if jumped is not None:
-            raise SessionFault(
-                "implausible",
-                f"the controller reports that A{jumped[0] + 1} jumped by {jumped[1]:.2f} deg within {steps * self.cycle_s * 1e3:.0f} ms, "
-                "faster than it can turn; look at the arm, its resolvers and the RSI Ethernet configuration",
-            )
-        if self._follows:
-            return
-        if not self._runaway.sure and (axis := self._runaway.check(self._used, measured)) is not None:
-            raise SessionFault(
-                "relative",
-                f"A{axis + 1} goes further than it was ever told to, as under RSI_ON(#RELATIVE), which adds each correction to the ones "
-                "before; use RSI_ON(#ABSOLUTE) in the controller's program",
-            )
-        if steps > 1:
-            self._follow.skip(measured, steps - 1)
-        axis = self._follow.check(self._sent, measured)
-        self._moved = self._moved or max(abs(a - b) for a, b in zip(measured, self._layout_now.reference, strict=True)) > _MOVED_DEG
-        if axis is not None:
-            raise SessionFault(
-                "follow",
-                f"A{axis + 1} does not follow: commanded {self._sent[axis]:.3f} deg, measured {measured[axis]:.3f} deg; "
-                + (_LIMITED if self._moved else _IGNORED.format(**self._settings)),
-            )
+    @property
+    def _moves(self) -> bool:
+        return self._motion.moving or self._proof is not None and self._proof.wanted is not None
+
+    def _prove(self, proof: Proof) -> None:
+        """No motion begins before an absolute correction was seen to be carried out. Raises MotionRefused."""
+        proof.advance(self._motion, self._measured)
+        if (fault := proof_fault(proof, self._settings)) is not None:
+            self._fail(fault)
+        elif proof.seen and proof.wanted is not None:
+            self._proof = None
+            self._motion.move(proof.wanted)
 
     @property
     def _layout_now(self) -> Layout:
@@ -361,9 +346,9 @@ class RsiSession:
         return self._layout
 
     def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
-        correction = (
-            ZERO if self._relative or self._follows else tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
-        )
+        if self._follows or self._unproven and self._at_once:
+            return self._composer.compose(ZERO, digits, stop)
+        correction = tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
         return self._composer.compose(correction, digits, stop)
 
     def _poll_command(self, now: float) -> None:
@@ -375,23 +360,36 @@ class RsiSession:
         elif not self.connected or self._shared.fault() is not None or self._closing:
             return
         elif command.kind == STOP:
-            self._motion.stop()
+            self._brake()
             self._arrival.abandon()
         elif command.kind == MOVE and self._follows:
             self._fail(SessionFault("refused", "the arm is only followed; nothing was moved"))
         elif command.kind == MOVE:
-            self._arrival.begin(command)
-            self._used_moving = self._sent_moving = True  # nothing of it has been sent yet
-            if refusal := self._step_limits.too_fast(command):
-                self._fail(SessionFault("refused", refusal))
-                return
-            if coarse := too_coarse(self._layout_now.decimals, command):
-                self._fail(SessionFault("coarse", coarse))
-                return
+            self._begin_move(command)
+
+    def _begin_move(self, command: RsiCommand) -> None:
+        self._arrival.begin(command)
+        self._used_moving = self._sent_moving = True  # nothing of it has been sent yet
+        if refusal := self._step_limits.too_fast(command):
+            self._fail(SessionFault("refused", refusal))
+        elif coarse := too_coarse(self._layout_now.decimals, command):
+            self._fail(SessionFault("coarse", coarse))
+        elif self._proof is not None:
+            self._proof.ask(command)
+        else:
             try:
                 self._motion.move(command)
             except MotionRefused as error:
                 self._fail(SessionFault("refused", str(error)))
+
+    def _brake(self) -> None:
+        if self._proof is None:
+            self._motion.stop()
+            return
+        try:
+            self._proof.stop(self._motion)  # not known to be absolute: back to zero, where an arm of either kind stands
+        except MotionRefused:
+            self._motion.stop()
 
     def _ending(self, now: float) -> bool:
         """Whether the controller is to end its session: at once after a fault of an arm that does not do what it is told, else once the arm
@@ -420,10 +418,10 @@ class RsiSession:
         if fault.muted:
             self._muted, self._ready = True, None
         if self.connected and not self._faulted:
-            self._faulted, self._at_once, self._relative = True, fault.kind in _AT_ONCE, fault.kind == "relative"
+            self._faulted, self._at_once, self._unproven = True, fault.kind in _AT_ONCE, self._proof is not None
             if self._at_once:
                 self._motion.freeze(self._sent)
                 self._step_limits.rest(self._sent)
                 self._sent_moving, self._consumed = False, True
             else:
-                self._motion.stop()
+                self._brake()

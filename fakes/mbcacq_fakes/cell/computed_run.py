@@ -74,7 +74,19 @@ def observe(
     gross = rng.random(len(xyz)) < outliers
     away = rng.standard_normal((int(gross.sum()), 3))
     xyz[gross] += rng.uniform(0.2, 2.0, (len(away), 1)) * away / np.linalg.norm(away, axis=1, keepdims=True)
-    return ComputedRun(q, station, at.time_s, at.direction, at.air_C, at.robot_C, pose, ball, xyz, gross, world.truth())
+    return ComputedRun(
+        q=q,
+        station=station,
+        time_s=at.time_s,
+        direction=at.direction,
+        air_C=at.air_C,
+        robot_C=at.robot_C,
+        pose=pose,
+        ball=ball,
+        xyz=xyz,
+        outlier=gross,
+        truth=world.truth(),
+    )
 
 
 def _true_centres(world: World, at: Moments, wanted: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

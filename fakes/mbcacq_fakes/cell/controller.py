@@ -19,6 +19,7 @@ from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
+from mbcacq_fakes.protocols.stall import STALL_S
 
 CLOCK_START_MS = 1_000_000
 HANGING_S = 30.0
@@ -95,6 +96,8 @@ def start_controller(
     if kind == EKI and use.follow is not None:
         settings["running"] = False  # a person jogs it, beside the link program
     given = {("clock_ms" if kind == EKI else "ipoc"): clock_ms, **given}
+    if not realtime and ports == "free" and kind == RSI:
+        given = {"answer_wait_s": (STALL_S, KrcSettings.answer_wait_s[1]), **given}
     krc, address = (_eki if kind == EKI else _rsi)(loaded, state, settings, given, ports, seed)
     if not realtime and ports == "free" and "silence_s" not in use.options:
         address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent

@@ -21,6 +21,7 @@ from mbcacq.spheres.cloud_files import read_points
 from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, line_address
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
+from mbcacq_fakes.protocols.stall import STALL_S
 from mbcacq_fakes.world.camera import Camera
 from mbcacq_fakes.world.description import ScannerView
 from mbcacq_fakes.world.frame import ScannerFrame
@@ -40,15 +41,15 @@ class Servers:
         stack.callback(state.close)
         world = make_world(job["facts"], options, job["seed"])
         self._camera: Camera = make_camera(
-            world,
-            state,
-            options,
-            job["planned_q"],
-            job["planned_station"],
-            job["exposure_us"],
-            job["clock_start_s"],
-            Optics.above(world.facts.view) if job["scanner_driver"] in (NEUTRAL, FOLDER) else None,
-            job["poses_before"],
+            world=world,
+            arm=state,
+            options=options,
+            planned_q=job["planned_q"],
+            planned_station=job["planned_station"],
+            right_exposure_us=job["exposure_us"],
+            clock_start_s=job["clock_start_s"],
+            optics=Optics.above(world.facts.view) if job["scanner_driver"] in (NEUTRAL, FOLDER) else None,
+            poses_before=job["poses_before"],
         )
         self._sensor: Any = None
         self.addresses: dict[str, dict[str, Any]] = {"scanner": self._start_scanner(options)}
@@ -116,7 +117,8 @@ class Servers:
         except OSError as error:
             raise ConnectError(f"the fake sensor cannot listen on {place['host']}: {error}; is another one running?") from error
         self._stack.callback(self._sensor.stop)
-        return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}}
+        grace = {} if self._job["realtime"] or self._job["ports"] == "plan" or "reply_limit_s" in given else {"grace_s": STALL_S}
+        return {"address": place["host"], **{f"{name}_port": port for name, port in self._sensor.ports._asdict().items()}, **grace}
 
     def _start_program(self) -> dict[str, Any]:
         """The scanner's own program, with a folder of its own."""

@@ -185,7 +185,8 @@ class SimulatedRobot:
 
     def _start(self, given: ruckig.InputParameter) -> None:
         motion = ruckig.Trajectory(len(self._q))
-        ruckig.Ruckig(len(self._q)).calculate(given, motion)
+        if ruckig.Ruckig(len(self._q)).calculate(given, motion) not in (ruckig.Result.Working, ruckig.Result.Finished):
+            raise ConfigError(f"robot '{self._name}': this motion cannot be timed; set the plan's robot: speed higher")
         self._motion, self._since = motion, 0.0
 
     def _step(self) -> None:

@@ -58,5 +58,5 @@ class TerminalBridge:
                         os.write(self._master, data)
                     else:
                         self._socket.sendall(os.read(self._master, 4096))
-        except OSError:
+        except (OSError, ValueError):  # the second of a descriptor that was closed meanwhile
             return

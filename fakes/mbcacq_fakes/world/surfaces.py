@@ -135,7 +135,7 @@ class Surfaces:
         lit = np.einsum("cn,cn->n", normal, to_lamp) / np.sqrt(np.einsum("cn,cn->n", to_lamp, to_lamp))
         facing = np.einsum("cn,cn->n", normal, along) / np.sqrt(np.einsum("cn,cn->n", along, along))
         dark = rays.in_shadow(xyz, self._lamp, self.scene.centres, self.scene.radii, ball)
-        return Hits(pixel, xyz, along, ball, rod, facing, lit, dark)
+        return Hits(pixel=pixel, xyz=xyz, along=along, ball=ball, rod=rod, facing=facing, lit=lit, dark=dark)
 
     def _normals(self, xyz: np.ndarray, ball: np.ndarray, rod: np.ndarray) -> np.ndarray:
         """Outward unit normals (3, N)."""

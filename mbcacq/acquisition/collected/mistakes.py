@@ -176,7 +176,12 @@ def _inside(loaded: LoadedPlan, clouds: Sequence[FoundCloud], M: np.ndarray) -> 
 def _miss(loaded: LoadedPlan, poses: Sequence[PlannedPose], clouds: Sequence[FoundCloud], M: np.ndarray) -> float:
     """How badly (mm, median) the clouds fit their best poses with other axes."""
     fit = PlacementFit(loaded.cell, poses)
-    turned = [FoundCloud(c.path, None, None, None, 0.0, c.digest, c.ball, c.xyz @ M.T) for c in clouds]
+    turned = [
+        FoundCloud(
+            path=c.path, number=None, named_pose=None, named_exposure=None, written_s=0.0, digest=c.digest, ball=c.ball, xyz=c.xyz @ M.T
+        )
+        for c in clouds
+    ]
     return float(np.median(np.min(fit.distances(turned), axis=1)))
 
 

@@ -81,19 +81,28 @@ def identify(
     value, vector = np.linalg.eigh(scale[:, None] * (J.T @ J) * scale)
     observable = value > UNOBSERVABLE * value[-1]
     inverse = scale[:, None] * (vector[:, observable] / value[observable]) @ vector[:, observable].T * scale
-    found = propagate(chain, hand_eye, obs, distances, J, residual, inverse, measured or Measured(np.full(3, 0.02)))
+    found = propagate(
+        chain=chain,
+        hand_eye=hand_eye,
+        obs=obs,
+        at=distances,
+        J=J,
+        residual=residual,
+        inverse=inverse,
+        measured=measured or Measured(np.full(3, 0.02)),
+    )
     unobservable = scale[:, None] * vector[:, ~observable]
     count = max(len(residual), 1)
     return Identified(
-        chain,
-        hand_eye,
-        np.sqrt(before / count),
-        np.sqrt(cost / count),
-        found.covariance,
-        found.noise,
-        unobservable / np.linalg.norm(unobservable, axis=0),
-        free,
-        iterations,
+        chain=chain,
+        T_flange_scanner=hand_eye,
+        rms_before=np.sqrt(before / count),
+        rms_after=np.sqrt(cost / count),
+        covariance=found.covariance,
+        noise=found.noise,
+        unobservable=unobservable / np.linalg.norm(unobservable, axis=0),
+        free=free,
+        iterations=iterations,
     )
 
 

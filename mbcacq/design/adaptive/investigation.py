@@ -141,15 +141,15 @@ def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budg
     hiding = look.hiding(budget.limit_mm)
     sizes = {e.label: e.in_typical_sizes for e in look.limited}
     made = Decision(
-        number,
-        obs.n_poses,
-        moves,
-        seconds,
-        look.verdict,
-        look.full.evidence.log_e_value,
-        _sets(look),
-        1.0 - sum(hiding.values()),
-        (),
+        number=number,
+        poses=obs.n_poses,
+        moves=moves,
+        seconds=seconds,
+        verdict=look.verdict,
+        log_e_value=look.full.evidence.log_e_value,
+        sets=_sets(look),
+        excluded=1.0 - sum(hiding.values()),
+        reasons=(),
         further=look.further_odds,
         hiding=tuple((label, min(sizes[label], LARGEST)) for label in sorted(hiding, key=lambda one: -hiding[one])),
     )

@@ -193,15 +193,17 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
     alike = [(j, unit) for j, p in enumerate(formula.placed) for _, _, unit in p.coefficients]
     sizes = {one: np.sqrt(np.mean([v**2 for v, other in zip(values, alike, strict=True) if other == one])) for one in alike}
     return EffectTerm(
-        NAME,
-        tuple(dict.fromkeys(p.location.name for p in formula.placed)),
-        formula.placed[0].term.covariates[0],
-        parts,
-        tuple(f"{component.replace(' ', '.')}.{re.sub(r'[^a-zA-Z0-9]+', '_', text).strip('_')}_{unit}" for component, text, unit in each),
-        tuple(unit for _, _, unit in each),
-        values,
-        np.sqrt(np.maximum(np.diag(found.covariance)[-k:], 0.0)),
-        np.full(k, np.inf),
-        np.array([float(f"{sizes[one]:.1g}") for one in alike]),
+        name=NAME,
+        where=tuple(dict.fromkeys(p.location.name for p in formula.placed)),
+        depends_on=formula.placed[0].term.covariates[0],
+        parts=parts,
+        names=tuple(
+            f"{component.replace(' ', '.')}.{re.sub(r'[^a-zA-Z0-9]+', '_', text).strip('_')}_{unit}" for component, text, unit in each
+        ),
+        units=tuple(unit for _, _, unit in each),
+        coefficients=values,
+        std=np.sqrt(np.maximum(np.diag(found.covariance)[-k:], 0.0)),
+        sigma=np.full(k, np.inf),
+        typical=np.array([float(f"{sizes[one]:.1g}") for one in alike]),
         ranges=learnt_ranges(context, parts),
     )

@@ -92,14 +92,14 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
     alike = tuple(pair for fit in fits if fit.sets is not None for pair in pairs_not_separable(fit.sets))
     not_separable = (*alike, *loads)
     return MotionDiagnosis(
-        "cannot_tell" if not_separable else _verdict(fits, effects, channels),
-        tuple(sorted(mismatch, key=lambda m: -m.share)),
-        tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
-        tuple(channels),
-        fits[0].split,
-        not_separable,
-        (*_advice_on_sets(alike), *_advice(runs, loads)),
-        tuple(b for fit in fits for b in _inertial(fit)),
+        verdict="cannot_tell" if not_separable else _verdict(fits, effects, channels),
+        mismatch=tuple(sorted(mismatch, key=lambda m: -m.share)),
+        effects=tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
+        channels=tuple(channels),
+        split=fits[0].split,
+        not_separable=not_separable,
+        advice=(*_advice_on_sets(alike), *_advice(runs, loads)),
+        inertial=tuple(b for fit in fits for b in _inertial(fit)),
         evidence=tuple(ChannelEvidence(fit.group.name, summarized(fit.sets)) for fit in fits if fit.sets is not None),
     )
 
@@ -122,17 +122,17 @@ def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Moti
     at = [fit.group.index(joint) for joint in effect.joints]
     share = table.share(gain)
     return MotionEffect(
-        effect.name,
-        effect.where,
-        effect.depends_on,
-        fit.group.name,
-        effect.parameters,
-        effect.p_value,
-        share,
-        table.share(gain, at),
-        tuple(Alternative(a.name, a.where, 0.0, a.odds) for a in effect.alternatives),
-        tuple(_step(fit, step, at) for step in effect.steps),
-        tuple(effect.notes),
+        name=effect.name,
+        where=effect.where,
+        depends_on=effect.depends_on,
+        channel=fit.group.name,
+        parameters=effect.parameters,
+        p_value=effect.p_value,
+        held_out_gain=share,
+        held_out_gain_here=table.share(gain, at),
+        alternatives=tuple(Alternative(a.name, a.where, 0.0, a.odds) for a in effect.alternatives),
+        steps=tuple(_step(fit, step, at) for step in effect.steps),
+        notes=tuple(effect.notes),
     )
 
 

@@ -95,22 +95,22 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     n = np.maximum(store.count.sum(axis=0), 1.0)
     found = bodies(model, chosen)
     result = MotionFit(
-        model.group,
-        _effects(model, x, spread),
-        residual_before,
-        _residuals(model, chosen, x),
-        [[use[:, j] for use in model.group.use] for j in joints],
-        selection.start,
-        model.held_out_mean_square(chosen, model.fold_normals(weights)),
-        train_before / n,
-        store.errors(chosen, x).sum(axis=0) / n,
-        model.floor,
-        store.split,
-        _links(model, x),
-        load_uncertainty(model, chosen, x, spread),
-        selection.sets,
-        None if found is None else found.parameters(x),
-        load_alternatives(model, selection.pool) if store.whole else [],
+        group=model.group,
+        effects=_effects(model, x, spread),
+        residual_before=residual_before,
+        residual_after=_residuals(model, chosen, x),
+        used=[[use[:, j] for use in model.group.use] for j in joints],
+        held_out_before=selection.start,
+        held_out_after=model.held_out_mean_square(chosen, model.fold_normals(weights)),
+        train_before=train_before / n,
+        train_after=store.errors(chosen, x).sum(axis=0) / n,
+        floor=model.floor,
+        split=store.split,
+        links=_links(model, x),
+        load_uncertainty=load_uncertainty(model, chosen, x, spread),
+        sets=selection.sets,
+        inertial=None if found is None else found.parameters(x),
+        load_alternatives=load_alternatives(model, selection.pool) if store.whole else [],
     )
     selection.pool.forget_step()
     return result
@@ -179,17 +179,17 @@ def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.nda
         limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
         notes = [f"{candidate.hyper_parameter} is not determined: the best fit is at the end of what was tried, {limits}"]
     return FittedEffect(
-        candidate.name,
-        candidate.where,
-        candidate.depends_on,
-        parameters,
-        effect.p_value,
-        candidate.joints,
-        effect.before - effect.after,
-        [FitStep(list(parameters), effect.before, effect.after)],
-        effect.alternatives,
-        _delayed(model, effect, c) if candidate.channel_delay else _contribution(model, effect, c),
-        notes,
+        name=candidate.name,
+        where=candidate.where,
+        depends_on=candidate.depends_on,
+        parameters=parameters,
+        p_value=effect.p_value,
+        joints=candidate.joints,
+        gain=effect.before - effect.after,
+        steps=[FitStep(list(parameters), effect.before, effect.after)],
+        alternatives=effect.alternatives,
+        contributions=_delayed(model, effect, c) if candidate.channel_delay else _contribution(model, effect, c),
+        notes=notes,
     )
 
 

@@ -272,17 +272,19 @@ class MotionDiagnosis:
         channels = tuple(ChannelFit.from_json(c) for c in content["fit"]["channels"])
         effects = tuple(kind.from_json(e) for e, kind in kinds)
         return cls(
-            content["verdict"],
-            mismatch,
-            effects,
-            channels,
-            content["fit"]["held_out"]["split"],
-            tuple(NotSeparable(tuple(n["effects"]), _number(n["correlation"]), n.get("odds")) for n in content["not_separable"]),
-            tuple(Advice(a["reason"], tuple(tuple(pose) for pose in a["poses_deg"])) for a in content["advice"]),
-            tuple(BodyInertia.from_json(b) for b in content.get("inertial", ())),
-            tuple(content.get("suspicions", ())),
-            tuple(ChannelEvidence(e["channel"], _evidence(e["evidence"])) for e in content.get("evidence", ())),
-            tuple(map(MotionCheck.from_json, content.get("motion_checks", ()))),
+            verdict=content["verdict"],
+            mismatch=mismatch,
+            effects=effects,
+            channels=channels,
+            split=content["fit"]["held_out"]["split"],
+            not_separable=tuple(
+                NotSeparable(tuple(n["effects"]), _number(n["correlation"]), n.get("odds")) for n in content["not_separable"]
+            ),
+            advice=tuple(Advice(a["reason"], tuple(tuple(pose) for pose in a["poses_deg"])) for a in content["advice"]),
+            inertial=tuple(BodyInertia.from_json(b) for b in content.get("inertial", ())),
+            suspicions=tuple(content.get("suspicions", ())),
+            evidence=tuple(ChannelEvidence(e["channel"], _evidence(e["evidence"])) for e in content.get("evidence", ())),
+            checks=tuple(map(MotionCheck.from_json, content.get("motion_checks", ()))),
         )
 
     def __repr__(self) -> str:

@@ -42,19 +42,19 @@ def term_of(here: Covariates, candidate: Candidate, hyper: float | None, coeffic
     key = key_of(candidate.name, candidate.where, candidate.depends_on, candidate.variant, values)
     k = candidate.k
     return EffectTerm(
-        candidate.name,
-        candidate.where,
-        candidate.depends_on,
-        parts,
-        (key,) if k == 1 else tuple(f"{key}[{j}]" for j in range(k)),
-        (_unit(parts[0]),) * k,
-        np.array(coefficients, dtype=float),
-        std,
-        prior_sigma(candidate),
-        np.array(candidate.typical, dtype=float),
-        candidate.variant,
-        values,
-        learnt_ranges(here, parts),
+        name=candidate.name,
+        where=candidate.where,
+        depends_on=candidate.depends_on,
+        parts=parts,
+        names=(key,) if k == 1 else tuple(f"{key}[{j}]" for j in range(k)),
+        units=(_unit(parts[0]),) * k,
+        coefficients=np.array(coefficients, dtype=float),
+        std=std,
+        sigma=prior_sigma(candidate),
+        typical=np.array(candidate.typical, dtype=float),
+        variant=candidate.variant,
+        hyper=values,
+        ranges=learnt_ranges(here, parts),
     )
 
 

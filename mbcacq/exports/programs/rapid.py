@@ -89,7 +89,7 @@ class _RapidStatements:
         self.moves = self.moves or word == "moveabsj"
         for count, group in enumerate(groups):
             first = group.children[0] if group.children else None
-            alone = len(group.children) == 1 or str(group.children[1]) == "\\"
+            alone = len(group.children) == 1 or len(group.children) > 1 and str(group.children[1]) == "\\"
             if word == "moveabsj" and count == 0 and alone and getattr(first, "type", "") == "NAME":
                 self.uses[str(first).lower()].absolute.append(number)
             elif word == "moveabsj" and count == 0 and alone and getattr(first, "data", "") == "list":

@@ -6,9 +6,12 @@ import codecs
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
+
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs import fanuc_ls, krl, rapid, urscript
 from mbcacq.exports.programs.program import RobotProgram
+from mbcacq.files.bounded_read import read_bounded
 
 MAX_BYTES = 16 << 20
 MOST_PROGRAMS = 200  # beside a public data list, that may use it
@@ -41,6 +44,8 @@ def read_program(path: Path, n: int) -> tuple[RobotProgram, Callable[[str], byte
             else ""
         )
         raise ConfigError(f"{path}: has no absolute target with all {n} joint angles{why}; give the file that holds such points")
+    if endless := next((point for point in program.points if not np.isfinite(point.angles).all()), None):
+        raise ConfigError(f"{path}:{endless.line}: {endless.name} has an angle that is no finite number; correct the program")
     return program, encode
 
 
@@ -60,8 +65,7 @@ def _programs(path: Path, text: str) -> Iterator[str]:
 
 def _text(path: Path) -> tuple[str, Callable[[str], bytes]]:
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        data = read_bounded(path, MAX_BYTES)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; give a robot program or a CSV file") from error
     if len(data) > MAX_BYTES:

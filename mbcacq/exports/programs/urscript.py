@@ -88,8 +88,6 @@ class _UrStatements:
             if kind == "call":
                 stack += self._call(here, number, at)
             elif kind in ("list", "pose"):
-                for name in names_in(here):
-                    self.uses[name].otherwise.append(number)
                 self._coordinates("", f"line {number}", "is no target of a motion", here, number, at)
             elif hasattr(here, "children"):
                 stack += here.children
@@ -133,6 +131,8 @@ class _UrStatements:
             self.uses[name].absolute.append(number)
 
     def _coordinates(self, variable: str, name: str, reason: str, brackets: Any, number: int, at: int) -> None:
+        for inside in names_in(brackets):  # an element of another target is no target: [home[0], ..]
+            self.uses[inside].otherwise.append(number)
         if brackets.data == "pose":
             if len(brackets.children) == 7 and not reason:  # 'p[' itself is one
                 self.left.append((name, number, "is a pose, whose joints the controller's own kinematics finds"))

@@ -26,6 +26,7 @@ POSTURES = 200  # random ones at which both forward kinematics are compared
 FIRST_BYTES = 100_000  # of a file, within which its first element stands
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _ELEMENT = re.compile(r"<([A-Za-z_][\w.-]*)")
+LARGEST = 1e7  # mm or kg: ten kilometres, ten thousand tons
 LARGEST_MISS_MM, LARGEST_MISS_RAD = 1e-3, 1e-6  # the file's rounding stays far below
 
 
@@ -64,7 +65,9 @@ def import_robot(
     Raises ConfigError for a file that is not understood, or whose forward kinematics the rows do not repeat.
     """
     path = Path(path)
-    source = _read(path, base, flange, convention, packages, arguments)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers without bound are refused by the next line
+        source = _read(path, base, flange, convention, packages, arguments)
+    _refuse_endless(path, source)
     rows = chain_from_axes(source.direction, source.point, source.T_base_flange)
     remarks = [*source.remarks, *_frame_remarks(rows)]
     speed = source.speed
@@ -83,7 +86,15 @@ def import_robot(
     text = _text(path, source, rows, speed, name or source.name, remarks)
     miss_mm, miss_rad = _compared(path, text, rows, source)
     return ImportedRobot(
-        text, source.base, source.flange, tuple(source.joints), miss_mm, miss_rad, tuple(remarks), rows.T_given_base, rows.T_flange_given
+        text=text,
+        base=source.base,
+        flange=source.flange,
+        joints=tuple(source.joints),
+        miss_mm=miss_mm,
+        miss_rad=miss_rad,
+        remarks=tuple(remarks),
+        T_given_base=rows.T_given_base,
+        T_flange_given=rows.T_flange_given,
     )
 
 
@@ -111,8 +122,19 @@ def _read(
     if element == "mujocoinclude":
         raise ConfigError(f"{path}: is a part of an MJCF file (<mujocoinclude>); import the file that includes it")
     if element == "mujoco":
-        return read_mjcf(path, base, flange)
+        try:
+            return read_mjcf(path, base, flange)
+        except UnicodeDecodeError:
+            raise ConfigError(f"{path}: a name in it is not UTF-8; save the file in UTF-8") from None
     return read_urdf(path, base, flange, packages, arguments)
+
+
+def _refuse_endless(path: Path, source: ArmSource) -> None:
+    """Raises ConfigError for an arm with a length or a mass that no arm has, or one that is no number."""
+    sizes = {"place of a joint": source.point, "flange": source.T_base_flange, "centre of gravity": source.com, "mass": source.mass}
+    for what, values in {**sizes, "axis of a joint": source.direction}.items():
+        if not (np.abs(values) <= LARGEST).all():
+            raise ConfigError(f"{path}: a {what} is beyond all bounds, or no number; correct the numbers in the file")
 
 
 def _first_element(path: Path) -> str:
@@ -146,10 +168,10 @@ def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray,
     frames = chain.frames(np.zeros((1, chain.n)))[0]
     com = se3.apply(se3.inverse(frames[1:]), se3.apply(se3.inverse(rows.T_given_base), source.com))
     lines = [
-        f"# Imported from {path.name}, {source.base} to {source.flange}: {', '.join(source.joints)}.",
+        _comment(f"Imported from {path.name}, {source.base} to {source.flange}: {', '.join(source.joints)}"),
         "# H_i = Rz(sign*q_i + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta); q as the file counts the joints' angles.",
         "# Centres of gravity stand in the frame of their own link (behind its row).",
-        *(f"# {remark}." for remark in remarks),
+        *map(_comment, remarks),
         f"name: {yaml12.dump(name, width=1000).splitlines()[0]}",
     ]
     down = rows.T_given_base[:3, :3].T @ np.array([0.0, 0.0, -1.0])
@@ -171,6 +193,11 @@ def _text(path: Path, source: ArmSource, rows: ChainInFrames, speed: np.ndarray,
             line = f"     mass_kg: {_short(source.mass[i], 6)}, com_mm: [{', '.join(_short(v, 3) for v in com[i])}]"
         lines.append(line + "}")
     return "\n".join(lines) + "\n"
+
+
+def _comment(sentence: str) -> str:
+    """A line of YAML that says nothing to a reader of YAML, whatever characters names of the source have: U+2028 ends a line there."""
+    return f"# {' '.join(''.join(c if c.isprintable() else ' ' for c in sentence).split())}."
 
 
 def _short(value: float, digits: int = 9) -> str:

@@ -188,14 +188,14 @@ def _tree(path: Path, mujoco: Any, model: Any, names: _Names) -> KinematicTree:
                 low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (np.nan, np.nan)
                 leader = follows.get(joint)
                 yield TreeJoint(
-                    names.label(joint),
-                    kind(joint),
-                    parent,
-                    child,
-                    float(low),
-                    float(high),
-                    "" if leader is None else names.label(leader),
-                    bare,
+                    name=names.label(joint),
+                    kind=kind(joint),
+                    parent=parent,
+                    child=child,
+                    lower=float(low),
+                    upper=float(high),
+                    follows="" if leader is None else names.label(leader),
+                    bare=bare,
                 )
                 parent = child
         for site, name in enumerate(names.sites):

@@ -18,6 +18,7 @@ from mbcacq.model.robot_import.source import ArmSource
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 VALUES = ("x", "y", "z", "roll", "pitch", "yaw")
+LARGEST = 1e6  # of any entry: a whole number of 400 digits is no float, and neither is a nan
 LONGEST_M = 3.0  # of a link: the largest UR reaches 1.75 m; beyond, the numbers are millimetres
 
 
@@ -55,7 +56,7 @@ def read_ur_calibration(path: Path, content: Mapping[str, Any]) -> ArmSource:
 def _frame(path: Path, link: str, entry: object) -> np.ndarray:
     """(4, 4) of one entry, in mm: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     values = [entry.get(key) for key in VALUES] if isinstance(entry, Mapping) else [None]
-    if any(isinstance(v, bool) or not isinstance(v, int | float) or not np.isfinite(v) for v in values):
+    if any(isinstance(v, bool) or not isinstance(v, int | float) or not abs(v) <= LARGEST for v in values):
         raise ConfigError(f"{path}: kinematics.{link}: needs the numbers {', '.join(VALUES)}; write the file anew with ur_calibration")
     x, y, z, roll, pitch, yaw = (float(v) for v in values if isinstance(v, int | float))
     if max(abs(x), abs(y), abs(z)) > LONGEST_M:

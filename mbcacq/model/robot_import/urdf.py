@@ -97,7 +97,19 @@ def _tree(path: Path, root: Element, joints: Sequence[Joint]) -> KinematicTree:
     shaped = {name for name, e in links.items() if e.find("visual") is not None or e.find("collision") is not None}
     named = [link for j in joints for link in (j.parent, j.child)]
     return KinematicTree(
-        (TreeJoint(j.name, j.kind, j.parent, j.child, j.lower, j.upper, j.follows, j.child not in shaped) for j in joints),
+        (
+            TreeJoint(
+                name=j.name,
+                kind=j.kind,
+                parent=j.parent,
+                child=j.child,
+                lower=j.lower,
+                upper=j.upper,
+                follows=j.follows,
+                bare=j.child not in shaped,
+            )
+            for j in joints
+        ),
         [*links, *named],
         path,
     )
@@ -135,16 +147,16 @@ def _joint(element: Element, path: Path) -> Joint | None:
     if length < 1e-9:
         raise ConfigError(f"{path}: joint '{name}' has an axis of length zero; correct it")
     return Joint(
-        name,
-        kind,
-        str(parent.get("link")),
-        str(child.get("link")),
-        se3.from_abc(1e3 * xyz, np.array([yaw, pitch, roll])),
-        direction / length,
-        number("lower"),
-        number("upper"),
-        number("velocity"),
-        "" if mimic is None else str(mimic.get("joint")),
+        name=name,
+        kind=kind,
+        parent=str(parent.get("link")),
+        child=str(child.get("link")),
+        origin=se3.from_abc(1e3 * xyz, np.array([yaw, pitch, roll])),
+        axis=direction / length,
+        lower=number("lower"),
+        upper=number("upper"),
+        velocity=number("velocity"),
+        follows="" if mimic is None else str(mimic.get("joint")),
     )
 
 

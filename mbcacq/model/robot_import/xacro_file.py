@@ -19,6 +19,7 @@ from mbcacq.errors import ConfigError
 
 PACKAGE, MOST_BYTES = "package.xml", 1 << 20
 MOST_FOLDERS, DEEPEST = 4000, 3  # looked through for packages beside one that is found, a repository of a maker has a few hundred
+NEAR, SHORTEST_NAME = 5, 5  # folders above the file; letters of the name of one that is taken for a package with a longer name
 _MACRO = re.compile(rb"""<xacro:macro\s[^>]*?\bname\s*=\s*["']([^"']+)""")
 _OURS = "mbcacq: "  # before sentences of ours that pass through xacro
 
@@ -96,14 +97,21 @@ class _Packages:
         if self._seen is None:
             self._seen = dict(self._around())
         found = self._seen.get(package) or _of_ros(package)
-        if found is None:  # a package that was copied without its package.xml is known by its folder
-            found = next((f for f in self._path.parents if f.name == package), None)
+        found = found or self._by_folder(package)
         if found is None:
             raise ConfigError(
                 f"{_OURS}package '{package}' is not found above the file or beside it; say where by --package {package}=DIR, "
                 "or expand the file where its packages are installed"
             )
         return str(found)
+
+    def _by_folder(self, package: str) -> Path | None:
+        """A package that was copied without its package.xml is known by its folder: one above the file, or beside these; or one above whose
+        name begins as the package's does (kuka_kr6 for kuka_kr6_support), or the other way round."""
+        near = self._path.parents[:NEAR]
+        beside = (f / package for f in near)
+        alike = (f for f in near if len(f.name) >= SHORTEST_NAME and (package.startswith(f"{f.name}_") or f.name.startswith(f"{package}_")))
+        return next((f for f in near if f.name == package), None) or next((f for f in beside if f.is_dir()), None) or next(alike, None)
 
     def _around(self) -> Iterator[tuple[str, Path]]:
         """Packages by name, the nearest last: what stands in the folders above the outermost package, then what is above the file."""

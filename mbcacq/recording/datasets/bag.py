@@ -7,10 +7,11 @@ PoseStamped, PointStamped or TransformStamped; a cloud is a sensor_msgs/PointClo
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -24,7 +25,9 @@ from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, valid
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9
 FASTEST_RAD_S = 15.0  # of a joint: above the wrists of the fastest small arms (about 12 rad/s)
+UR_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 SHORTEST_S = 1e-3  # between messages, for stamps are not exact
+T = TypeVar("T")
 FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
 
 
@@ -36,7 +39,8 @@ class StandstillSpec(Strict):
 
 
 class BagSpec(Strict):
-    """file: a rosbag2 folder or an .mcap file, beside cell.yaml; joints: names in the order of the axes, as in the message if not given."""
+    """file: a rosbag2 folder or an .mcap file, beside cell.yaml; joints: names in the order of the axes;
+    if not given, that which the names tell, or that of the message."""
 
     file: str
     joint_states: str = "/joint_states"
@@ -85,14 +89,18 @@ class Bag:
             raise ConfigError(f"{folder / 'cell.yaml'}: bag: {self.path} does not exist; correct file")
         self._open: Callable[[], Any] = lambda: AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
 
-    def messages(self, topic: str, types: tuple[str, ...]) -> Iterator[tuple[float, Any]]:
-        """(time in s, message) of a topic, in the order of recording."""
+    def messages(self, topic: str, types: tuple[str, ...], read: Callable[[float, Any], T]) -> Iterator[T]:
+        """What ``read`` makes of time in s (of the message's stamp) and message, of each message of a topic in the order of recording.
+
+        A message is what the definition in the bag says: a damaged one may lack any field, and fails in ``read``.
+        """
         try:
             with self._open() as reader:
                 connections = [c for c in reader.connections if c.topic == topic]
                 self._check(topic, types, {c.msgtype for c in connections}, sorted({c.topic for c in reader.connections}))
                 for connection, stamp, raw in reader.messages(connections):
-                    yield stamp * NS, reader.deserialize(raw, connection.msgtype)
+                    message = reader.deserialize(raw, connection.msgtype)
+                    yield read(_stamp(message, stamp * NS), message)
         except (ConfigError, GeneratorExit):
             raise
         except Exception as error:  # readers of damaged bytes fail in many ways: of SQLite, struct, zstd, a size that no memory has
@@ -107,18 +115,23 @@ class Bag:
             raise ConfigError(f"{self.path}: the topic {topic} holds {wrong[0]}, not {' or '.join(types)}; correct cell.yaml")
 
     def joint_states(self, topic: str, names: tuple[str, ...], n: int) -> JointStates:
+        def read(time: float, message: Any) -> tuple[float, list[str], np.ndarray, np.ndarray]:
+            named = [str(name) for name in message.name]
+            return time, named, np.asarray(message.position, dtype=float).ravel(), np.asarray(message.effort, dtype=float).ravel()
+
         times, positions, efforts = [], [], []
-        for time, message in self.messages(topic, ("sensor_msgs/msg/JointState",)):
-            at = self._columns(topic, list(message.name), names, n)
-            times.append(_stamp(message, time))
-            if len(message.position) != len(message.name):
+        for time, present, position, effort in self.messages(topic, ("sensor_msgs/msg/JointState",), read):
+            at = self._columns(topic, present, names, n)
+            times.append(time)
+            if len(position) != len(present):
                 raise ConfigError(
-                    f"{self.path}: the topic {topic} has a message at {time:.6f} s with {len(message.name)} names and "
-                    f"{len(message.position)} positions; it is damaged, remove it from the bag"
+                    f"{self.path}: the topic {topic} has a message at {time:.6f} s with {len(present)} names and "
+                    f"{len(position)} positions; it is damaged, remove it from the bag"
                 )
-            positions.append(np.asarray(message.position, dtype=float)[at])
-            effort = np.asarray(message.effort, dtype=float)
-            efforts.append(effort[at] if len(effort) == len(message.position) else np.full(n, np.nan))
+            positions.append(position[at])
+            efforts.append(effort[at] if len(effort) == len(position) else np.full(n, np.nan))
+        if not times:
+            raise ConfigError(f"{self.path}: the topic {topic} holds no message; record it, or correct cell.yaml")
         time_s, effort = np.array(times), np.array(efforts)
         self._refuse_jumps(topic, time_s, np.array(positions).reshape(len(time_s), n))
         rising = np.r_[True, np.diff(time_s) > 0]
@@ -156,7 +169,21 @@ class Bag:
                 f"{self.path}: the topic {topic} has the joints {', '.join(present)}, the robot {n} axes; "
                 "list the joints in the order of the axes under bag: joints"
             )
-        return [present.index(name) for name in wanted]
+        return [present.index(name) for name in (wanted if names else in_order_of_axes(wanted))]
+
+
+def in_order_of_axes(names: list[str]) -> list[str]:
+    """Names of joints from the base on, where they tell: those of UR, or with the same words and one number each; else as they are.
+
+    Drivers send them in any order, often by the alphabet, in which UR's elbow comes first.
+    """
+    ends = [next((k for k, end in enumerate(UR_JOINTS) if name.endswith(end)), None) for name in names]
+    if None not in ends and len(set(ends)) == len(names):
+        return [name for _, name in sorted(zip(ends, names, strict=True), key=lambda pair: pair[0] or 0)]
+    apart = [re.fullmatch(r"(.*?)(\d+)(\D*)", name) for name in names]
+    if all(apart) and len({(m[1], m[3]) for m in apart if m}) == 1:
+        return sorted(names, key=lambda name: int(re.findall(r"\d+", name)[-1]))
+    return names
 
 
 def trajectory_columns(folder: Path, spec: BagSpec, n: int) -> dict[str, Any]:
@@ -212,10 +239,9 @@ def _targets(bag: Bag, spec: BagSpec, states: JointStates, windows: list[slice])
     points: dict[int, list[np.ndarray]] = {}
     turns: dict[int, list[np.ndarray]] = {}
     kinds = tuple(f"geometry_msgs/msg/{kind}" for kind in ("PoseStamped", "PointStamped", "TransformStamped"))
-    for time, message in bag.messages(str(spec.target), kinds):
-        at = _window_of(_stamp(message, time), states, windows)
+    for time, (point, turn) in bag.messages(str(spec.target), kinds, lambda time, message: (time, _target(message))):
+        at = _window_of(time, states, windows)
         if at is not None:
-            point, turn = _target(message)
             points.setdefault(at, []).append(point)
             if turn is not None:
                 turns.setdefault(at, []).append(turn)
@@ -261,10 +287,15 @@ def _clouds(bag: Bag, spec: BagSpec, cell: Cell, states: JointStates, windows: l
     if spec.point_cloud is None:
         raise ConfigError(f"{bag.path}: cell.yaml names neither a target nor a point_cloud under bag:; add the topic that was measured")
     last: dict[int, np.ndarray] = {}
-    for time, message in bag.messages(spec.point_cloud, ("sensor_msgs/msg/PointCloud2",)):
-        at = _window_of(_stamp(message, time), states, windows)
+    topic = spec.point_cloud
+
+    def read(time: float, message: Any) -> tuple[int | None, np.ndarray]:
+        at = _window_of(time, states, windows)
+        return at, np.zeros((0, 3)) if at is None else MM_IN_M * _points(bag, topic, message)
+
+    for at, points in bag.messages(topic, ("sensor_msgs/msg/PointCloud2",), read):
         if at is not None:
-            last[at] = MM_IN_M * _points(bag, spec.point_cloud, message)
+            last[at] = points
     index = {ball: i for i, ball in enumerate(cell.ball_ids)}
     artefact = cell.artefact(cell.stations[0].artefact)
     pose, ball, xyz = [], [], []
@@ -287,15 +318,15 @@ def _points(bag: Bag, topic: str, message: Any) -> np.ndarray:
     if not all(axis in fields and fields[axis].datatype in FLOATS for axis in "xyz"):
         raise ConfigError(f"{bag.path}: the clouds of {topic} have no x, y, z of floating point; record them as such")
     order = ">" if message.is_bigendian else "<"
-    dtype = np.dtype(
-        {
-            "names": list("xyz"),
-            "formats": [order + FLOATS[fields[a].datatype] for a in "xyz"],
-            "offsets": [fields[a].offset for a in "xyz"],
-            "itemsize": message.point_step,
-        }
-    )
-    cloud = np.frombuffer(np.asarray(message.data, dtype=np.uint8).tobytes(), dtype=dtype, count=message.width * message.height)
+    formats = [np.dtype(order + FLOATS[fields[a].datatype]) for a in "xyz"]
+    step, count, data = message.point_step, message.width * message.height, np.asarray(message.data, dtype=np.uint8).tobytes()
+    if any(fields[a].offset + f.itemsize > step for a, f in zip("xyz", formats, strict=True)) or step * count > len(data):
+        raise ConfigError(
+            f"{bag.path}: a cloud of {topic} announces {count} points of {step} bytes and holds {len(data)} bytes; it is damaged, "
+            "remove it from the bag"
+        )
+    dtype = np.dtype({"names": list("xyz"), "formats": formats, "offsets": [fields[a].offset for a in "xyz"], "itemsize": step})
+    cloud = np.frombuffer(data, dtype=dtype, count=count)
     points = np.stack([cloud[a].astype(float) for a in "xyz"], axis=1)
     return points[np.isfinite(points).all(axis=1)]
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from mbcacq.errors import ConfigError
@@ -14,12 +15,25 @@ from mbcacq.files.table import Table
 from mbcacq.files.units import unit_named
 from mbcacq.model.cell import Cell
 from mbcacq.recording.datasets.csv_columns import XYZ, numbered
-from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, pose_groups, role
+from mbcacq.recording.datasets.pose_columns import (
+    ANGLES,
+    LENGTHS,
+    RADIANS_BELOW,
+    PoseHeadings,
+    heading,
+    named_convention,
+    pose_groups,
+    role,
+)
 from mbcacq.recording.datasets.yaml_text import read_yaml_text
 
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
 _JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
+_WORD = re.compile(r"[$A-Za-z]+\d*|\d+")
 _UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*|length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
+# Words that traces and scopes write before the axis: $AXIS_ACT.A1, "Actual position A1", ActPos_J1, Istposition Achse 1.
+_MEASURED = r"(?:\$?axis_act|actual(?:_position|_angle)?|act_?(?:pos(?:ition)?)?|measured(?:_position)?|ist_?position|position)_"
+RTDE_JOINT = "actual_q"
 STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
 
 
@@ -38,6 +52,7 @@ def flange_group(table: Table) -> PoseHeadings | None:
     """The columns of the flange's pose: named so, or the only whole pose without a name."""
     found = [g for g in groups(table) if g.rotation]
     named = [g for g in found if role(g) == "flange"]
+    named = [g for g in named if "actual" in g.thing] or named  # beside it a controller records where the arm was sent
     return next(iter(named or [g for g in found if role(g) == ""]), None)
 
 
@@ -97,6 +112,17 @@ def joint_columns(table: Table) -> list[str]:
     return joints_among(list(table.columns))
 
 
+def joint_angles(table: Table, joints: Sequence[str], said: str | None = None) -> np.ndarray:
+    """(rows, n) rad of columns of joint angles, in the unit that was said, that of the headings, rad of UR's actual_q, or by the size."""
+    unit = said or next((heading(name).unit for name in joints if heading(name).unit in ANGLES), None)
+    if unit is None and all(name.strip().lower().startswith(RTDE_JOINT) for name in joints):
+        unit = "rad"
+    if unit is None:
+        unit = "rad" if np.abs(table.group(joints)).max(initial=0.0) < RADIANS_BELOW else "deg"
+    in_deg = ANGLES[unit] == ANGLES["deg"]
+    return table.group(joints, angle=True) if in_deg else table.group(joints)
+
+
 def names_poses(headings: Sequence[str]) -> bool:
     """Whether a line of a file is the headings of joint angles, or of poses or points."""
     return bool(pose_groups(headings) or joints_among(headings))
@@ -108,18 +134,37 @@ def unit_above(table: Table) -> str | None:
     if found is None:
         return None
     unit = unit_named(found[1])
+    unit = unit if unit in LENGTHS else unit_named(found[1].lower().rstrip("s"))  # Millimeters, Inches
     if unit not in LENGTHS:
         raise ConfigError(f"{table.path}: the unit '{found[1]}' above the headings is no length that is known; give mm, cm, m, um or inch")
     return unit
 
 
 def joints_among(headings: Sequence[str]) -> list[str]:
-    found: dict[int, str] = {}
-    for name in headings:
-        part = heading(name)
-        m = _JOINT.match("_".join(filter(None, (part.thing, part.component))))
-        if m and int(m[2]) not in found:
-            found[int(m[2])] = name
+    found = _numbered_joints(headings, "") or _numbered_joints(headings, _MEASURED)
     n = len(found)
     first = min(found, default=1)  # RTDE counts from 0
     return [found[i + first] for i in range(n)] if n >= LEAST_AXES and sorted(found) == list(range(first, n + first)) else []
+
+
+def _numbered_joints(headings: Sequence[str], before: str) -> dict[int, str]:
+    """Number -> heading of the columns of joints whose names stand behind ``before``, a pattern; the first of two alike."""
+    found: dict[int, str] = {}
+    for name in headings:
+        words = "_".join(w.lower() for w in _WORD.findall(heading_text(name)))
+        m = re.match(before, words) if before else None
+        bare = words[m.end() :] if m else ("" if before else _whole(name))
+        number = _JOINT.match(bare)
+        if number and int(number[2]) not in found:
+            found[int(number[2])] = name
+    return found
+
+
+def heading_text(name: str) -> str:
+    """A heading without a unit in brackets at its end."""
+    return re.sub(r"\s*[\[(][^\])\d]*[\])]\s*$", "", name)
+
+
+def _whole(name: str) -> str:
+    part = heading(name)
+    return "_".join(filter(None, (part.thing, part.component)))

@@ -17,7 +17,9 @@ import yaml
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
+from mbcacq.recording.datasets.columns import names_poses
 from mbcacq.recording.datasets.csv_columns import numbers
+from mbcacq.recording.datasets.line_profiles import read_profiles
 from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, UnderstoodTable, read_loose_table, understood
 from mbcacq.recording.datasets.pose_columns import PoseHeadings, pose_groups
 
@@ -37,6 +39,9 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         if not file.exists():
             raise ConfigError(f"{file} does not exist; give a table of poses, a file of samples, or a folder of matrices")
     if len(files) == 2 and all(f.suffix.lower() in SUFFIXES for f in files):
+        poses, points = (_table_of(f, options) for f in files)
+        if (profiles := read_profiles(points, options, poses)) is not None:
+            return profiles
         return understood(_paired(first, files[1], options), _without_columns(options))
     if len(files) > 1:
         raise ConfigError("give one table, one file of samples, one folder, or two tables of poses (the flange's, then the target's)")
@@ -44,7 +49,12 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         return understood(_of_folder(first), options)
     if first.suffix.lower() in (".yaml", ".yml"):
         return _of_samples(first, options)
-    return read_loose_table(first, options)
+    return read_profiles(_table_of(first, options), options) or read_loose_table(first, options)
+
+
+def _table_of(path: Path, options: TableOptions) -> Table:
+    names = {file: ours for ours, file in options.columns.items()}
+    return read_table(path, names=names, headings=lambda cells: names_poses([names.get(cell, cell) for cell in cells]))
 
 
 def _without_columns(options: TableOptions) -> TableOptions:
@@ -139,7 +149,7 @@ def _data_of(text: str) -> str:
 
 def _paired(hand_file: Path, eye_file: Path, options: TableOptions) -> Table:
     """Two tables of poses, the flange's and the target's: by their times where both have them, else row by row."""
-    hand, eye = (read_table(f, names={file: ours for ours, file in options.columns.items()}) for f in (hand_file, eye_file))
+    hand, eye = (_table_of(f, options) for f in (hand_file, eye_file))
     groups = [_whole_pose(t) for t in (hand, eye)]
     rows = _pairs_by_time(hand, eye)
     columns: dict[str, tuple[str, ...]] = {}

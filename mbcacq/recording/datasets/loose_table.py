@@ -21,7 +21,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, RobotModel, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
-from mbcacq.recording.datasets.columns import flange_group, groups, joint_columns, names_poses, unit_above
+from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, names_poses, unit_above
 from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, named_convention, role
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 
@@ -43,7 +43,7 @@ class TableOptions:
     flange, target: conventions of orientations (makers' names or words of ``mbcacq.geometry.orientations``). length ('mm', 'm') and angle
     ('deg', 'rad'): where headings say none. measurement: as in cell.yaml. target_inverted: the camera's pose in the target stands in place
     of the target's in the camera. columns: names of this program -> names in the file. robot: of
-    joint angles. noise_mm: (3,) of one point.
+    joint angles. noise_mm: (3,) of one point. diameter_mm: of the sphere in line profiles.
     """
 
     flange: str | None = None
@@ -55,6 +55,7 @@ class TableOptions:
     columns: Mapping[str, str] = field(default_factory=dict)
     robot: RobotModel | None = None
     noise_mm: tuple[float, float, float] | None = None
+    diameter_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -165,15 +166,15 @@ def _readings(table: Table, options: TableOptions) -> Iterator[TableReading]:
             "target's pose "
             "target_x_mm .. target_qz, of one sphere sphere_x_mm, sphere_y_mm, sphere_z_mm, of several x1_mm, y1_mm, z1_mm, x2_mm .."
         )
-    conventions = [_conventions(flange, options.flange, "--flange"), _conventions(targets[0], options.target, "--target")]
+    conventions = [conventions_of(flange, options.flange, "--flange"), conventions_of(targets[0], options.target, "--target")]
     measurements = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
     # Where the measurement is not known, an inverted target is the same equation as the other measurement: the headings are believed.
     both = options.measurement and targets[0].rotation and not options.target_inverted
     inverted = (False, True) if both else (options.target_inverted,)
     for (of_flange, of_target), (measurement, inverse) in product(product(*conventions), product(measurements, inverted)):
-        hand = None if flange is None else _in_units(replace(flange, convention=of_flange, alternatives=()), table, options)
+        hand = None if flange is None else in_units(replace(flange, convention=of_flange, alternatives=()), table, options)
         seen = (replace(targets[0], convention=of_target, alternatives=()), *targets[1:])
-        yield TableReading(hand, tuple(_in_units(t, table, options) for t in seen), measurement, inverse)
+        yield TableReading(hand, tuple(in_units(t, table, options) for t in seen), measurement, inverse)
 
 
 def _no_flange(table: Table) -> str:
@@ -191,7 +192,8 @@ def _no_flange(table: Table) -> str:
     )
 
 
-def _conventions(group: PoseHeadings | None, said: str | None, option: str) -> tuple[str, ...]:
+def conventions_of(group: PoseHeadings | None, said: str | None, option: str) -> tuple[str, ...]:
+    """The conventions that the orientation of a pose may have: the one that was said (by ``option``), or those that the headings allow."""
     if group is None or not group.rotation:
         return ("",)
     if said is None:
@@ -200,7 +202,8 @@ def _conventions(group: PoseHeadings | None, said: str | None, option: str) -> t
     return (found,)
 
 
-def _in_units(group: PoseHeadings, table: Table, options: TableOptions) -> PoseHeadings:
+def in_units(group: PoseHeadings, table: Table, options: TableOptions) -> PoseHeadings:
+    """The pose with its units: of the headings, else as was said, else by the size of the numbers."""
     length = group.length or LENGTHS.get(options.length or "")
     angle = group.angle or ANGLES.get(options.angle or "")
     return replace(group, length=length, angle=angle).with_units(table)
@@ -302,8 +305,7 @@ def _arm(table: Table, reading: TableReading, options: TableOptions) -> tuple[Ro
     columns = joint_columns(table)
     if len(columns) != options.robot.n:
         raise ConfigError(f"{table.path}:1: {len(columns)} columns of joint angles, and {options.robot.name} has {options.robot.n} axes")
-    rad = any(heading(name).unit.startswith("rad") for name in columns) or options.angle == "rad"
-    return options.robot, table.group(columns) if rad else table.group(columns, angle=True)
+    return options.robot, joint_angles(table, columns, options.angle)
 
 
 def robot_of(name: str) -> RobotModel:

@@ -14,9 +14,9 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, TableSchema, read_table
-from mbcacq.recording.datasets.columns import flange_group, groups, joint_columns, unit_above
+from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, unit_above
 from mbcacq.recording.datasets.csv_columns import TIME, numbers
-from mbcacq.recording.datasets.pose_columns import ANGLES, LENGTHS, PoseHeadings, heading, role
+from mbcacq.recording.datasets.pose_columns import LENGTHS, RTDE_POSE, PoseHeadings, heading, role
 
 LOG = TableSchema("a log", (TIME,), preamble=True)
 LEAST_ROWS = 20
@@ -78,6 +78,8 @@ def merge_logs(arm: Path, measured: Path, columns: Mapping[str, str], still: Res
     names = {file: ours for ours, file in columns.items()}
     first, second = (_read(path, names) for path in (arm, measured))
     hand, moving = _arm(first)
+    if hand is not None and hand.length is None and (unit := unit_above(first)):
+        hand = replace(hand, length=LENGTHS[unit])
     seen = _target(second)
     if seen.length is None and (unit := unit_above(second)):
         seen = replace(seen, length=LENGTHS[unit])
@@ -224,10 +226,7 @@ def _arm(table: Table) -> tuple[PoseHeadings | None, np.ndarray]:
     """The pose of the flange (None: joint angles), and what moves, in rad or mm."""
     joints = joint_columns(table)
     if joints:
-        unit = next((heading(name).unit for name in joints if heading(name).unit in ANGLES), "")
-        values = table.group(joints)
-        in_rad = ANGLES.get(unit, 1.0 if np.abs(values).max(initial=0.0) < 2 * np.pi else ANGLES["deg"])
-        return None, values * in_rad
+        return None, joint_angles(table, joints)
     hand = flange_group(table)
     if hand is None:
         raise ConfigError(
@@ -261,13 +260,14 @@ def _table(
             rows.append((of_arm, of_eye))
     columns: dict[str, tuple[str, ...]] = {"time_s": tuple(numbers(np.array([arm.time_s[a].mean() for a, _ in rows])))}
     joints = joint_columns(arm.table) if hand is None else []
-    for name in joints:
-        columns[name] = _means(arm.table, name, [a for a, _ in rows])
+    for k in range(len(joints)):
+        angles = np.array([arm.value[a, k].mean() for a, _ in rows])
+        columns[f"q{k + 1}_rad"] = tuple(numbers(angles))
     for thing, table, group, side in (("flange", arm.table, hand, 0), ("target", eye.table, seen, 1)):
         if group is None:
             continue
         for name in group.translation:
-            columns[f"{thing} {_bare(name)}"] = _means(table, name, [pair[side] for pair in rows])
+            columns[f"{thing} {_bare(name, group.length)}"] = _means(table, name, [pair[side] for pair in rows])
         for name in group.rotation:  # an orientation has no mean number by number
             values = table.number(name)
             columns[f"{thing} {_bare(name)}"] = tuple(numbers(values[[pair[side][len(pair[side]) // 2] for pair in rows]]))
@@ -275,10 +275,13 @@ def _table(
     return Table(arm.table.path, columns, lines), len(rows)
 
 
-def _bare(name: str) -> str:
-    """A heading without the word of the thing: its component and unit."""
+def _bare(name: str, length: float | None = None) -> str:
+    """A heading without the word of the thing: its component and unit, or that of ``length`` (mm), which lines above stated."""
     part = heading(name)
-    return f"{part.component} [{part.unit}]" if part.unit else part.component
+    if part.component in RTDE_POSE:
+        return f"tcp_pose_{part.component}"
+    unit = part.unit or next((unit for unit, size in LENGTHS.items() if size == length), "")
+    return f"{part.component} [{unit}]" if unit else part.component
 
 
 def _means(table: Table, name: str, rows: Sequence[np.ndarray]) -> tuple[str, ...]:

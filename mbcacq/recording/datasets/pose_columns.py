@@ -51,6 +51,7 @@ EULERS = {
     ("rx", "ry", "rz"): ("vector", "xyz", "XYZ", "ZYX"),
     ("roll", "pitch", "yaw"): ("xyz",),
 }  # fmt: skip
+RTDE_POSE = ("0", "1", "2", "3", "4", "5")  # actual_TCP_pose_0 ..
 VECTORS = ("rvec", "rotvec", "axisangle", "rodrigues")
 METRES_BELOW, MILLIMETRES_ABOVE = 10.0, 50.0  # largest coordinate of a whole recording
 RADIANS_BELOW = 6.3  # largest angle of a whole recording; a calibration turns by more than 6 deg
@@ -190,6 +191,9 @@ def _group(thing: str, parts: dict[str, Heading]) -> PoseHeadings | None:
     whole = _of_matrix(thing, parts)
     if whole is not None:
         return whole
+    if "tcp" in thing.split("_") and all(c in parts for c in RTDE_POSE):
+        names = tuple(parts[c].name for c in RTDE_POSE)  # m and a rotation vector, as UR controllers record it
+        return PoseHeadings(thing, names[:3], names[3:], "vector", (), LENGTHS["m"], 1.0)
     if not all(c in parts for c in "xyz"):
         return None
     xyz = tuple(parts[c] for c in "xyz")

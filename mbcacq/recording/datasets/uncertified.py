@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.initial_guess import fit_rigid_transforms, hand_eye_from_fixed_points
+from mbcacq.estimation.scan_scale import measured_length
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE, Artefact
 from mbcacq.model.observations import Observations
@@ -119,7 +120,8 @@ def _to_scale(obs: Observations, source: str) -> Observations:
     if length is None:  # said above
         return obs
     a, b = (artefact.ball_ids.index(ball) for ball in length.balls)
-    measured = float(np.linalg.norm(artefact.centres[a] - artefact.centres[b]))
+    mean, _ = measured_length(obs, length.balls)
+    measured = mean or float(np.linalg.norm(artefact.centres[a] - artefact.centres[b]))
     shown = np.isin([obs.cell.ball_ids.index(ball) for ball in length.balls], obs.ball)
     if not shown.all() or not measured > 0:
         raise ConfigError(f"{source}: known_length is of balls {length.balls[0]} and {length.balls[1]}, which were not both measured")

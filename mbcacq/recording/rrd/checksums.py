@@ -11,6 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from mbcacq.files.atomic_write import sync_file
 from mbcacq.recording.rrd.checked_lines import Lines, checked_line, read_lines
 
 FILE = "checksums.jsonl"
@@ -43,28 +44,57 @@ def note_whole(folder: Path, name: str, data: bytes) -> None:
         note_stretch(folder, Stretch(name, 0, len(data), hashlib.sha256(data).hexdigest()))
 
 
-def note_copy(path: Path) -> None:
-    """Note the checksum of a file that was made from the recording, where its folder has checksums."""
+def note_made(partial: Path, path: Path) -> None:
+    """Note the checksum of a file that was made from the recording and is about to take the name of another, where its folder has
+    checksums.
+
+    The line is on the disk before the file has its name: whichever of the two a power cut leaves, its checksum is known.
+    """
     with suppress(OSError):
         if (path.parent / FILE).exists():
-            digest, size = digest_of_file(path, 0, path.stat().st_size)
+            digest, size = digest_of_file(partial, 0, partial.stat().st_size)
             note_stretch(path.parent, Stretch(path.name, 0, size, digest))
+            sync_file(path.parent / FILE)
 
 
 def read_stretches(folder: Path) -> tuple[dict[str, list[Stretch]], Lines]:
     """File -> its stretches in order, and the lines themselves. Nothing for a run of an earlier version."""
+    noted, lines = _noted(folder)
+    found: dict[str, list[Stretch]] = {}
+    for stretch in noted:
+        found[stretch.file] = [*(found.get(stretch.file, []) if stretch.start else []), stretch]
+    return found, lines
+
+
+def read_versions(folder: Path) -> dict[str, list[Stretch]]:
+    """File -> what was noted of it from its first byte on: each version of a file that is replaced as a whole."""
+    found: dict[str, list[Stretch]] = {}
+    for stretch in _noted(folder)[0]:
+        if not stretch.start:
+            found.setdefault(stretch.file, []).append(stretch)
+    return found
+
+
+def is_version(path: Path, versions: Sequence[Stretch]) -> bool:
+    """Whether a file is, byte for byte, one of those that were noted. Raises OSError."""
+    size = path.stat().st_size
+    candidates = {stretch.sha256 for stretch in versions if stretch.end == size}
+    return bool(candidates) and digest_of_file(path, 0, size)[0] in candidates
+
+
+def _noted(folder: Path) -> tuple[list[Stretch], Lines]:
+    """The stretches of all files as they were noted, and the lines."""
     try:
         lines = read_lines(folder / FILE)
     except OSError:
-        return {}, Lines([], ())
-    found: dict[str, list[Stretch]] = {}
+        return [], Lines([], ())
+    found: list[Stretch] = []
     for entry in lines.entries:
         with suppress(KeyError, TypeError, ValueError, OverflowError):
             poses = tuple(int(pose) for pose in entry["poses"])
             stretch = Stretch(str(entry["file"]), int(entry["start"]), int(entry["end"]), str(entry["sha256"]), poses)
-            if not 0 <= stretch.start <= stretch.end:
-                continue
-            found[stretch.file] = [*(found.get(stretch.file, []) if stretch.start else []), stretch]
+            if 0 <= stretch.start <= stretch.end:
+                found.append(stretch)
     return found, lines
 
 
@@ -94,9 +124,9 @@ def is_as_written(path: Path) -> bool:
             return False
         for stretch in read_stretches(path.parent)[0].get(path.name, []):
             if stretch.start != end or digest_of_file(path, end, stretch.end) != (stretch.sha256, stretch.end):
-                return False
+                break
             end = stretch.end
-        return 0 < size == end
+        return 0 < size and (size == end or is_version(path, read_versions(path.parent).get(path.name, [])))
     except OSError:
         return False
 

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 
 from mbcacq.errors import RecordingError
-from mbcacq.files.atomic_write import publish
+from mbcacq.files.atomic_write import replacing
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
@@ -35,31 +35,32 @@ def write_diagnosis(
     run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose
     and is shown alone. Raises RecordingError if it cannot be written.
     """
-    path, obs = Path(path), observations
+    with replacing(path) as partial:
+        stream_diagnosis(partial, observations, text, pictures, run, cards)
+    return Path(path)
+
+
+def stream_diagnosis(
+    partial: Path, observations: Observations, text: str, pictures: Mapping[str, Any], run: Path | None = None, cards: str = ""
+) -> None:
+    """The content of ``write_diagnosis`` into a file that is to become another. Raises RecordingError."""
+    obs = observations
     centres = {name: np.asarray(values, float) for name, values in pictures["centres"].items() if isinstance(values, list)}
     point, before, after = (centres[name].reshape(-1, 3) for name in ("point_mm", "before_mm", "after_mm"))
     scale, curves = _scale(point, before), list(pictures.get("curves", ()))[:MOST_CHARTS]
     titles, height = [_response_title(curve) for curve in curves], sheet_height(len(curves))
     times, recording_id = _of_run(run)
-    partial = path.with_name(f".{path.stem}.part.rrd")
     stream = new_stream(layout.APPLICATION, recording_id=recording_id, send_properties=run is None)
     try:
-        viewpoint = place_camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
         stream.save(rerun_path(partial))
         if run is None:
+            viewpoint = place_camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
             send_default_blueprint(stream, alone(viewpoint, scale, titles))
             scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
             _log_arm(stream, obs)
         stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=titles), static=True)
         stream.log(layout.DIAGNOSIS_TEXT, drawn_text(cards or f"```\n{text}\n```"), static=True)
-        for name, vectors, colour in (("before", before, BEFORE), ("after", after, AFTER)):
-            stream.log(
-                f"{layout.DIAGNOSIS_ARROWS}/{name}",
-                rr.Arrows3D(origins=point - scale * vectors, vectors=scale * vectors, colors=[colour], radii=rr.Radius.ui_points(0.6)),
-                static=True,
-            )
-            stream.log(f"{layout.MISFIT}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
-        stream.log(layout.DIAGNOSIS_BALLS, rr.Points3D(point, colors=[RECORDED], radii=rr.Radius.ui_points(1.5)), static=True)
+        _log_arrows(stream, point, before, after, scale)
         for k, cause in enumerate(pictures["causes"]):
             entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"
             label = f"{cause['label']}, {cause['unit']}" if cause["unit"] else cause["label"]
@@ -69,12 +70,20 @@ def write_diagnosis(
         _log_poses(stream, centres, before, after, pictures["causes"], times)
         stream.flush(timeout_sec=60.0)
         stream.disconnect()
-        publish(partial, path)
     except (RuntimeError, OSError) as error:
-        raise RecordingError(f"{path} cannot be written: {error}; choose another place") from error
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
+        raise RecordingError(f"{partial} cannot be written: {error}; choose another place") from error
+
+
+def _log_arrows(stream: rr.RecordingStream, point: np.ndarray, before: np.ndarray, after: np.ndarray, scale: float) -> None:
+    """The measured points (N, 3) mm with their differences from the model, enlarged, before and after."""
+    for name, vectors, colour in (("before", before, BEFORE), ("after", after, AFTER)):
+        stream.log(
+            f"{layout.DIAGNOSIS_ARROWS}/{name}",
+            rr.Arrows3D(origins=point - scale * vectors, vectors=scale * vectors, colors=[colour], radii=rr.Radius.ui_points(0.6)),
+            static=True,
+        )
+        stream.log(f"{layout.MISFIT}/{name}", rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
+    stream.log(layout.DIAGNOSIS_BALLS, rr.Points3D(point, colors=[RECORDED], radii=rr.Radius.ui_points(1.5)), static=True)
 
 
 def _response_title(curve: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
 from mbcacq.recording.rrd.chart import Chart
-from mbcacq.recording.rrd.checksums import note_copy
+from mbcacq.recording.rrd.checksums import note_made
 from mbcacq.recording.rrd.drawable import drawn_text
 from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.reader import open_recordings
@@ -87,8 +87,8 @@ def log_result(
         stream.log(layout.SUMMARY, drawn_text(summary), static=True)
         stream.flush(timeout_sec=60.0)
         stream.disconnect()
+        note_made(partial, path)
         publish(partial, path)
-        note_copy(path)
     except (RuntimeError, OSError) as error:
         raise RecordingError(f"{path} cannot be written: {error}; free the disk or calibrate into another folder") from error
     finally:

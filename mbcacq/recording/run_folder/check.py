@@ -11,7 +11,7 @@ from mbcacq.calibration.sealed_json import unsealed
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import read_lines
-from mbcacq.recording.rrd.checksums import FILE, Stretch, digest_of_file, read_stretches
+from mbcacq.recording.rrd.checksums import FILE, Stretch, digest_of_file, is_version, read_stretches, read_versions
 from mbcacq.recording.rrd.run_header import FILE as HEADER_FILE
 from mbcacq.recording.run_folder.lock import write_lock
 from mbcacq.recording.run_folder.run_plan import FILES, PLAN
@@ -52,7 +52,8 @@ def check(path: Path | str) -> list[CheckedFile]:
                 for name in WHOLE_FILES
                 if name in stretches or (folder / name).exists()
             ]
-            found += [_check_whole(folder / name, stretches[name]) for name in COMPUTED if name in stretches and (folder / name).exists()]
+            versions = read_versions(folder)
+            found += [_check_made(folder / name, versions[name]) for name in COMPUTED if name in versions and (folder / name).exists()]
             found += [_check_result(folder / RESULT)] if (folder / RESULT).exists() else []
         return found
 
@@ -108,6 +109,11 @@ def _check_whole(path: Path, stretches: list[Stretch]) -> CheckedFile:
         return CheckedFile(path, size, size, ())
     same = size == stretches[-1].end and digest_of_file(path, 0, size)[0] == stretches[-1].sha256
     return CheckedFile(path, size, 0, () if same else ("it is not as it was written",))
+
+
+def _check_made(path: Path, versions: list[Stretch]) -> CheckedFile:
+    """A file that is made anew as a whole is the last one noted, or an earlier one where the last never took its name."""
+    return CheckedFile(path, path.stat().st_size, 0, () if is_version(path, versions) else ("it is not as it was written",))
 
 
 def _check_result(path: Path) -> CheckedFile:

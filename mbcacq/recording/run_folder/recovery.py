@@ -9,7 +9,7 @@ from pathlib import Path
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import publish
 from mbcacq.recording.rrd import layout, rerun_program
-from mbcacq.recording.rrd.checksums import blocks, digest_of_file, note_copy, read_stretches
+from mbcacq.recording.rrd.checksums import blocks, digest_of_file, note_made, read_stretches
 from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.run_folder.lock import LOCK_FILE, write_lock
 
@@ -122,8 +122,8 @@ def _merge(sources: list[Path], output: Path) -> None:
             raise NothingRecovered(f"{_nothing(sources)}: rerun could not read it ({rerun_program.error_line(result)})")
         if not _verified(partial):
             raise NothingRecovered(f"{_nothing(sources)}: no complete message is left in it")
+        note_made(partial, output)
         publish(partial, output)
-        note_copy(output)
     except RecordingError:
         raise
     except OSError as error:

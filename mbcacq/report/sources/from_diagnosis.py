@@ -43,14 +43,14 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
     remarks += [f"Measure next: {a['reason']}" for a in diagnosis.get("advice", ())]
     remarks += [f"{_note(note)}." for note in diagnosis.get("notes", ())]
     return DiagnosisContent(
-        level,
-        headline,
-        reason.format(distance=floor.distance),
-        [_effect(e, axis_of) for e in diagnosis["effects"]],
-        [(m["at"], axis_of(m["depends_on"])[0], _share(m["share"])) for m in diagnosis["mismatch"]],
-        validation,
-        floor.noise,
-        remarks,
+        level=level,
+        headline=headline,
+        reason=reason.format(distance=floor.distance),
+        effects=[_effect(e, axis_of) for e in diagnosis["effects"]],
+        mismatch=[(m["at"], axis_of(m["depends_on"])[0], _share(m["share"])) for m in diagnosis["mismatch"]],
+        validation=validation,
+        noise_floor=floor.noise,
+        remarks=remarks,
         **({} if pictures is None else _drawn(pictures, axis_of)),
     )
 
@@ -90,14 +90,14 @@ def _effect(effect: Mapping[str, Any], axis_of: Any) -> EffectContent:
     trend = is_trend({key: _components(entry) for key, entry in effect["parameters"].items()})
     shown = {} if trend else effect["parameters"]
     return EffectContent(
-        f"{'Trend: ' if trend else ''}{name if trend else name[0].upper() + name[1:]} at {', '.join(effect['where'])}",
-        axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
-        p_value(effect["p_value"]),
-        _share(effect["held_out_gain"]),
-        [row for key, entry in shown.items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
-        alternatives,
-        _harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
-        trend,
+        title=f"{'Trend: ' if trend else ''}{name if trend else name[0].upper() + name[1:]} at {', '.join(effect['where'])}",
+        depends_on=axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
+        p_value=p_value(effect["p_value"]),
+        gain=_share(effect["held_out_gain"]),
+        parameters=[row for key, entry in shown.items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
+        alternatives=alternatives,
+        harmonics=_harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
+        trend=trend,
     )
 
 

@@ -240,7 +240,18 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
         correction_only = rotation or group == "Effects"
         held = str(p.get("reason") or "held") if p["status"] == "held" else None
         nominal, value = (None, None) if correction_only else (value - error, value)
-        out.append(ParameterRow(group, name.removeprefix("hand_eye."), unit, nominal, error, value, uncertainty, held))
+        out.append(
+            ParameterRow(
+                group=group,
+                name=name.removeprefix("hand_eye."),
+                unit=unit,
+                nominal=nominal,
+                correction=error,
+                value=value,
+                uncertainty=uncertainty,
+                held=held,
+            )
+        )
     return out
 
 

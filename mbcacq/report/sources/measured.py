@@ -40,7 +40,16 @@ def residuals(
     pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
     out = np.array([(int(p), None) in rejected or (int(p), int(b)) in rejected for p, b in zip(pose, ball, strict=True)], dtype=bool)
     station = np.array([s.id for s in obs.cell.stations])[obs.station][obs.pose]
-    return Residuals(pose, ball, _phase(obs)[obs.pose], deviation, weighted, out, station, np.degrees(obs.q)[obs.pose])
+    return Residuals(
+        pose=pose,
+        ball=ball,
+        phase=_phase(obs)[obs.pose],
+        xyz=deviation,
+        weighted=weighted,
+        outlier=out,
+        station=station,
+        q_deg=np.degrees(obs.q)[obs.pose],
+    )
 
 
 def coverage(observations: Observations, state: CellState) -> Coverage:

@@ -147,7 +147,7 @@ class SerialLine:
                 for text in said:
                     if text is not None and not self._say(line, text):
                         return
-        except OSError:
+        except (OSError, ValueError):  # the second of a descriptor that was closed meanwhile
             return
 
     @property

@@ -76,6 +76,8 @@ class FakeScannerProgram:
                 connection, _ = self._server.accept()
             except TimeoutError:
                 continue
+            except OSError:  # closed
+                return
             with connection:
                 try:
                     self._talk(connection)

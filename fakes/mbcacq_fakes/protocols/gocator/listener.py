@@ -53,15 +53,15 @@ class Listener:
                     self._sock = None
                 self._closing.wait(_POLL_S)
                 continue
-            if self._sock is None:
-                self._sock = self._listen(self.port)
             try:
+                if self._sock is None:
+                    self._sock = self._listen(self.port)
                 connection, _ = self._sock.accept()
+                connection.settimeout(None)
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             except TimeoutError:
                 continue
-            except OSError:  # woken to close, or no descriptor left for a connection
+            except OSError:  # woken to close, no descriptor left for a connection, or another program has the port for now
                 self._closing.wait(_POLL_S)
                 continue
-            connection.settimeout(None)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._accept(connection)

@@ -46,6 +46,8 @@ class Resources:
         self.outputs: list[dict[str, Any]] = []
         self.align_state, self.remote = 0, False
         self.temperature_C, self.scan_count = 41, 0
+        self.quick_edit, self.name = False, "Sensor"
+        self.content: dict[str, bytes] = {}  # of jobs that were saved or brought
         self.group: dict[str, Any] = {
             "triggerSettings": {"source": 0, "maxFrameRateEnabled": True, "frameRate": 5},
             "scanModeSettings": {"scanMode": 3, "intensityEnabled": False, "uniformSpacingEnabled": False},
@@ -68,6 +70,11 @@ class Resources:
             return self._update(path, payload)
         if method == "call":
             return self._call(path, payload)
+        if method == "create" and path == "/jobs/files":
+            self._keep_job(str(payload.get("name", "")), bytes(payload.get("content") or b""))
+            return {"path": f"/jobs/files/{payload['name']}"}
+        if method == "delete":
+            return self._delete(path)
         if method in ("sub", "unSub", "unsub", "stream", "cancelStream"):
             self._read(path, {})  # raises where there is nothing
             return {}
@@ -78,8 +85,9 @@ class Resources:
             "/version": lambda: {"apiVersion": "1.0.0"},
             "/environ/info": lambda: {"applicationType": 0, "serialNumber": self.serial, "model": self.model},
             "/environ/remoteController": lambda: {"remoteConnected": self.remote, "ipAddress": "192.168.1.50", "controlPort": 3640},
+            "/environ/ipConfig": lambda: {"interfaces": [{"ipAddress": "192.168.1.10", "mask": "255.255.255.0"}]},
             "/scan/visibleSensors": lambda: {"sensors": [self._visible()]},
-            "/system": lambda: {"runState": int(self.running), "quickEditEnabled": False, "autostart": False},
+            "/system": lambda: {"runState": int(self.running), "quickEditEnabled": self.quick_edit, "autostart": False},
             "/system/info": lambda: {"appId": "fake"},
             "/replay/playback": lambda: {"enabled": self.replaying, "count": len(self.recorded), "index": self.position},
             "/replay/recording": lambda: {"enabled": self.recording},
@@ -92,15 +100,20 @@ class Resources:
             f"{ENGINES}/{ENGINE}/scanners": lambda: children([GROUP]),
             GROUP: lambda: {"displayName": "Scanner", "parameters": self.group},
             f"{GROUP}/sensors": lambda: children([SENSOR]),
-            SENSOR: lambda: {"serialNumber": self.serial, "displayName": "Sensor", "parameters": self.sensor},
+            SENSOR: lambda: {"serialNumber": self.serial, "displayName": self.name, "parameters": self.sensor},
             f"{GROUP}/outputs": lambda: self._data_sources(bool(args.get("expandLevel"))),
             f"{GROUP}/alignment": lambda: {"alignState": self.align_state},
             f"{GROUP}/metrics": lambda: {"scanCount": self.scan_count, "processingLatencyMax": 250},
             f"{SENSOR}/metrics": lambda: {"cameraTemp0": self.temperature_C, "projectorTemp": self.temperature_C + 4},
         }
-        if path not in readers:
-            raise RequestRefused(NOT_FOUND, "not found")
-        return readers[path]()
+        if path in readers:
+            return readers[path]()
+        name = path.removeprefix("/jobs/files/").removesuffix("/data")
+        if name in self.jobs and path == f"/jobs/files/{name}":
+            return {"jobName": name}
+        if name in self.jobs and path == f"/jobs/files/{name}/data":
+            return {"content": self.content.get(name, b"job")}
+        raise RequestRefused(NOT_FOUND, "not found")
 
     def _visible(self) -> dict[str, Any]:
         return {"serialNumber": self.serial, "model": self.model, "engineId": ENGINE, "path": SENSOR}
@@ -117,6 +130,9 @@ class Resources:
             return {}
         if path in ("/replay/recording", "/replay/playback"):
             return self._switch_replay(path, bool(payload.get("enabled")))
+        if path == "/system":
+            self.quick_edit = bool(payload.get("quickEditEnabled", self.quick_edit))
+            return {}
         target = {GROUP: self.group, SENSOR: self.sensor}.get(path)
         if target is None:
             raise RequestRefused(NOT_FOUND, "not found")
@@ -127,6 +143,8 @@ class Resources:
         if path == SENSOR and not low <= float(wanted["exposureSettings"]["singleExposure"]) <= high:
             raise RequestRefused(PARAMETER, f"singleExposure is out of range {low:g} to {high:g}")
         target.update(wanted)
+        if path == SENSOR:
+            self.name = str(payload.get("displayName", self.name))
         return {}
 
     def _switch_replay(self, path: str, on: bool) -> dict[str, Any]:
@@ -165,6 +183,8 @@ class Resources:
             "/system/commands/start": lambda _: self._run(True),
             "/system/commands/stop": lambda _: self._run(False),
             "/jobs/commands/load": self._load,
+            "/jobs/commands/save": lambda given: self._keep_job(str(given.get("name", "")), b"job"),
+            "/jobs/commands/rename": self._rename,
             "/replay/commands/seek": self._seek,
             f"{GROUP}/actions/trigger": lambda _: self._software_trigger(),
             f"{GROUP}/commands/align": lambda _: setattr(self, "align_state", 1),
@@ -191,6 +211,27 @@ class Resources:
             raise RequestRefused(NOT_FOUND, f"there is no job {name}")
         self.loaded_job = name
         self.outputs.clear()  # outputs belong to the job
+
+    def _keep_job(self, name: str, content: bytes) -> None:
+        if not name:
+            raise RequestRefused(PARAMETER, "a job needs a name")
+        self.content[name] = content
+        if name not in self.jobs:
+            self.jobs.append(name)
+
+    def _rename(self, payload: dict[str, Any]) -> None:
+        old, new = str(payload.get("sourceName", "")), str(payload.get("destName", ""))
+        if old not in self.jobs:
+            raise RequestRefused(NOT_FOUND, f"there is no job {old}")
+        self._keep_job(new, self.content.pop(old, b"job"))
+        self.jobs.remove(old)
+
+    def _delete(self, path: str) -> dict[str, Any]:
+        name = path.removeprefix("/jobs/files/")
+        if name == path or name not in self.jobs:
+            raise RequestRefused(NOT_FOUND, "not found")
+        self.jobs.remove(name)
+        return {}
 
     def _software_trigger(self) -> None:
         if not self.running or self.group["triggerSettings"]["source"] != SOFTWARE:

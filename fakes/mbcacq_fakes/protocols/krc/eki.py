@@ -85,6 +85,8 @@ class FakeEki:
                 client, _ = self._server.accept()
             except TimeoutError:
                 continue
+            except OSError:  # closed
+                return
             with client:
                 client.settimeout(0.05)
                 try:

@@ -65,14 +65,14 @@ def _kss(root) -> EkiConfig:
     if not 1 <= limit <= 512:
         raise ValueError(f"a buffer of {limit} elements is not possible (1..512)")
     return EkiConfig(
-        "kss",
-        port,
-        roots.pop(),
-        received,
-        dict.fromkeys(sent, ""),
-        flags,
-        limit,
-        int(size.get("Limit", "16384")) if size is not None else 16384,
+        system="kss",
+        port=port,
+        root=roots.pop(),
+        received=received,
+        sent=dict.fromkeys(sent, ""),
+        flags=flags,
+        limit=limit,
+        buffer_bytes=int(size.get("Limit", "16384")) if size is not None else 16384,
         alive=int(alive.get("Set_Flag")) if alive is not None and alive.get("Set_Flag") else None,
         order=tuple(sent),
     )

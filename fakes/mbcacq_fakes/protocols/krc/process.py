@@ -23,6 +23,7 @@ from mbcacq_fakes.protocols.krc.settings import COUNTED, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
 _TURN = 1 << 32  # the counter has 32 bits
+_LONGEST_S = 0.05  # of one wait for an answer: whoever started this may be gone
 _STALE_MS = 2000  # an answer to a telegram of so long ago is just late
 _IDLE = (
     (1.0, 0.004),
@@ -37,8 +38,11 @@ def _zero() -> Sequence[float]:
 class RsiController:
     """``cycle`` is one sensor cycle: move the arm, send, wait for the answer, count."""
 
-    def __init__(self, settings: KrcSettings, state: ArmState, control: Control, sock: socket.socket, foreign: socket.socket) -> None:
+    def __init__(
+        self, settings: KrcSettings, state: ArmState, control: Control, sock: socket.socket, foreign: socket.socket, gone: threading.Event
+    ) -> None:
         self._settings, self._state, self._control, self._socket, self._foreign = settings, state, control, sock, foreign
+        self._gone = gone
         self._cycle_s = settings.cycle_ms * 1e-3
         self._arm = _arm(settings, self._cycle_s)
         self._encoders = Encoders(settings.encoder_noise_deg, settings.encoder_step_deg, settings.seed)
@@ -115,12 +119,12 @@ class RsiController:
         if self._settings.realtime:
             deadline = self._next
         elif on_its_way:
-            deadline = sent + self._settings.answer_wait_s[self._unheard or not self._session.active]
+            deadline = sent + self._settings.answer_wait_s[self._unheard]
         else:
             deadline = sent + self._cycle_s
         wanted, answer, self._unheard = str(ipoc), None, True
-        while (left := deadline - time.monotonic()) > 0:
-            self._socket.settimeout(left)
+        while (left := deadline - time.monotonic()) > 0 and not self._gone.is_set():
+            self._socket.settimeout(min(left, _LONGEST_S))
             try:
                 data = self._socket.recv(65536)
             except (TimeoutError, ConnectionError):
@@ -289,7 +293,7 @@ def main() -> int:
             pass
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
         sock.bind((start["bind"], 0))
-        controller = RsiController(settings, state, control, sock, foreign)
+        controller = RsiController(settings, state, control, sock, foreign, gone)
         print(json.dumps({"ready": sock.getsockname()[1]}), flush=True)
         while not gone.is_set():
             controller.cycle()

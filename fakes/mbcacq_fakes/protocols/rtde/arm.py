@@ -83,5 +83,6 @@ class ProgrammedArm:
 
     def _begin(self, wanted: ruckig.InputParameter) -> None:
         motion = ruckig.Trajectory(6)
-        ruckig.Ruckig(6).calculate(wanted, motion)
+        if ruckig.Ruckig(6).calculate(wanted, motion) not in (ruckig.Result.Working, ruckig.Result.Finished):
+            raise ValueError("no motion within these limits")  # as a controller ends its program
         self._motion, self._since = motion, 0.0

@@ -14,6 +14,7 @@ import numpy as np
 
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
+from mbcacq_fakes.protocols.stall import STALL_S
 
 PROGRAM = 20261
 WATCHDOG_S = 0.4
@@ -92,6 +93,8 @@ class FakeUrController:
                 connection, _ = self._server.accept()
             except TimeoutError:
                 continue
+            except OSError:  # closed
+                return
             with connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 try:
@@ -180,7 +183,8 @@ class _Conversation:
             try:
                 data = self._connection.recv(65536)
             except TimeoutError:
-                if self._taken is not None and time.monotonic() - self._heard > WATCHDOG_S:
+                limit_s = WATCHDOG_S if self._controller.realtime else STALL_S
+                if self._taken is not None and time.monotonic() - self._heard > limit_s:
                     self._controller.arm.halt()
                 continue
             if not data:

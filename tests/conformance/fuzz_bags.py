@@ -1,0 +1,105 @@
+"""Parsers of ROS recordings: MCAP and SQLite bags as motions and as observations."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from fuzz_target import Target, in_file
+
+from mbcacq.recording.datasets.bag import Bag, BagSpec, _points
+from mbcacq.recording.datasets.observation_set import read_observation_set
+from mbcacq.recording.datasets.trajectory_set import read_trajectory_set
+
+ROBOT = """robot:
+  name: two axes
+  links:
+    - {theta_deg: 0, d_mm: 100, a_mm: 0, alpha_deg: 90}
+    - {theta_deg: 0, d_mm: 0, a_mm: 300, alpha_deg: 0}
+"""
+MOTION = f"format: mbcacq-trajectory-set/1\n{ROBOT}bag: {{file: RUN}}\n"
+TRACKER = f"""format: mbcacq-observation-set/1
+measurement: target_in_base
+{ROBOT}artefacts: [{{id: target, balls: [{{id: 1, centre_mm: [0, 0, 0]}}]}}]
+stations: [{{id: tracker, artefact: target}}]
+bag: {{file: RUN, target: /pose, standstill: {{speed_deg_s: 30, seconds: 0.01}}}}
+"""
+MESSAGES = 8  # of each topic
+
+
+@cache
+def bag_files(plugin: str) -> dict[str, bytes]:
+    """The files of a small bag of joint states and poses. plugin: 'MCAP' or 'SQLITE3'."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = store.types
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "run"
+        with Writer(folder, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
+            states = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+            poses = writer.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
+            for k in range(MESSAGES):
+                stamp = 10_000_000 * (k + 100)
+                header = kind["std_msgs/msg/Header"](kind["builtin_interfaces/msg/Time"](1, 10_000_000 * k), "base")
+                state = kind["sensor_msgs/msg/JointState"](header, ["a", "b"], np.array([0.1, -0.4]), np.zeros(2), np.array([7.0, 5.0]))
+                writer.write(states, stamp, store.serialize_cdr(state, state.__msgtype__))
+                turned = kind["geometry_msgs/msg/Pose"](
+                    kind["geometry_msgs/msg/Point"](0.5, 0.25, 1.0), kind["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8)
+                )
+                pose = kind["geometry_msgs/msg/PoseStamped"](header, turned)
+                writer.write(poses, stamp, store.serialize_cdr(pose, pose.__msgtype__))
+        return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@cache
+def cloud_bag() -> bytes:
+    """An MCAP file of one cloud of three points."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = store.types
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "run"
+        with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            topic = writer.add_connection("/cloud", "sensor_msgs/msg/PointCloud2", typestore=store)
+            header = kind["std_msgs/msg/Header"](kind["builtin_interfaces/msg/Time"](1, 0), "scanner")
+            fields = [kind["sensor_msgs/msg/PointField"](axis, 4 * i, 7, 1) for i, axis in enumerate("xyz")]
+            data = np.arange(9, dtype="<f4").view(np.uint8)
+            cloud = kind["sensor_msgs/msg/PointCloud2"](header, 1, 3, fields, False, 12, 36, data, True)
+            writer.write(topic, 10**9, store.serialize_cdr(cloud, cloud.__msgtype__))
+        return (folder / "run.mcap").read_bytes()
+
+
+def clouds(path: Path) -> object:
+    """Points of every cloud of a bag."""
+    found = Bag(path.parent, BagSpec(file=path.name))
+    return list(found.messages("/cloud", ("sensor_msgs/msg/PointCloud2",), lambda _, message: _points(found, "/cloud", message)))
+
+
+def bag_targets() -> list[Target]:
+    """All of them."""
+    mcap, sqlite = bag_files("MCAP"), bag_files("SQLITE3")
+
+    def in_folder(
+        name: str, text: str, read: Callable[[Path], object], others: dict[str, bytes] | None = None
+    ) -> Callable[[bytes], object]:
+        """A bag of one MCAP file, or of a folder with other files."""
+        cell = {"cell.yaml": text.replace("RUN", name if others is None else "run").encode()}
+        if others is None:
+            return in_file(name, lambda path: read(path.parent), cell)
+        beside = {f"run/{other}": data for other, data in others.items() if other != name}
+        return in_file(f"run/{name}", lambda path: read(path.parents[1]), cell | beside)
+
+    return [
+        Target("bag MCAP, motion", (mcap["run.mcap"],), in_folder("run.mcap", MOTION, read_trajectory_set)),
+        Target("bag MCAP, observations", (mcap["run.mcap"],), in_folder("run.mcap", TRACKER, read_observation_set)),
+        Target("bag SQLite, motion", (sqlite["run.db3"],), in_folder("run.db3", MOTION, read_trajectory_set, sqlite)),
+        Target("bag metadata.yaml", (sqlite["metadata.yaml"],), in_folder("metadata.yaml", MOTION, read_trajectory_set, sqlite)),
+        Target("bag MCAP, clouds", (cloud_bag(),), in_file("clouds.mcap", clouds)),
+    ]
