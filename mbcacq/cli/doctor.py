@@ -87,11 +87,13 @@ def json_of(run: Path, anonymous: bool) -> str:
 
 def write(text: str, out: Path | None) -> None:
     """To a file, or to standard output. Raises ConfigError where the file cannot be written."""
+    from mbcacq.files.atomic_write import write_file
+
     if out is None:
         echo(text.rstrip("\n"))
         return
     try:
-        out.write_text(text, encoding="utf-8")
+        write_file(out, text)
     except OSError as error:
         raise ConfigError(f"{out} cannot be written: {error.strerror}; give another --out") from error
     echo(f"written: {out}", err=True)
