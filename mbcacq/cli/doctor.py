@@ -88,6 +88,7 @@ def json_of(run: Path, anonymous: bool) -> str:
 
 def write(text: str, out: Path | None) -> None:
     """To a file, or to standard output. Raises ConfigError where the file cannot be written."""
+
     if out is None:
         echo(text.rstrip("\n"))
         return

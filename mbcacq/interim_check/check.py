@@ -209,7 +209,7 @@ def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, o
     acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
     operator.progress("")
     if not dry_run:
-        operator.allow_motion(loaded, poses, acquisition.sweep())
+        operator.allow(acquisition)
     folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")
     with write_lock(folder, "check"):
         operator.began(folder)

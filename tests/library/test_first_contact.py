@@ -81,16 +81,6 @@ def run(tmp_path):
     return tmp_path
 
 
-@pytest.fixture(autouse=True)
-def plan_text(monkeypatch):
-    """The plan is read as it stands: it need not be one that can be run."""
-    from types import SimpleNamespace
-
-    monkeypatch.setattr(
-        "mbcacq.doctor.evidence.plan_of_run", lambda run: SimpleNamespace(text=(run / "plan.yaml").read_text(encoding="utf-8"))
-    )
-
-
 def test_the_evidence_holds_what_the_devices_said(run):
     found = evidence(run)
     assert found["devices"][0]["firmware"] == "5.15.0.0"
