@@ -113,6 +113,7 @@ def command(
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
+    refuse_pictures_of_motion(data, report, rrd)
     if look:
         with with_files(effect_files):
             print_evidence(data, options, out, as_json)
@@ -211,6 +212,18 @@ def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:
     if found.simulation is None:
         raise ConfigError("there is no model to write: --write-model needs a model file in --simulation")
     found.simulation.write(file)
+
+
+def refuse_pictures_of_motion(data: tuple[Path, ...], report: Path | None, rrd: Path | None) -> None:
+    """A page and arrows are drawn of poses; who asks for them of trajectories alone hears so before the search. Raises ConfigError."""
+    from mbcacq.workflow.diagnose_recordings import is_trajectory
+
+    asked = [option for option, file in (("--report", report), ("--rrd", rrd)) if file is not None]
+    if asked and all(is_trajectory(one) for one in data):
+        raise ConfigError(
+            f"{' and '.join(asked)} would show nothing of {data[0]}: it holds motion alone, and pictures are drawn of poses at standstill; "
+            "leave it out, and keep the diagnosis with --out FILE.json"
+        )
 
 
 def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path | None) -> None:

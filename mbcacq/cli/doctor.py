@@ -14,7 +14,8 @@ from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
-from mbcacq.errors import ExitCode
+from mbcacq.errors import ConfigError, ExitCode, RecordingError
+from mbcacq.files.atomic_write import write_file
 
 if TYPE_CHECKING:
     from mbcacq.doctor import CheckupLine
@@ -86,13 +87,15 @@ def json_of(run: Path, anonymous: bool) -> str:
 
 
 def write(text: str, out: Path | None) -> None:
-    """To a file, or to standard output. Raises RecordingError where the file cannot be written."""
+    """To a file, or to standard output. Raises ConfigError where the file cannot be written."""
+
     if out is None:
         echo(text.rstrip("\n"))
         return
-    from mbcacq.files.atomic_write import write_file
-
-    write_file(out, text)
+    try:
+        write_file(out, text)
+    except RecordingError as error:
+        raise ConfigError(f"{error}; give another --out") from error
     echo(f"written: {out}", err=True)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from mbcacq.errors import ConfigError
@@ -27,9 +28,18 @@ def load_driver(kind: str, name: str) -> type:
         try:
             return point.load()
         except ImportError as error:
-            raise ConfigError(f"driver '{name}' ({point.value}) cannot be imported: {error}; install what it needs") from error
+            raise ConfigError(f"driver '{name}' ({point.value}) cannot be imported: {error}; {_cure(point, error)}") from error
     choices = ", ".join(sorted(available(kind))) or "none"
     raise ConfigError(f"there is no driver '{name}' among the {kind} (installed: {choices}); correct the name or install its package")
+
+
+def _cure(point: EntryPoint, error: ImportError) -> str:
+    """What to install: the extra of the driver's package that brings the missing module, where there is one."""
+    for line in (point.dist.requires or ()) if point.dist else ():
+        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", line)
+        if extra and re.match(rf"{re.escape(error.name or ' ')}(?![\w-])", line) and extra[1] != "test":
+            return f"install what it needs: pip install '{point.dist.name}[{extra[1]}]'"
+    return "install what it needs"
 
 
 def create(kind: str, name: str, model: str, options: Mapping[str, Any]) -> Any:

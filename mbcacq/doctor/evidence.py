@@ -10,7 +10,7 @@ from typing import Any
 
 from mbcacq.devices.addresses import ADDRESS_KEY
 from mbcacq.recording.run_folder.journal import read_journal, read_log
-from mbcacq.recording.run_folder.run_plan import PLAN
+from mbcacq.recording.run_folder.run_plan import read_kept_plan
 from mbcacq.version import __version__
 
 FORMAT = "mbcacq-evidence/1"
@@ -36,7 +36,7 @@ def evidence(run: Path, anonymous: bool = False) -> dict[str, Any]:
         "events": [entry for entry in entries if entry.get("event") != "device"],
         "poses": [entry for entry in journal if entry.get("event") == "pose_done"],
         "log": read_log(run),
-        "plan": _plan_text(run),
+        "plan": read_kept_plan(run).plan or "",
     }
     if not anonymous:
         return found
@@ -47,12 +47,6 @@ def evidence(run: Path, anonymous: bool = False) -> dict[str, Any]:
         text = re.sub(rf"(?<!\w){re.escape(json.dumps(word, ensure_ascii=False)[1:-1])}(?!\w)", REMOVED, text)
     versions = {v for entry in found["events"] for v in entry.get("versions", {}).values()} | {e.get("firmware") for e in found["devices"]}
     return json.loads(_ADDRESS.sub(lambda match: match[0] if match[0] in versions else REMOVED, text))  # a version may look like one
-
-
-def _plan_text(run: Path) -> str:
-    """The plan as the run folder keeps it; '' where it does not, which the journal outlives."""
-    path = run / PLAN
-    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
 def _named_places(plan_text: str) -> set[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from mbcacq.devices import load_driver
@@ -49,7 +49,7 @@ def _lines(loaded: LoadedPlan) -> Iterator[str]:
     yield ""
     yield "Perhaps nobody has tried these drivers on hardware yet. Go through it from top to bottom; stop at the first step that fails."
     yield "Behind each step stands what was seen."
-    sections: list[tuple[str, tuple[str, ...]]] = [("Before anything is connected", BEFORE)]
+    sections: list[tuple[str, Sequence[str]]] = [("Before anything is connected", BEFORE)]
     used = [("robots", "robot", plan.robot), ("scanners", "scanner", plan.scanner), ("positioners", "positioner", plan.positioner)]
     used += [("sensors", f"sensor {k}", sensor) for k, sensor in enumerate(plan.sensors, 1)]
     for kind, role, use in used:

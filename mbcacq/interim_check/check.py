@@ -208,8 +208,8 @@ def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, o
     acquisition = plan_acquisition(loaded, poses, frozenset(), 0, name_of(dry_run, seed))
     acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
     operator.progress("")
-    if not dry_run and loaded.plan.robot.follow is None:
-        operator.allow_motion(loaded, poses, acquisition.sweep())
+    if not dry_run:
+        operator.allow(acquisition)
     folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")
     with write_lock(folder, "check"):
         operator.began(folder)

@@ -110,8 +110,8 @@ class CellInvestigation:
             acquisition = plan_acquisition(grown, poses, done, before.part, cell)
             acquisition.simulated = self.dry_run or on_loopback_only(grown.plan.robot.options)
             operator.progress("")
-            if not self.dry_run and grown.plan.robot.follow is None:
-                operator.allow_motion(grown, [p for p in poses if p.number not in done], acquisition.sweep())
+            if not self.dry_run:
+                operator.allow(acquisition)
             acquisition.folder = self.folder
             acquisition.weighed = self._weighed([p for p in poses if p.number not in done])
             operator.progress("starting the fake cell" if self.dry_run else "")

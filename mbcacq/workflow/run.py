@@ -18,7 +18,7 @@ from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.workflow import resume as resuming
-from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
+from mbcacq.workflow.acquire import Acquisition, new_run_folder, plan_acquisition
 from mbcacq.workflow.address_space import refuse_small_address_space
 from mbcacq.workflow.corrected_targets import CalibratedArm, CorrectedTargets, corrected_targets, to_go_on_with
 from mbcacq.workflow.dry_run import MeasuredBefore, device_overrides, name_of
@@ -59,6 +59,13 @@ class Operator:
     subscribers: tuple[Subscriber, ...] = ()
     assume_yes: bool = False
     began: Callable[[Path], None] = lambda folder: None
+
+    def allow(self, acquisition: Acquisition) -> None:
+        """Ask before a real arm moves to the poses that remain; an arm that is only followed is not asked about, since nothing moves it."""
+        loaded = acquisition.loaded
+        if loaded.plan.robot.follow is None:
+            remaining = [p for p in acquisition.poses if p.number not in acquisition.done]
+            self.allow_motion(loaded, remaining, acquisition.sweep())
 
 
 def run(  # noqa: PLR0913 -- the whole job: one argument an option of its command
@@ -117,8 +124,8 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         acquisition.corrected = targets
         acquisition.simulated = dry_run or on_loopback_only(loaded.plan.robot.options)
         operator.progress("")
-        if not dry_run and loaded.plan.robot.follow is None:
-            operator.allow_motion(loaded, [p for p in poses if p.number not in done], acquisition.sweep())
+        if not dry_run:
+            operator.allow(acquisition)
         if folder is None:
             folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
             held.enter_context(write_lock(folder, "run"))

@@ -1,5 +1,7 @@
 """Following an arm that others move: when it counts as standing at a target, what is said meanwhile, and that nothing is commanded."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from mbcacq.acquisition import events, follower
 from mbcacq.acquisition.follower import Follower
 from mbcacq.devices import DeviceTimeout, MotionLimits, RobotState
 from mbcacq.plan.schema import FollowUse
+from mbcacq.workflow.run import Operator
 
 LIMITS = MotionLimits(*(np.ones(2) for _ in range(3)))
 TARGET = np.radians([10.0, -20.0])
@@ -106,3 +109,26 @@ def test_ways_are_up_to_whoever_moves_it():
     robot = Scripted([90, 90])
     following(robot)[0].pass_by(TARGET)
     assert robot.time == 0.0
+
+
+def test_ctrl_c_leaves_the_wait_and_commands_nothing():
+    class Interrupted(Scripted):
+        def state(self):
+            if self.time > 1.0:
+                raise KeyboardInterrupt
+            return super().state()
+
+    arm, ear = following(Interrupted([30, 0]))  # which has neither move_to nor stop
+    with pytest.raises(KeyboardInterrupt):
+        arm.go(TARGET)
+    assert len(ear.said) == 1
+
+
+@pytest.mark.parametrize("follow", [None, FollowUse()])
+def test_only_an_arm_that_is_driven_is_asked_about(follow):
+    plan = SimpleNamespace(robot=SimpleNamespace(follow=follow))
+    poses = [SimpleNamespace(number=k) for k in range(3)]
+    acquisition = SimpleNamespace(loaded=SimpleNamespace(plan=plan), poses=poses, done=frozenset({0}), sweep=lambda: "swept")
+    asked = []
+    Operator(allow_motion=lambda loaded, remaining, sweep: asked.append(len(remaining))).allow(acquisition)
+    assert asked == ([2] if follow is None else [])

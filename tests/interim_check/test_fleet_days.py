@@ -27,7 +27,12 @@ def fleet_table(folder, robot, recordings=24):
         own = rng.normal(0.0, 1e-3, 12)
         for day in range(recordings):
             row = {"recording": f"{arm}-{day}", "arm": f"arm {arm}", "time": f"2026-01-{day + 1:02d}T08:00:00", "robot": robot}
-            row |= {"status": "evaluated", "names": [f"theta_{i + 1}" for i in range(6)], "covariance": [0.0], "nominal": [0.0] * 30}
+            row |= {
+                "status": "evaluated",
+                "names": [f"theta_{i + 1}" for i in range(6)],
+                "covariance": (STATED**2 * np.eye(6)).ravel().tolist(),
+                "nominal": [0.0] * 30,
+            }
             names = [f"theta_{i + 1}" for i in range(6)] + [f"hand_eye.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")]
             sigma = [DAYS["theta"]] * 6 + [DAYS["x"]] * 3 + [DAYS["rx"]] * 3
             for k, name in enumerate(names):

@@ -28,7 +28,7 @@ class GoPxLOptions:
     job: '' keeps the loaded one. source: id of the data source, '' takes the scanner's own surface. uniform: a height map instead of
     a point cloud. right_handed: turn x of the sensor's left-handed frame round. allow_aligned: accept a sensor that was aligned, whose
     points are in the frame of that alignment. timeout_s: longest wait for a scan. reply_limit_s: caps the time limit of every request.
-    retries: attempts after a dropped connection.
+    grace_s: added to all of them, for a sensor that a busy computer plays. retries: attempts after a dropped connection.
     """
 
     address: str = ""
@@ -47,6 +47,7 @@ class GoPxLOptions:
     timeout_s: float = 10.0
     connect_timeout_s: float = 3.0
     reply_limit_s: float | None = None
+    grace_s: float = 0.0
     retries: int = 2
     broadcast: str = "255.255.255.255"
     discovery_port: int = 3320

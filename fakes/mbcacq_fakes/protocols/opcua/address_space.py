@@ -40,9 +40,9 @@ def unit(code: str) -> ua.EUInformation:
     )
 
 
-def node_id(name: str, space: int) -> ua.NodeId:
-    """A node's identifier: its path as a text, in the namespace ``space``."""
-    return ua.NodeId(ua.String(name), ua.Int16(space))
+def node_id(path: str, space: int) -> ua.NodeId:
+    """A node by its name in a namespace."""
+    return ua.NodeId(ua.String(path), ua.Int16(space))
 
 
 async def build(server: Server, arm: ArmNodes) -> list[Node]:

@@ -98,8 +98,7 @@ class FakeOpcUaServer:
         positions = await build(server, self.arm)
         await self._show(server, positions)
         async with server:
-            listening: Any = server.bserver
-            self.port = listening._server.sockets[0].getsockname()[1]
+            self.port = port_of(server)
             self._ready.set()
             last = time.monotonic()
             while not self._quit.is_set():
@@ -136,6 +135,12 @@ class FakeOpcUaServer:
             code = StatusCodes.BadSensorFailure if self._faults.get("bad") == axis else StatusCodes.Good
             variant = ua.Variant(shown, ua.VariantType.Double)
             await server.write_attribute_value(node.nodeid, ua.DataValue(variant, ua.StatusCode(ua.UInt32(code)), ua.DateTime.now(UTC)))
+
+
+def port_of(server: Server) -> int:
+    """The port at which a started server listens; it was free to take any."""
+    listening: Any = server.bserver
+    return listening._server.sockets[0].getsockname()[1]
 
 
 def start_in_cell(
