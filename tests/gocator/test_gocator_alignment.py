@@ -154,7 +154,7 @@ def test_a_fake_with_a_frame_rate_sends_scans_as_soon_as_it_runs(frame):
 def test_the_run_writes_down_how_the_sensor_is_set_up(driver):
     messages = []
     with driver() as scanner:
-        bus = SimpleNamespace(message=lambda level, text: messages.append((level, text)))
+        bus = SimpleNamespace(message=lambda level, text: messages.append((level, text)), emit=lambda *event: None)
         Runner._describe(SimpleNamespace(devices=SimpleNamespace(all={"front": scanner}), bus=bus))  # type: ignore[arg-type]
     assert messages[0] == ("info", "front: 3210 12345 6.1.32.12")
     assert messages[1][1].startswith("front: job: bench.job; alignment: none; scan_mode: 3; ")

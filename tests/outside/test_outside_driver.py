@@ -82,7 +82,6 @@ def plan_with_probe(folder, address):
     plan = yaml.safe_load((ROOT / "plans" / "quick.yaml").read_text())
     plan["robot"]["model"] = str(ROOT / "plans" / plan["robot"]["model"])
     plan["artefacts"] = [str(ROOT / "plans" / a) for a in plan["artefacts"]]
-    plan["robot"]["options"]["connect_timeout_s"] = 1.0  # no controller is there for the doctor
     plan["sensors"] = [{"driver": "acme_probe", "model": "T-1000", "options": {"address": address[0], "port": address[1]}}]
     plan["steps"] = [plan["steps"][1] | {"views": plan["steps"][1]["views"][:4]}]
     path = folder / "plan.yaml"
@@ -95,7 +94,10 @@ def test_a_run_records_what_it_reads(outside, tmp_path):
 
     with FakeProbe() as probe:
         plan = plan_with_probe(tmp_path, probe.address)
-        looked = mbcacq(outside, "doctor", plan, "--json")
+        hurried = tmp_path / "hurried.yaml"  # no controller is there for the doctor to wait for
+        hurried.write_text(plan.read_text().replace("bind: 127.0.0.1", "bind: 127.0.0.1\n    connect_timeout_s: 1.0"))
+        assert "connect_timeout_s" in hurried.read_text()
+        looked = mbcacq(outside, "doctor", hurried, "--json")
         lines = {line["topic"]: line for line in json.loads(looked.stdout)["lines"]}
         assert lines["sensor 1"]["level"] == "ok"
         assert lines["sensor 1"]["text"] == "T-1000 0815: air_C 21 C"

@@ -16,6 +16,7 @@ _NUMBERS = {
     "timeout_s": (1e-3, 1e4),
     "connect_timeout_s": (1e-3, 1e3),
     "reply_limit_s": (1e-3, 1e3),
+    "grace_s": (0.0, 1e4),
     "temperature_warning_C": (-50.0, 150.0),
     "temperature_stop_C": (-50.0, 150.0),
 }

@@ -258,8 +258,8 @@ class MotionDiagnosis:
                 "inertial": [asdict(b) for b in self.inertial],
                 "suspicions": list(self.suspicions),
                 "evidence": [{"channel": e.channel, "evidence": asdict(e.evidence)} for e in self.evidence],
-                "motion_checks": [asdict(c) for c in self.checks],
             }
+            | ({"motion_checks": [asdict(c) for c in self.checks]} if self.checks else {})
         )
 
     @classmethod
