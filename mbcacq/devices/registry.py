@@ -35,10 +35,12 @@ def load_driver(kind: str, name: str) -> type:
 
 def _cure(point: EntryPoint, error: ImportError) -> str:
     """What to install: the extra of the driver's package that brings the missing module, where there is one."""
-    for line in (point.dist.requires or ()) if point.dist else ():
+    if (package := point.dist) is None:
+        return "install what it needs"
+    for line in package.requires or ():
         extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", line)
         if extra and re.match(rf"{re.escape(error.name or ' ')}(?![\w-])", line) and extra[1] != "test":
-            return f"install what it needs: pip install '{point.dist.name}[{extra[1]}]'"
+            return f"install what it needs: pip install '{package.name}[{extra[1]}]'"
     return "install what it needs"
 
 
