@@ -1,4 +1,4 @@
-"""What an arm does beyond its geometry is learnt by a calibration that is told nothing of it, and is right at places that took no part."""
+"""What an arm does beyond its geometry is learnt by a calibration that knows nothing of it, and is right at places that took no part."""
 
 import pytest
 from erring_arms import LAWS, erring_arm, placed_wrong
