@@ -10,10 +10,9 @@ from typing import Any, overload
 import numpy as np
 
 from mbcacq.calibration import notebook
-from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
 from mbcacq.calibration.held_out_poses import about_best_station, prediction_error
 from mbcacq.calibration.methods import COMPARED_METHODS
-from mbcacq.calibration.verification import verify
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
@@ -113,7 +112,7 @@ def compare(
 
 
 def _row(
-    name: str, fit: Callable[[Observations], CellState | Calibrated], obs: Observations, whole: Observations, held_out: bool, seed: int
+    name: str, fit: Callable[[Observations], CellState | CalibratedCell], obs: Observations, whole: Observations, held_out: bool, seed: int
 ) -> ComparisonRow:
     begin = time.perf_counter()
     try:
@@ -138,7 +137,7 @@ def posture_range(obs: Observations) -> float:
     return max(float(np.ptp(obs.q[obs.station == s], axis=0).max()) for s in np.unique(obs.station))
 
 
-def _held_out(fit: Callable[[Observations], CellState | Calibrated], obs: Observations, seed: int) -> float:
+def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Observations, seed: int) -> float:
     """Stations in FOLDS groups, each left out once; with fewer than three stations, random poses. Raises CalibrationError where the rest
     does not determine the method's unknowns."""
     rng = np.random.default_rng(seed)

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
-from mbcacq.calibration.uncertainty import point_columns
 from mbcacq.errors import DeviceFault
 from mbcacq.estimation.forward_model import arm_jacobian
 from mbcacq.interim_check.e_process import EProcess, Level, weight_of
@@ -161,7 +160,7 @@ def _of_calibration(check: PlannedCheck, evidence: Evidence, options: CheckOptio
     """(R, R) covariance of the prediction: the calibrated parameters, and what a good arm is off beyond its model at each pose."""
     obs, prediction, cell = check.obs, check.prediction, check.cell
     T = prediction.T_base_scanner[obs.pose][:, :3, :3]
-    A = np.swapaxes(T, 1, 2) @ point_columns(cell, obs.q[obs.pose], prediction.xyz)
+    A = np.swapaxes(T, 1, 2) @ cell.point_columns(obs.q[obs.pose], prediction.xyz)
     A = A.reshape(-1, A.shape[2])[evidence.keep]
     J = arm_jacobian(obs, prediction, check.state.chain.joint_twists(prediction.frames)) * options.discrepancy
     J = J.reshape(-1, J.shape[2])[evidence.keep]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration import Calibration, CalibrationOptions, Verification, calibrate, verify
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification, calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
@@ -23,7 +23,7 @@ class RunResult:
     limit_mm: the plan's limit of the sphere spacing error, or None. next_step: what to do next in words, and the command for it or ''."""
 
     folder: Path
-    calibration: Calibration
+    calibration: CalibratedCell
     verification: Verification
     content: dict[str, Any]
     limit_mm: float | None = None
@@ -80,7 +80,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     if improved is not None:  # it shows what a calibration changed, and need not determine the arm once more
         options = replace(options, refuse=False)
     calibration = calibrate(observations, options)
-    verification = verify(observations, calibration, limit_mm=limit_mm)
+    verification = calibration.verify(observations, limit_mm=limit_mm)
     content = calibration.to_dict() | {
         "verification": verification.to_dict(),
         "accuracy_map": accuracy_map(calibration).to_dict(),
