@@ -57,10 +57,10 @@ def compliances(obs: Observations, poses: int) -> list[list[str]]:
     model = EffectModel(obs.cell.robot, terms, LearntRecording.of(obs), obs.cell.measurement)
     asked = replace(options, terms=model.at(obs))
     layout = build(obs, asked)
-    for name, why in alone.held.items():
+    for name, why in alone.layout.held.items():
         layout = layout if name in layout.held else layout.hold(name, why)
     start = Estimate(alone.state, tuple(np.zeros(t.k) for t in terms))
-    at = system(Lineariser(obs, layout, asked), start, noise, alone.weights)
+    at = system(Lineariser(obs, layout, asked), start, noise, alone.fit.weights)
     information = at.normal.information - np.diag(layout.gather("sigma") ** -2.0)
     of = {name: (kind(t), sigma) for t in terms for name, sigma in zip(t.names, t.sigma, strict=True)}
     rows = []

@@ -21,7 +21,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
 from cells import measure, scanner_cell  # noqa: E402
 
 from mbcacq.calibration import CalibrationOptions, Noise, calibrate
-from mbcacq.calibration.uncertainty import distance_uncertainty  # noqa: E402
 from mbcacq.estimation import parameters  # noqa: E402
 from mbcacq.estimation.forward_model import CellState, predict  # noqa: E402
 from mbcacq.estimation.identifiability import base_columns  # noqa: E402
@@ -72,7 +71,7 @@ def sigma(layout, covariance, truth: CellState, ends) -> np.ndarray:
 def stated(calibration, ends) -> np.ndarray:
     """(K,) mm: standard deviation of each bar's length that a calibration states."""
     (qa, xa), (qb, xb) = ends
-    return distance_uncertainty(calibration, qa, xa, qb, xb)
+    return calibration.distance_uncertainty(qa, xa, qb, xb)
 
 
 def main() -> None:

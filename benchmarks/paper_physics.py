@@ -21,7 +21,7 @@ import numpy as np
 from paper_physics_cells import NOISE, Effect, catalogue, plans, record
 from paper_physics_figure import write_figure
 
-from mbcacq.calibration import Calibration, CalibrationOptions, calibrate, verify
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, verify
 from mbcacq.geometry import se3
 
 PUBLISHED = np.array([0.457, 0.347, 0.428, 0.375, 0.364])
@@ -46,14 +46,14 @@ class Judged:
 
 def judge(obs, method: str) -> Judged:
     ours = method == "ml"
-    c: Calibration = calibrate(
+    c: CalibratedCell = calibrate(
         obs, CalibrationOptions(method=method, pairs="four", refuse=False, robust=not ours, noise="given" if ours else "auto")
     )
     v = verify(obs, c)
     group = np.array([p.station[0] for p in v.places])
     after = v.errors("after")
     expected = np.sqrt(np.mean([p.expected_mm**2 for p in v.places if p.station[0] == "b"]))
-    return Judged({g: after[group == g] for g in "basvg"}, float(expected), c.chi2 / c.dof, v.errors("before")[group == "b"])
+    return Judged({g: after[group == g] for g in "basvg"}, float(expected), c.fit.chi2 / c.fit.dof, v.errors("before")[group == "b"])
 
 
 def repeatability_of(loaded, poses, urad: float) -> float:

@@ -190,7 +190,7 @@ def main() -> None:
     if arguments.pybotics or arguments.figaroh:
         obs = reflector()[0]
         own = best(lambda: calibrate(obs), arguments.repeats)
-        print(f"{TRACKER_POSES} readings of a reflector: calibrate {own:.0f} ms, rms {calibrate(obs).rms_mm:.4f} mm")
+        print(f"{TRACKER_POSES} readings of a reflector: calibrate {own:.0f} ms, rms {calibrate(obs).fit.rms_mm:.4f} mm")
     if arguments.pybotics:
         print(pybotics(arguments.pybotics))
     if arguments.figaroh:

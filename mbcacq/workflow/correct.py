@@ -13,7 +13,7 @@ from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.joint_targets import JointTargets, joint_targets
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
-from mbcacq.workflow.load import refuse_existing
+from mbcacq.workflow.load import as_cell, refuse_existing
 
 TRIES = 24  # starts for a pose without joint angles
 LARGE_CHANGE = np.radians(2.0)  # of a joint: more than any calibration of an arm in good order asks for

@@ -27,8 +27,8 @@ def test_two_days_have_one_arm_and_their_own_tool_and_noise(two_days):
     np.testing.assert_array_equal(one.state.chain.rows, other.state.chain.rows)
     assert np.linalg.norm(one.state.T_flange_scanner[:3, 3] - other.state.T_flange_scanner[:3, 3]) > 0.1
     assert 3.0 < np.mean(other.noise.joint / one.noise.joint) < 5.0
-    assert one.chi2 / one.dof == pytest.approx(1.0, abs=0.1)
-    assert other.chi2 / other.dof == pytest.approx(1.0, abs=0.1)
+    assert one.fit.chi2 / one.fit.dof == pytest.approx(1.0, abs=0.1)
+    assert other.fit.chi2 / other.fit.dof == pytest.approx(1.0, abs=0.1)
 
 
 def test_two_days_determine_the_arm_better_than_either(two_days):
