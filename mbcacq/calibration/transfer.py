@@ -238,7 +238,7 @@ class _Trial:
         return replace(obs, cell=replace(obs.cell, stations=found, T_flange_scanner=self.cell.state.T_flange_scanner))
 
     def figures(self, fitted: CalibratedCell, used: np.ndarray) -> TransferFigures:
-        """Of the centres used (M,). With known places nothing was fitted, so that no degree of freedom is lost."""
+        """The figures of the centres used (M,). With known places nothing was fitted, so that no degree of freedom is lost."""
         fit, rank = fitted.fit, fitted.fit.rank if self.place == "fitted" else 0
         distance = np.linalg.norm(fit.residual[used, :3], axis=1)
         lineariser = Lineariser(fit.observations, fitted.layout, fit.options)

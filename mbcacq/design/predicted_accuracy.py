@@ -82,9 +82,9 @@ def predicted_accuracy(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Pred
     pairs = calibration.verify(observations).places if sound else ()
     distances = tuple((p.station, p.expected_mm) for p in pairs if p.expected_mm is not None)
     used = _arm_parameters(calibration)
-    lost = [
-        u for u in calibration.fit.undetermined if not u.name.startswith("ball_") and (scope.kinematics or u.name.startswith("hand_eye"))
-    ]
+    undetermined = calibration.fit.undetermined
+    of_arm_and_mount = [u for u in undetermined if not u.name.startswith("ball_")]
+    lost = [u for u in of_arm_and_mount if scope.kinematics or u.name.startswith("hand_eye")]
     return PredictedAccuracy(
         parameters=len(used) + len(lost),
         determined=len(used),
