@@ -308,7 +308,7 @@ class CalibratedCell:
         refuse_other_arm("the result is of", self.robot, self.nominal, obs.cell.robot, "the recording")
         pairs = verification.measured_pairs(obs, self.preliminary, self.state, self.effects)
         if not pairs:
-            return self._judged(observations, Verification((), limit_mm))
+            return self._judged(observations, Verification(places=(), limit_mm=limit_mm))
         (qa, a, na), (qb, b, nb) = (verification.stacked([p.ends[k] for p in pairs]) for k in (0, 1))
         u, row = self.distance_columns(qa, a, qb, b)
         ends = [self._end_variance(u, q, xyz, count) for q, xyz, count in ((qa, a, na), (qb, b, nb))]

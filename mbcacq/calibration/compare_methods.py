@@ -25,7 +25,7 @@ FOLDS = 5
 SAME_POSTURE = np.radians(0.1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ComparisonRow:
     """One method. fit_mm: 3D rms about the best station poses, on the poses fitted; bar_mean_mm, bar_max_mm: sphere spacing error at the
     verification poses; held_out_mm: 3D rms on held-out stations (or, with one or two stations, poses); why: why there is no result;
@@ -118,7 +118,7 @@ def _row(
     try:
         cell = fit(obs)
     except CalibrationError as error:
-        return ComparisonRow(name, why=str(error))
+        return ComparisonRow(method=name, why=str(error))
     seconds = time.perf_counter() - begin
     d, _ = about_best_station(obs, cell)
     bar = verify(whole, cell)
@@ -128,8 +128,15 @@ def _row(
         held_out_mm = _held_out(fit, obs, seed) if held_out else None
     except CalibrationError as error:
         why = str(error)
-    bars = (None, None) if errors is None else (float(errors.mean()), float(errors.max()))
-    return ComparisonRow(name, _rms(d), *bars, held_out_mm, seconds, why_not_held_out=why)
+    return ComparisonRow(
+        method=name,
+        fit_mm=_rms(d),
+        bar_mean_mm=None if errors is None else float(errors.mean()),
+        bar_max_mm=None if errors is None else float(errors.max()),
+        held_out_mm=held_out_mm,
+        time_s=seconds,
+        why_not_held_out=why,
+    )
 
 
 def posture_range(obs: Observations) -> float:

@@ -10,7 +10,7 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.geometry import se3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TargetOptions:
     """How joint angles are searched."""
 

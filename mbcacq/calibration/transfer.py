@@ -66,7 +66,7 @@ class NormalisedError:
     share_below_3: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Transfer:
     """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
     recording itself leaves, the best that geometry alone can do there; None where it cannot be had. normalised_error: None with known
@@ -229,7 +229,9 @@ class _Trial:
         at = system(lineariser, Estimate(start), self.cell.noise, every)
         distance = np.linalg.norm(at.linear.residual[:, :3], axis=1)
         weights = replace(every, centre=(distance <= GROSS * np.median(distance)).astype(float))
-        return adjusted_cell(options, Adjustment(lineariser, at, self.cell.noise, weights, start, []))
+        return adjusted_cell(
+            options, Adjustment(lineariser=lineariser, solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[])
+        )
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them."""

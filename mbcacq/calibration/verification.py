@@ -28,7 +28,7 @@ from mbcacq.quantities import K, fixed, measured, signed, uncertainty
 End = tuple[np.ndarray, np.ndarray, int]  # of a length: q (1, n) rad, xyz (1, 3) mm in the scanner frame, number of poses averaged over
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VerifiedPair:
     """One pair of balls at one station. errors in mm, measured minus certified; expected_mm: standard uncertainty of ``after_mm`` that the
     calibration leaves, noise included; judging_mm: standard uncertainty of measuring the error, by which it is held against a limit."""
@@ -47,7 +47,7 @@ class VerifiedPair:
         return beyond_expected(self.after_mm, self.expected_mm)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Verification:
     """Sphere spacing errors at every station, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
     independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``, as dicts. common_mm:
@@ -93,10 +93,12 @@ class Verification:
     def from_dict(cls, content: Mapping[str, Any] | None) -> Verification:
         """The verification that ``to_dict`` wrote; without pairs where it was None."""
         if content is None:
-            return cls(())
+            return cls(places=())
         pairs = tuple(VerifiedPair(**{**p, "balls": tuple(p["balls"])}) for p in content["places"])
         figures, common, budget = tuple(content["figures"]), content.get("common_mm"), content.get("budget")
-        return cls(pairs, content["limit_mm"], content["independent"], figures, common, budget)
+        return cls(
+            places=pairs, limit_mm=content["limit_mm"], independent=content["independent"], figures=figures, common_mm=common, budget=budget
+        )
 
     def __repr__(self) -> str:
         if not self.places:
@@ -178,7 +180,7 @@ def verification_of(
         for i, p in enumerate(pairs)
     )
     budget = budget_content(obs, [p.station for p in pairs], budgets) if pairs else None
-    return Verification(places, limit_mm, budget=budget)
+    return Verification(places=places, limit_mm=limit_mm, budget=budget)
 
 
 def verification_poses(obs: Observations) -> Observations:
@@ -240,7 +242,7 @@ class Limits:
     length_measuring_error_mm: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Figure:
     """value_mm: largest of ``count`` values; uncertainty_mm: standard uncertainty of measuring it, None if unknown;
     verdict: 'pass', 'fail', 'undecided' (within the uncertainty of the limit) or 'none' (no limit or no data)."""
@@ -330,4 +332,4 @@ def beyond_expected(error_mm: float, expected_mm: float | None) -> bool:
 
 def _figure(name: str, values: np.ndarray, sigma: float | None, limit: float | None) -> Figure:
     value = float(np.abs(values).max()) if len(values) else None
-    return Figure(name, value, len(values), sigma, limit, verdict(value, sigma, limit))
+    return Figure(name=name, value_mm=value, count=len(values), uncertainty_mm=sigma, limit_mm=limit, verdict=verdict(value, sigma, limit))

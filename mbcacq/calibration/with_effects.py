@@ -32,7 +32,7 @@ from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.observations import Observations
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GroupSizeOptions:
     """How the size of each group of unmodelled effects is estimated."""
 

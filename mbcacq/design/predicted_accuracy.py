@@ -28,7 +28,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))  # mean of |error| over its standard deviation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PredictedAccuracy:
     """Accuracy that a linearisation at the planned cell predicts.
 
@@ -115,7 +115,9 @@ def predicted_calibration(
         layout = with_common_sizes(layout, blocks.usual_sizes(obs.cell))
     lineariser = Lineariser(obs, layout, options)
     solution = system(lineariser, estimate, noise, weights)
-    return adjusted_cell(options, Adjustment(lineariser, solution, noise, weights, state, found))
+    return adjusted_cell(
+        options, Adjustment(lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=state, found=found)
+    )
 
 
 def _calibration_share(calibration: CalibratedCell, observations: Observations) -> list[float]:

@@ -31,7 +31,7 @@ from mbcacq.model.observations import Observations
 EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiagnosisProblem:
     """The recording linearised at its geometric fit, and everything that may explain it.
 
@@ -91,13 +91,13 @@ def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustm
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
     return DiagnosisProblem(
-        linear,
-        context,
-        [*candidates, *differing(candidates, obs)],
-        dropped,
-        adjusted.noise,
-        noise_prior(obs.cell, options.noise),
-        DesignBlocks(context),
+        linear=linear,
+        context=context,
+        candidates=[*candidates, *differing(candidates, obs)],
+        dropped=dropped,
+        noise=adjusted.noise,
+        prior_noise=noise_prior(obs.cell, options.noise),
+        design_blocks=DesignBlocks(context),
         undetermined=tuple(adjusted.found),
     )
 

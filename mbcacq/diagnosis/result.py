@@ -47,7 +47,7 @@ class EstimatedNoise:
         return {key: value for key, value in vars(self).items() if value is not None}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GeometryAlone:
     """The cell of one recording before any effect, as ``mbcacq.calibrate`` has it: keys, names and units are those of result.json (format
     'mbcacq-result/1').
@@ -112,7 +112,7 @@ class Alternative:
     odds: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EffectFound:
     """One effect that the diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
 
@@ -186,7 +186,7 @@ class Advice:
     poses_deg: tuple[tuple[Number, ...], ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NoiseDependence:
     """A noise that depends on the place, and is taken so in everything else but for long recordings.
 
@@ -217,7 +217,7 @@ class ExclusionBand:
     left_out: tuple[Number, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExclusionLimit:
     """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence, everything that it is confused
     with being free.
@@ -240,7 +240,7 @@ class ExclusionLimit:
     holds_for: ExclusionBand | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Proposal:
     """A short formula for an unmodelled effect that was located.
 
@@ -307,7 +307,7 @@ class EvidenceSummary:
         return self.log_e_value > self.least_log_e_value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """The result of ``diagnose``.
 

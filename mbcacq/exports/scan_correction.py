@@ -17,7 +17,7 @@ CHUNK = 200_000
 ROUNDING = np.radians(1e-3)  # a controller prints that much more than its limit when it stands on it
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanPlacement:
     """T_base_scanner (4, 4) mm. The sigmas are (3,) mm along the base axes at the middle of the scan, k = 1: of the calibrated
     parameters, of the joints' repeatability, and both together; worst_mm: the largest 3D one over the scan. The base is where the
@@ -66,7 +66,14 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
     known, joints = base_covariance(cell, q, points_in_base)
     total = np.sqrt(np.trace(known + joints, axis1=1, axis2=2))
     of_parameters, of_joints, of_both = (np.sqrt(np.diag(c[0])) for c in (known, joints, known + joints))
-    return out, ScanPlacement(T, of_parameters, of_joints, of_both, float(total[0]), float(total.max()))
+    return out, ScanPlacement(
+        T_base_scanner=T,
+        parameters_mm=of_parameters,
+        repeatability_mm=of_joints,
+        total_mm=of_both,
+        rms_mm=float(total[0]),
+        worst_mm=float(total.max()),
+    )
 
 
 def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:

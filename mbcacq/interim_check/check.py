@@ -183,7 +183,14 @@ def _new_history(
     everything = planned_check(loaded, [p for p in poses if p.balls], cell, settings.standing, settings.days)
     numbers = choose_poses(everything, options)
     q = np.array([p.q for p in poses if p.number in numbers])
-    return CheckHistory(digest(content), loaded.path.name, tuple(sorted(numbers)), q, settings.standing, settings.days)
+    return CheckHistory(
+        result=digest(content),
+        plan=loaded.path.name,
+        poses=tuple(sorted(numbers)),
+        q=q,
+        standing=settings.standing,
+        usual_days=settings.days,
+    )
 
 
 def _chosen(loaded: LoadedPlan, poses: list[PlannedPose], history: CheckHistory, file: Path) -> list[PlannedPose]:

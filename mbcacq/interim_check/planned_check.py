@@ -22,7 +22,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, path
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlannedCheck:
     """Poses of a plan as a check. poses: in the order of the plan; state: the calibrated cell with the stations as planned; obs: what the
     nominal cell would record, M centres, R = 3 M rows; prediction: by the calibrated cell with its effects; rows, changes: of the

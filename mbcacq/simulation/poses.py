@@ -82,7 +82,9 @@ def write_into_model(arm: MujocoArm, found: CalibratedCell, effects: Sequence[Ef
     ]
     distance = miss(arm, spec, found)
     error = ChannelError("MuJoCo's model against the calibrated cell at the recorded poses, at most", "mm", 0.0, float("nan"), distance)
-    return ModelMatch(str(arm.path), as_xml(arm, spec), tuple(changed), POSES, (error,), remarks=tuple(remarks))
+    return ModelMatch(
+        model=str(arm.path), xml=as_xml(arm, spec), parameters=tuple(changed), compared=POSES, errors=(error,), remarks=tuple(remarks)
+    )
 
 
 def _moved_bodies(arm: MujocoArm, spec: Any) -> list[ModelParameter]:

@@ -19,7 +19,7 @@ TRIES = 24  # starts for a pose without joint angles
 LARGE_CHANGE = np.radians(2.0)  # of a joint: more than any calibration of an arm in good order asks for
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Correction:
     """One file. names, lines: of its points; before: (P,) mm, by how much the arm misses its nominal place with the programmed angles, NaN
     where none are programmed; change: (P,) rad, largest of a joint; found: the corrected angles. left_alone: name, line and reason of each
@@ -50,8 +50,10 @@ class Correction:
                 "reached": bool(ok),
                 "reason": reason,
             }
-            for name, line, q, before, mm, rad, change, ok, reason in zip(
-                self.names, self.lines, f.q, self.before_mm, f.error_mm, f.error_rad, self.change, f.reached, f.reasons, strict=True
+            for (name, line, before, change), (q, mm, rad, ok, reason) in zip(
+                zip(self.names, self.lines, self.before_mm, self.change, strict=True),
+                zip(f.q, f.error_mm, f.error_rad, f.reached, f.reasons, strict=True),
+                strict=True,
             )
         ]
         left = [{"name": name, "line": line, "reason": reason} for name, line, reason in self.left_alone]

@@ -34,7 +34,7 @@ def diagnose_together(
         found = diagnose_poses(recordings[0], progress, workers, options)
     else:
         poses = diagnose(recordings, progress=progress, workers=workers or cores(), options=options)
-        found = DiagnosisResult(poses)
+        found = DiagnosisResult(poses=poses)
     if motions:
         progress("comparing the motion")
         found = replace(found, motion=diagnose_motion([m for m in motions if not isinstance(m, Observations)]).motion)
@@ -162,7 +162,7 @@ def diagnose_poses(
 
     refit = partial(fitted_model, observations) if fitted else None
     found = room.diagnose(observations, progress=progress, workers=workers or cores(), options=options, formulas=formulas, refit=refit)
-    return DiagnosisResult(found, observations=observations)
+    return DiagnosisResult(poses=found, observations=observations)
 
 
 def fitted_model(observations: Observations, model: EffectModel) -> tuple[EffectModel | None, tuple[str, ...]]:

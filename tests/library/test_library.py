@@ -110,9 +110,14 @@ def test_a_calibration_knows_which_poses_took_part(cell, data):
 def test_verification_goes_to_json_and_back(cell):
     from mbcacq.calibration.verification import VerifiedPair
 
-    made = mbcacq.Verification((VerifiedPair("b1", (1, 2), 735.0, 0.4, 0.02, 0.03),), 0.1, True, ({"name": "x"},))
+    made = mbcacq.Verification(
+        places=(VerifiedPair(station="b1", balls=(1, 2), certified_mm=735.0, before_mm=0.4, after_mm=0.02, expected_mm=0.03),),
+        limit_mm=0.1,
+        independent=True,
+        figures=({"name": "x"},),
+    )
     assert mbcacq.Verification.from_dict(json.loads(json.dumps(made.to_dict()))) == made
-    assert mbcacq.Verification.from_dict(mbcacq.Verification(()).to_dict()) == mbcacq.Verification(())
+    assert mbcacq.Verification.from_dict(mbcacq.Verification(places=()).to_dict()) == mbcacq.Verification(places=())
     assert pickle.loads(pickle.dumps(made)) == made
 
 
