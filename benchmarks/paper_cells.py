@@ -1,4 +1,4 @@
-"""Plans, effects and recordings of benchmarks/paper_physics.py: what is left out, how large it may be, and what a run then records."""
+"""Plans, effects, recordings and the figure of ``paper.py physics``: what is left out, how large it may be, what a run then records."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import yaml
+from bench import PLANS, line, svg, text
 from mbcacq_fakes.cell import computed_run
 
 from mbcacq.model.observations import Observations
 from mbcacq.plan import expand, load
 from mbcacq.workflow.acquire import solver_cell
 
-PLANS = Path(__file__).parents[1] / "plans"
 NOISE = np.array([0.005, 0.005, 0.009])  # mm, of a ball centre in one exposure
 TILTED = [{"tilt_deg": 20, "azimuth_deg": 45 * k, "roll_deg": roll} for k, roll in enumerate((0, 60, -60, 90, -30, 30, -90, 45))]
 # Verification: ten places as planned (b), five alike (a), the same five with a short bar (s), the bar steep (v), a gauge of two balls
@@ -224,3 +224,78 @@ def _grown(loaded: Any, share: float) -> list[list[float]]:
     rows[:, 1:3] += share * loaded.cell.robot.chain.rows[:, 1:3]
     rows[:, [0, 3, 4]] = np.degrees(rows[:, [0, 3, 4]])
     return rows.tolist()
+
+
+WIDTH, HEIGHT = 860, 470
+COLOURS = {"paper": "#b5402a", "ml": "#1f5f99"}
+
+
+def write_figure(path: Path, report: dict[str, Any], wanted: float) -> None:
+    """Left: bar error of cells with nothing left out, by plan. Right: needed share of the plausible size, by effect and plan."""
+    path.writetext(svg(WIDTH, HEIGHT, [*_noise(report["noise"], wanted), *_effects(report["effects"])]), encoding="utf-8")
+
+
+def _noise(rows: list[dict[str, Any]], wanted: float) -> list[str]:
+    names = [n for n in ("tree", "aim 10", "aim 3", "aim 1") if any(r["plan"] == n for r in rows)]
+    left, right, top, bottom = 52, 380, 46, 420
+
+    def y(mm: float) -> float:
+        return bottom - (np.log10(max(mm, 1e-3)) + 3) / 4 * (bottom - top)
+
+    out = [
+        text(left, 18, "Nothing left out: |mean error of a 735 mm bar| per cell, mm", bold=True),
+        text(left, 33, "one dot a cell; filled: joints 15 urad, hollow: 5 urad"),
+    ]
+    for k in range(-3, 2):
+        out += [line(left, y(10**k), right, y(10**k), "#ddd"), text(left - 5, y(10**k) + 4, f"{10.0**k:g}", anchor="end")]
+    out += [line(left, y(wanted), right, y(wanted), "#000", dash=True), text(left + 3, y(wanted) - 4, "published 0.394")]
+    step = (right - left) / len(names)
+    for i, name in enumerate(names):
+        middle = left + (i + 0.5) * step
+        out.append(text(middle, bottom + 16, "plan of this tree" if name == "tree" else f"{name} mm", anchor="middle"))
+        for r in (r for r in rows if r["plan"] == name):
+            x = middle + (-14 if r["method"] == "paper" else 14) + (5 if r["urad"] > 10 else -5)
+            fill = COLOURS[r["method"]] if r["urad"] > 10 else "none"
+            out += [
+                f'<circle cx="{x:.1f}" cy="{y(abs(m)):.1f}" r="2" fill="{fill}" stroke="{COLOURS[r["method"]]}" stroke-width="0.7"/>'
+                for m in r["mean"]
+            ]
+    return [
+        *out,
+        text(left, bottom + 36, "paper's method", colour=COLOURS["paper"]),
+        text(left + 100, bottom + 36, "maximum likelihood", colour=COLOURS["ml"]),
+    ]
+
+
+def _effects(tables: dict[str, list[dict[str, Any]]]) -> list[str]:
+    best: dict[str, dict[str, float]] = {}
+    for plan, rows in tables.items():
+        for r in rows:
+            if r["form"].startswith("(outside"):
+                continue
+            share = min(r["size"] / r["plausible"], 1e3)
+            best.setdefault(r["family"], {})[plan] = min(share, best.get(r["family"], {}).get(plan, np.inf))
+    order = sorted(best, key=lambda f: best[f]["tree"])
+    left, right, top, bottom = 560, 845, 46, 420
+
+    def x(share: float) -> float:
+        return left + (np.log10(np.clip(share, 1e-3, 1e3)) + 3) / 6 * (right - left)
+
+    out = [
+        text(415, 18, "Size that adds 0.394 mm, in shares of the largest plausible size (paper's method)", bold=True),
+        text(415, 33, "left of 1: a sound cell may have it; at 1000: never, or not visible"),
+    ]
+    for k in range(-3, 4):
+        out += [
+            line(x(10.0**k), top, x(10.0**k), bottom, "#000" if k == 0 else "#ddd"),
+            text(x(10.0**k), bottom + 14, f"{10.0**k:g}", anchor="middle"),
+        ]
+    marks = {"tree": "#000", "aim 10": "#d08a1d", "aim 3": "#7a4fa0"}
+    step = (bottom - top) / max(len(order), 1)
+    for i, family in enumerate(order):
+        y = top + (i + 0.6) * step
+        out.append(text(left - 6, y + 3, family, anchor="end"))
+        out += [f'<circle cx="{x(s):.1f}" cy="{y:.1f}" r="4" fill="{marks[p]}"/>' for p, s in best[family].items()]
+    for i, (plan, colour) in enumerate(marks.items()):
+        out.append(text(left + 95 * i, bottom + 34, "plan of this tree" if plan == "tree" else f"{plan} mm", colour=colour))
+    return out
