@@ -27,6 +27,7 @@ from detection_power import likelihood_ratio
 from scipy.stats import beta, chi2, ncx2
 
 from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.options import OPTIONS
@@ -267,7 +268,7 @@ def ball_shift(given: argparse.Namespace) -> None:
     """
     problem = prepare(simulated.observe(simulated.plan(), 1))
     projected = CandidateScoring.of(problem.linear, problem.noise)
-    prior, rng, bound = SetPrior.of(problem.candidates, 1), np.random.default_rng(0), -np.log(OPTIONS.alpha)
+    prior, rng, bound = SetPrior.of(problem.candidates, 1), np.random.default_rng(0), LEAST_LOG_E_VALUE
     threshold = chi2.isf(FALSE_ALARMS / LOCATIONS, 3)
     balls = [c for c in problem.candidates if c.name == "ball_shift"][2:5]
     products = [projected.candidate_products(c, None)[1] for c in balls]
