@@ -12,33 +12,31 @@ of the judging, a rigid motion of everything aside. Data: observation sets, each
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
+import bench  # noqa: F401  # the simulated cells of the tests
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
-from cells import iiwa, kr10, measure, scanner_cell  # noqa: E402
-from erring_arms import JOINT, LAWS, NOISE, erring_arm, placed_wrong  # noqa: E402
-from mbcacq_fakes.cell import computed_run  # noqa: E402
+from cells import iiwa, kr10, measure, scanner_cell
+from erring_arms import JOINT, LAWS, NOISE, erring_arm, placed_wrong
+from mbcacq_fakes.cell import computed_run
 
 from mbcacq import load_observations
 from mbcacq.calibration import CalibrationOptions, calibrate
-from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error  # noqa: E402
-from mbcacq.calibration.uncertainty import point_columns, to_base  # noqa: E402
-from mbcacq.errors import CalibrationError, MbcacqError  # noqa: E402
-from mbcacq.estimation import parameters  # noqa: E402
-from mbcacq.estimation.linearization import Lineariser  # noqa: E402
-from mbcacq.estimation.options import Noise  # noqa: E402
-from mbcacq.estimation.parameters import Estimate  # noqa: E402
-from mbcacq.estimation.phases import select_phases  # noqa: E402
-from mbcacq.estimation.solver import Weights, solve  # noqa: E402
-from mbcacq.geometry import se3  # noqa: E402
-from mbcacq.model.observations import Observations  # noqa: E402
-from mbcacq.plan import expand, load  # noqa: E402
-from mbcacq.workflow.acquire import solver_cell  # noqa: E402
+from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
+from mbcacq.calibration.uncertainty import point_columns, to_base
+from mbcacq.errors import CalibrationError, MbcacqError
+from mbcacq.estimation import parameters
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.solver import Weights, solve
+from mbcacq.geometry import se3
+from mbcacq.model.observations import Observations
+from mbcacq.plan import expand, load
+from mbcacq.workflow.acquire import solver_cell
 
 ALONE = CalibrationOptions(kinematics=False)
 TWIST = ("x", "y", "z", "rx", "ry", "rz")

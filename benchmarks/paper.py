@@ -53,7 +53,7 @@ HAND_EYE = se3.transform(
 )
 
 
-PUBLISHED = {"before": ([0.721, 0.837, 1.041, 0.712, 0.734], 1.041, 0.809), "after": ([0.457, 0.347, 0.428, 0.375, 0.364], 0.428, 0.394)}
+TABLE_2 = {"before": ([0.721, 0.837, 1.041, 0.712, 0.734], 1.041, 0.809), "after": ([0.457, 0.347, 0.428, 0.375, 0.364], 0.428, 0.394)}
 RP = 0.04  # mm, as the paper states of its robot
 CENTRE = np.array([0.005, 0.005, 0.009])
 WAYS = {
@@ -195,7 +195,7 @@ def experiment(given: argparse.Namespace) -> None:
         if seed == 0:
             table_1([found["paper"], found["paper (all pairs)"], found["maximum likelihood"]])
             print("\n| | sphere spacing error, mm | max | mean |\n|---|---|---|---|")
-            for which, (values, worst, mean) in PUBLISHED.items():
+            for which, (values, worst, mean) in TABLE_2.items():
                 note = " (0.457 is the largest of the row)" if which == "after" else ""
                 print(f"| published, {which} | " + " ".join(f"{v:.3f}" for v in values) + f" | {worst:.3f}{note} | {mean:.3f} |")
             table_2(results.items())
