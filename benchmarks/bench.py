@@ -88,6 +88,18 @@ def put(page: Path, text: str, begin: str = "<!-- table -->\n", end: str = END) 
     page.write_text(f"{before}{begin}{text}\n{end}{after.partition(end)[2]}", encoding="utf-8")
 
 
+def changed_plan(name: str, file: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """A shipped plan with a change, its files named from where it now lies."""
+    import yaml
+
+    plan = yaml.safe_load((PLANS / name).read_text(encoding="utf-8"))
+    plan["robot"]["model"] = str(PLANS / plan["robot"]["model"])
+    plan["artefacts"] = [str(PLANS / artefact) for artefact in plan["artefacts"]]
+    change(plan)
+    file.write_text(yaml.safe_dump(plan, sort_keys=False), encoding="utf-8")
+    return file
+
+
 def table(heads: Sequence[str], rows: Iterable[Sequence[object]] = ()) -> list[str]:
     """Lines of a Markdown table."""
     return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(map(str, row))} |" for row in rows)]

@@ -34,7 +34,7 @@ from typing import Any
 
 import bench
 import yaml
-from bench import MBCACQ, PLANS, Kept, counted, curve, option, svg, table, text
+from bench import MBCACQ, Kept, changed_plan, counted, curve, option, svg, table, text
 from disturbed_run import CELL, CYCLE, NOISE_MM, DisturbedRuns, Fault, centres_of, preload, three_poses
 
 ERRNOS = {
@@ -188,14 +188,8 @@ class Typed:
 
 def plan_file(folder: Path, driver: str) -> Path:
     """The quick plan, its robot over RSI or EKI."""
-    plan = yaml.safe_load((PLANS / "quick.yaml").read_text())
-    plan["robot"]["model"] = str(PLANS / plan["robot"]["model"])
-    plan["artefacts"] = [str(PLANS / name) for name in plan["artefacts"]]
-    if driver == "eki":
-        plan["robot"] |= {"driver": "kuka_eki", "options": EKI}
-    path = folder / f"{driver}.yaml"
-    path.write_text(yaml.safe_dump(plan, sort_keys=False))
-    return path
+    over_eki = {"driver": "kuka_eki", "options": EKI} if driver == "eki" else {}
+    return changed_plan("quick.yaml", folder / f"{driver}.yaml", lambda plan: plan["robot"].update(over_eki))
 
 
 def events(run: Path) -> list[dict[str, Any]]:

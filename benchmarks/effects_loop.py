@@ -16,8 +16,7 @@ from typing import Any
 
 import bench
 import numpy as np
-import yaml
-from bench import HERE, PLANS, option, put, writes
+from bench import HERE, PLANS, changed_plan, option, put, writes
 from mbcacq_fakes.cell.build_world import make_world
 from mbcacq_fakes.world.description import from_cell
 from mbcacq_fakes.world.options import parse
@@ -187,25 +186,24 @@ PLACES = (("n1", [680, 60, 60], [10, 5, 0]), ("n2", [560, -260, 180], [-25, 0, 1
 
 def new_places(folder: Path, driver: str) -> Path:
     """The plan with 50 new places, for a driver."""
-    plan: dict[str, Any] = yaml.safe_load((PLANS / "seeing.yaml").read_text())
-    plan["name"], plan["robot"] = "new places", plan["robot"] | DRIVERS[driver]
-    plan["robot"]["model"] = str(PLANS / plan["robot"]["model"])
-    plan["artefacts"] = [str(PLANS / plan["artefacts"][0])]
-    plan["sensors"], plan["exposures"] = [], 1
-    plan["stations"] = [
-        {"id": name, "artefact": "mbc", "pose_in_base": {"translation_mm": xyz, "abc_deg": abc}} for name, xyz, abc in PLACES
-    ]
     rng = np.random.default_rng(3)
     views = [
         {"tilt_deg": float(rng.uniform(3, 24)), "azimuth_deg": float(rng.uniform(0, 360)), "roll_deg": float(rng.uniform(0, 90))}
         for _ in range(25)
     ]
     rounded = [{key: round(value, 1) for key, value in view.items()} for view in views]
-    plan["steps"] = [{"name": "new places", "phase": "orientation", "do": "look", "stations": [n for n, *_ in PLACES], "views": rounded}]
-    plan["fake"] = {"hidden": HIDDEN}
-    path = folder / f"{driver}.yaml"
-    path.write_text(yaml.safe_dump(plan, sort_keys=False))
-    return path
+
+    def change(plan: dict[str, Any]) -> None:
+        plan["name"], plan["robot"] = "new places", plan["robot"] | DRIVERS[driver]
+        plan["artefacts"], plan["sensors"], plan["exposures"] = plan["artefacts"][:1], [], 1
+        plan["stations"] = [
+            {"id": name, "artefact": "mbc", "pose_in_base": {"translation_mm": xyz, "abc_deg": abc}} for name, xyz, abc in PLACES
+        ]
+        ids = [name for name, *_ in PLACES]
+        plan["steps"] = [{"name": "new places", "phase": "orientation", "do": "look", "stations": ids, "views": rounded}]
+        plan["fake"] = {"hidden": HIDDEN}
+
+    return changed_plan("seeing.yaml", folder / f"{driver}.yaml", change)
 
 
 def learn(folder: Path) -> tuple[Path, Path]:

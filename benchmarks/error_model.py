@@ -50,6 +50,13 @@ def ordinary_errors(chain, rng, mm=0.15, deg=0.03):
     return errors
 
 
+def hand_eye_error(found, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twist (6,) mm and rad between a calibrated hand-eye and the true one, and its stated covariance (6, 6)."""
+    off = se3.inverse(found.state.T_flange_scanner) @ true
+    index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
+    return np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])]), found.covariance[np.ix_(index, index)]
+
+
 def hand_eye(arms: int) -> None:
     print("| arm | places, poses | NEES / 6 | beyond 3 sigma | rms x y z, um | poses rejected | warned of |\n|---|---|---|---|---|---|---|")
     for name, make, scale in (("KR 10", kr10, 1.0), ("iiwa 7", iiwa, 1.0), ("KR 10, three times the errors", kr10, 3.0)):
@@ -63,10 +70,7 @@ def hand_eye(arms: int) -> None:
                 except AssertionError:
                     continue  # a place that this arm cannot look at from all sides
                 found = calibrate(cell.observations, ALONE)
-                off = se3.inverse(found.state.T_flange_scanner) @ cell.truth.T_flange_scanner
-                d = np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])
-                index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
-                C = found.covariance[np.ix_(index, index)]
+                d, C = hand_eye_error(found, cell.truth.T_flange_scanner)
                 rows.append(np.concatenate([d, d / np.sqrt(np.diag(C)), [d @ np.linalg.solve(C, d) / 6]]))
                 rejected, seen = rejected + len(found.rejected), seen + cell.observations.n_poses
                 warned += "warnings" in found.extra
@@ -95,9 +99,8 @@ def shipped_plan(name: str, seeds: int) -> None:
         numbers, phase = np.array([p.number for p in poses]), np.array([p.phase for p in poses])
         obs = Observations(solver_cell(loaded), numbers, got.station, got.q, got.pose, got.ball, got.xyz, phase=phase)
         found = calibrate(obs, ALONE)
-        off = se3.inverse(found.state.T_flange_scanner) @ measurable_hand_eye(loaded.cell.robot.chain, got.truth)
-        index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
-        z.append(np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])]) / np.sqrt(np.diag(found.covariance)[index]))
+        d, C = hand_eye_error(found, measurable_hand_eye(loaded.cell.robot.chain, got.truth))
+        z.append(d / np.sqrt(np.diag(C)))
     size = np.abs(z)
     print(f"plans/{name}.yaml, {seeds} seeds: {np.mean(size <= 3):.1%} of the six within 3 sigma, at most {size.max():.1f}", flush=True)
 
@@ -148,10 +151,8 @@ def strikes(count: int) -> None:
                 tally["right" if word in said else "wrong" if any(w in said for w in words.values()) else "unnamed"] += 1
                 continue
             tally["rejected" if found.rejected else "nothing"] += 1
-            off = se3.inverse(found.state.T_flange_scanner) @ truth.T_flange_scanner
-            d = np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])
-            index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
-            tally["silent"] += bool(np.any(np.abs(d) > 3 * np.sqrt(np.diag(found.covariance)[index])))
+            d, C = hand_eye_error(found, truth.T_flange_scanner)
+            tally["silent"] += bool(np.any(np.abs(d) > 3 * np.sqrt(np.diag(C))))
         shown = (tally[key] for key in ("refused", "right", "unnamed", "wrong", "rejected", "nothing", "silent"))
         print(f"| {kind} | {' | '.join(f'{n} of {count}' for n in shown)} |", flush=True)
 

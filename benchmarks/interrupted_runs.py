@@ -24,12 +24,12 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import bench
 import numpy as np
 import synthetic
-import yaml
-from bench import MBCACQ, PLANS, counted, option
+from bench import MBCACQ, changed_plan, counted, option
 from disturbed_run import CELL, DisturbedRuns, Ending, preload
 
 from mbcacq.acquisition.events import RunStarted
@@ -46,16 +46,14 @@ SAME_Q = 1e-12  # rad; the mean over another number of equal cycles differs in i
 
 def plan_file(folder: Path) -> Path:
     """plans/quick.yaml with a second station, noise drawn by pose."""
-    plan = yaml.safe_load((PLANS / "quick.yaml").read_text(encoding="utf-8"))
-    plan["robot"]["model"] = str(PLANS / plan["robot"]["model"])
-    plan["artefacts"] = [str(PLANS / name) for name in plan["artefacts"]]
-    plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
-    plan["steps"][1]["stations"] = ["p1", "p2"]
-    plan["exposures"] = 3
-    plan["fake"] = {"draws": "pose"}
-    path = folder / "plan.yaml"
-    path.write_text(yaml.safe_dump(plan, sort_keys=False), encoding="utf-8")
-    return path
+
+    def change(plan: dict[str, Any]) -> None:
+        plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
+        plan["steps"][1]["stations"] = ["p1", "p2"]
+        plan["exposures"] = 3
+        plan["fake"] = {"draws": "pose"}
+
+    return changed_plan("quick.yaml", folder / "plan.yaml", change)
 
 
 def start(*arguments: object) -> subprocess.Popen:
