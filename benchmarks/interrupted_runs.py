@@ -51,7 +51,8 @@ def plan_file(folder: Path) -> Path:
         plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
         plan["steps"][1]["stations"] = ["p1", "p2"]
         plan["exposures"] = 3
-        plan["fake"] = {"draws": "pose"}
+        still = {"encoder_noise_deg": 0.0, "encoder_step_deg": 0.0}  # a mean over another number of cycles is the same
+        plan["fake"] = {"draws": "pose", "robot": still}
 
     return changed_plan("quick.yaml", folder / "plan.yaml", change)
 
