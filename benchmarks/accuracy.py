@@ -26,7 +26,6 @@ from profile_data import observed, profiles
 import mbcacq
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.methods import COMPARED_METHODS, artefact_poses
-from mbcacq.calibration.uncertainty import distance_uncertainty
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict
@@ -80,7 +79,7 @@ def sigma(layout, covariance, truth: CellState, ends) -> np.ndarray:
 def stated_sigma(calibration, ends) -> np.ndarray:
     """(K,) mm: standard deviation of each bar's length that a calibration states."""
     (qa, xa), (qb, xb) = ends
-    return distance_uncertainty(calibration, qa, xa, qb, xb)
+    return calibration.distance_uncertainty(qa, xa, qb, xb)
 
 
 def efficiency(given: argparse.Namespace) -> None:

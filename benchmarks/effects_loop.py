@@ -60,7 +60,7 @@ def recorded(plan: Path, seed: int, folder: Path | None, shifted: bool = False, 
     return simulated_cells.run(loaded, poses, scenario, hidden, folder, noise_seed)[0]
 
 
-def spacing_of_scans(run: Path, bars: Observations, cell: mbcacq.Calibration, folder: Path) -> float:
+def spacing_of_scans(run: Path, bars: Observations, cell: mbcacq.CalibratedCell, folder: Path) -> float:
     """Mean absolute sphere spacing error (mm) of the bars in clouds that were brought into the base as ``mbcacq apply`` does."""
     write_scans(run, folder)
     result = cell.to_dict()
@@ -139,7 +139,7 @@ def by_noise_alone(plan: Path, seed: int, folder: Path | None, options: mbcacq.C
     return [f"{centres:.4f}", scans, f"{predicted(second, cell, cell.state.chain)[1].chi2_dof:.2f}"]
 
 
-def predicted(second: Observations, cell: mbcacq.Calibration, alone: Chain) -> tuple[TransferFigures, TransferFigures]:
+def predicted(second: Observations, cell: mbcacq.CalibratedCell, alone: Chain) -> tuple[TransferFigures, TransferFigures]:
     """What a calibrated cell leaves of a second run with nothing fitted: by the geometry ``alone``, and with its effects."""
     other = second.select(second.phase != "verification")
     known = check_transfer(replace(other, pose_id=other.pose_id + 10_000), cell, alone, place="known")

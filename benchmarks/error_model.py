@@ -25,7 +25,6 @@ from mbcacq_fakes.cell import computed_run
 from mbcacq import load_observations
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
-from mbcacq.calibration.uncertainty import point_columns, to_base
 from mbcacq.errors import CalibrationError, MbcacqError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.linearization import Lineariser
@@ -72,7 +71,7 @@ def hand_eye(arms: int) -> None:
                 found = calibrate(cell.observations, ALONE)
                 d, C = hand_eye_error(found, cell.truth.T_flange_scanner)
                 rows.append(np.concatenate([d, d / np.sqrt(np.diag(C)), [d @ np.linalg.solve(C, d) / 6]]))
-                rejected, seen = rejected + len(found.rejected), seen + cell.observations.n_poses
+                rejected, seen = rejected + len(found.fit.rejected), seen + cell.observations.n_poses
                 warned += "warnings" in found.extra
             table = np.array(rows)
             size = ", ".join(f"{1e3 * s:.1f}" for s in np.sqrt(np.mean(table[:, :3] ** 2, axis=0)))
@@ -150,7 +149,7 @@ def strikes(count: int) -> None:
             if said:
                 tally["right" if word in said else "wrong" if any(w in said for w in words.values()) else "unnamed"] += 1
                 continue
-            tally["rejected" if found.rejected else "nothing"] += 1
+            tally["rejected" if found.fit.rejected else "nothing"] += 1
             d, C = hand_eye_error(found, truth.T_flange_scanner)
             tally["silent"] += bool(np.any(np.abs(d) > 3 * np.sqrt(np.diag(C))))
         shown = (tally[key] for key in ("refused", "right", "unnamed", "wrong", "rejected", "nothing", "silent"))
@@ -169,22 +168,22 @@ def arms(cells: int) -> None:
             found = calibrate(learn)
             taken = (time.process_time() - between) / (between - begin)
             groups = len(found.effects.terms) if found.effects else 0
-            rows.append((placed_wrong(alone, new, truth), placed_wrong(found, new, truth), 1e3 * found.rms_mm, groups, taken))
+            rows.append((placed_wrong(alone, new, truth), placed_wrong(found, new, truth), 1e3 * found.fit.rms_mm, groups, taken))
         m = np.mean(rows, axis=0)
         print(f"| {name} | {m[0]:.0f} | {m[1]:.0f} | {m[2]:.1f} | {m[3]:.1f} | {m[4]:.1f} |", flush=True)
 
 
 def workspace_errors(found, truth, postures: int = 100) -> tuple[np.ndarray, np.ndarray]:
     """Errors (K,) mm of the coordinates of points all over the workspace, a rigid motion of everything aside; and their stated sigma."""
-    obs, rng = found.observations, np.random.default_rng(5)
+    obs, rng = found.fit.observations, np.random.default_rng(5)
     low, high = found.state.chain.drawn_between(obs.cell.robot.limits)
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
     xyz = np.tile(obs.xyz.mean(axis=0), (postures, 1))
-    points = to_base(found, q, xyz)
+    points = found.to_base(q, xyz)
     off = points - se3.apply(truth.chain.frames(q)[:, -1] @ truth.T_flange_scanner, xyz)
     rigid = np.concatenate([np.tile(np.eye(3), (postures, 1, 1)), -1e-3 * se3.skew(points)], axis=2).reshape(-1, 6)
     rest = np.eye(3 * postures) - rigid @ np.linalg.pinv(rigid)
-    A = rest @ point_columns(found, q, xyz).reshape(3 * postures, -1)
+    A = rest @ found.point_columns(q, xyz).reshape(3 * postures, -1)
     return rest @ off.ravel(), np.sqrt(np.einsum("kg,gh,kh->k", A, found.covariance, A))
 
 

@@ -24,7 +24,7 @@ from bench import PLANS, ROOT, option
 from cells import inverse_kinematics, measure
 from paper_cells import NOISE, Effect, catalogue, plans, record, write_figure
 
-from mbcacq.calibration import Calibration, CalibrationOptions, calibrate, verify
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, verify
 from mbcacq.calibration.staged import stages
 from mbcacq.calibration.staged.ball_pairs import several_balls
 from mbcacq.estimation.forward_model import CellState
@@ -230,14 +230,14 @@ class Judged:
 
 def judge(obs, method: str) -> Judged:
     ours = method == "ml"
-    c: Calibration = calibrate(
+    c: CalibratedCell = calibrate(
         obs, CalibrationOptions(method=method, pairs="four", refuse=False, robust=not ours, noise="given" if ours else "auto")
     )
     v = verify(obs, c)
     group = np.array([p.station[0] for p in v.places])
     after = v.errors("after")
     expected = np.sqrt(np.mean([p.expected_mm**2 for p in v.places if p.station[0] == "b"]))
-    return Judged({g: after[group == g] for g in "basvg"}, float(expected), c.chi2 / c.dof, v.errors("before")[group == "b"])
+    return Judged({g: after[group == g] for g in "basvg"}, float(expected), c.fit.chi2 / c.fit.dof, v.errors("before")[group == "b"])
 
 
 def repeatability_of(loaded, poses, urad: float) -> float:

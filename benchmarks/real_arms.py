@@ -46,14 +46,14 @@ def some(obs: Observations, poses: int) -> Observations:
     return obs.select(keep)
 
 
-def learnt(obs: Observations) -> tuple[mbcacq.Calibration, mbcacq.Calibration]:
+def learnt(obs: Observations) -> tuple[mbcacq.CalibratedCell, mbcacq.CalibratedCell]:
     """The cell with what a diagnosis finds, and as geometry alone."""
     options = mbcacq.CalibrationOptions(refuse=False)
     geometry = replace(options, discrepancy=False, random_links=False)
     return calibrate_with_effects(obs, options, diagnose(obs).model), mbcacq.calibrate(obs, geometry)
 
 
-def tried(cell: mbcacq.Calibration, alone: mbcacq.Calibration, other: Observations, name: str) -> str:
+def tried(cell: mbcacq.CalibratedCell, alone: mbcacq.CalibratedCell, other: Observations, name: str) -> str:
     """The figures on a recording, as one row."""
     found = check_transfer(replace(other, pose_id=other.pose_id + 10**6), cell, alone.state.chain)
     own = found.own_geometry.rms_mm if found.own_geometry else float("nan")
@@ -66,7 +66,7 @@ def tried(cell: mbcacq.Calibration, alone: mbcacq.Calibration, other: Observatio
     return row
 
 
-def joints(cell: mbcacq.Calibration) -> str:
+def joints(cell: mbcacq.CalibratedCell) -> str:
     """The joints that share a pattern of error, with their offsets."""
     pattern = cell.extra.get("common_pattern")
     if not pattern:
@@ -150,10 +150,10 @@ def compliances(obs: Observations, poses: int) -> list[list[str]]:
     model = EffectModel(obs.cell.robot, terms, LearntRecording.of(obs), obs.cell.measurement)
     asked = replace(options, terms=model.at(obs))
     layout = build(obs, asked)
-    for name, why in alone.held.items():
+    for name, why in alone.layout.held.items():
         layout = layout if name in layout.held else layout.hold(name, why)
     start = Estimate(alone.state, tuple(np.zeros(t.k) for t in terms))
-    at = system(Lineariser(obs, layout, asked), start, noise, alone.weights)
+    at = system(Lineariser(obs, layout, asked), start, noise, alone.fit.weights)
     information = at.normal.information - np.diag(layout.gather("sigma") ** -2.0)
     of = {name: (kind(t), sigma) for t in terms for name, sigma in zip(t.names, t.sigma, strict=True)}
     rows = []

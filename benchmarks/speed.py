@@ -197,7 +197,7 @@ def calibration(given: argparse.Namespace) -> None:
     if given.pybotics or given.figaroh:
         obs = reflector()[0]
         own = best(lambda: calibrate(obs), given.repeats)
-        print(f"{TRACKER_POSES} readings of a reflector: calibrate {own:.0f} ms, rms {calibrate(obs).rms_mm:.4f} mm")
+        print(f"{TRACKER_POSES} readings of a reflector: calibrate {own:.0f} ms, rms {calibrate(obs).fit.rms_mm:.4f} mm")
     if given.pybotics:
         print(pybotics(given.pybotics))
     if given.figaroh:

@@ -112,7 +112,9 @@ def record(name: str, driver: str, seed: int, folder: Path) -> Path:
     loaded = plan(name, driver, seed)
     poses = expand(loaded)
     with load_driver("fakes", "cell")(loaded, poses, seed=seed) as cell:
-        acquire.Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder).execute(cell.overrides())
+        acquire.Acquisition(
+            loaded=loaded, poses=poses, paths=path(loaded, poses), path_home=path_home(loaded, poses[-1]), folder=folder
+        ).execute(cell.overrides())
     return folder
 
 

@@ -50,7 +50,7 @@ def search_multiple(k: int, share: float, level: float) -> float:
     return float(np.sqrt(least_gain(k, level * share) / least_gain(k)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PowerCell:
     """One cell with one drawn effect, at several strengths.
 
@@ -92,7 +92,7 @@ def try_cell(challenger: Challenger, name: str, seed: int, multiples: Sequence[f
         informed.append(bool(likelihood_ratio(setup, model) > chdtri(k, INFORMED_LEVEL)))
         best, values = with_estimated_hypers(setup, model)
         estimating.append(bool(likelihood_ratio(setup, best) > chdtri(k, INFORMED_LEVEL / values)))
-    return PowerCell(found, informed, estimating, log_e_values, k, share)
+    return PowerCell(found=found, informed=informed, estimating=estimating, log_e_values=log_e_values, coefficients=k, share=share)
 
 
 def evidence_of(observations: Observations) -> EvidenceFit:

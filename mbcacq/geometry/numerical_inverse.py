@@ -19,7 +19,7 @@ from mbcacq.geometry.chain import Chain
 FULL_TURN = 2 * np.pi
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SolverOptions:
     """The numbers that tune the solver, each with its reason; ``benchmarks/speed.py inverse-kinematics`` measured them."""
 

@@ -74,7 +74,7 @@ def found_and_covariance(r, measurement):
     obs = with_estimated_centres(r.observations, "test")
     c = mbcacq.calibrate(obs, ALONE)
     if measurement == TARGET_IN_BASE:
-        return local_error(c.state.T_base_station[0], r.T_base_station), c.station_covariance[0]
+        return local_error(c.state.T_base_station[0], r.T_base_station), c.fit.station_covariance[0]
     at = [c.names.index(f"hand_eye.{k}") for k in HAND_EYE]
     return local_error(c.state.T_flange_scanner, r.T_flange_scanner), c.covariance[np.ix_(at, at)]
 

@@ -38,7 +38,7 @@ def shown():
 def error_and_stated(obs, shown, measurement):
     found = mbcacq.calibrate(obs, ALONE)
     if measurement == TARGET_IN_BASE:
-        return local_error(found.state.T_base_station[0], shown.T_hand_eye), found.station_covariance[0]
+        return local_error(found.state.T_base_station[0], shown.T_hand_eye), found.fit.station_covariance[0]
     at = [found.names.index(name) for name in SIX]
     return local_error(found.state.T_flange_scanner, shown.T_hand_eye), found.covariance[np.ix_(at, at)]
 
