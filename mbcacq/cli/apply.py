@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.next_step import say_next
+from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
@@ -85,3 +86,4 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
         f"placed within {x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z (k = 1), 3D {placed.rms_mm:.4f} mm in the middle, "
         f"{placed.worst_mm:.4f} mm at worst"
     )
+    say_next(*judge_first(result))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
@@ -63,6 +64,7 @@ def command(data: Path, other: Path | None, no_held_out: bool, seed: int, as_jso
     for why in dict.fromkeys(row.why_not_held_out for row in rows if row.why_not_held_out):
         names = ", ".join(row.method for row in rows if row.why_not_held_out == why)
         console.print(f"Nothing held out: {names}: without some poses, {why}", soft_wrap=True)
+    say_next("calibrate by maximum likelihood", command_line("calibrate", data))
 
 
 def _print_changes(first: Path, second: Path, as_json: bool) -> None:

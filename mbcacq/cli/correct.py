@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.next_step import say_next
+from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
@@ -64,6 +65,7 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
         echo(f"  {_place(name, line)}: {reason}")
     if len(done.left_alone) > MOST_LINES:
         echo(f"  and {len(done.left_alone) - MOST_LINES} more: --json lists all")
+    say_next(*judge_first(result))
 
 
 def _place(name: str, line: int) -> str:

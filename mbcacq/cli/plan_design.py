@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
@@ -124,6 +125,7 @@ def design(
         return
     _print_comparison(rows)
     echo(f"chosen from {result.tried} views that can be taken; written to {target}")
+    say_next("try it without hardware", command_line("run", target, "--dry-run"))
 
 
 def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool, as_json: bool) -> None:
@@ -151,6 +153,7 @@ def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int,
     for end, share in zip(ends, found.shares, strict=True):
         echo(f"after {end:3d} poses: {share:.0%} of what all poses of {plan.name} show")
     echo(f"chosen from {found.tried} poses that can be taken; written to {out}")
+    say_next("try it without hardware", command_line("run", out, "--dry-run"))
 
 
 def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out: Path, seed: int, force: bool, as_json: bool) -> None:
@@ -184,6 +187,7 @@ def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out:
     echo(
         f"{seconds:g} s from home to home, within the limits of {plan.name}, free of collisions with no artefact in place; written to {out}"
     )
+    say_next("let the arm go through it, record its torques as before, then diagnose both", command_line("diagnose", *recordings))
 
 
 def _print_comparison(rows: list[dict[str, Any]]) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 
 
@@ -70,7 +72,9 @@ def import_(
             arguments=given,
         )
 
-    found = read(base, flange)
+    with StepProgress() as steps:
+        steps.begin(f"reading {file.name} and comparing it at random postures")
+        found = read(base, flange)
     is_table = file.suffix.lower() in (".csv", ".yaml", ".yml")
     if sys.stdin.isatty() and not as_json and not is_table and (base is None or flange is None):
         wanted = base or click.prompt("The arm's base", default=found.base, err=True)
@@ -93,6 +97,8 @@ def import_(
     echo(f"at 200 random postures it agrees with {file.name} within {found.miss_mm:.1e} mm and {found.miss_rad:.1e} rad")
     if file.suffix.lower() == ".urdf":
         echo(f"to see its meshes in the viewer, add `urdf: {file}` below `robot:` in the plan")
+    tools = ("--scanner", "gocator-3210", "--artefact", "mbc-8")
+    say_next("make a plan for it, here with a scanner of the tool's own", command_line("plan", "new", "--robot", target, *tools))
 
 
 def _pairs(option: str, given: tuple[str, ...]) -> dict[str, str]:
