@@ -27,7 +27,8 @@ CORRELATED = 0.95
 class Parameter:
     """value: as the model uses it (hand-eye rotation: rotation vector of the change since the first guess). error: value minus nominal.
     status: 'free', 'prior' (free within a certificate, or within the common size of such errors), 'marginal' (the nominal value stays; std
-    says by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None)."""
+    says by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None). prior_std,
+    prior_mean: of the error, where a prior was used."""
 
     name: str
     value: float
@@ -36,10 +37,12 @@ class Parameter:
     std: float | None
     status: str
     reason: str = ""
+    prior_std: float | None = None
+    prior_mean: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON content; without 'reason' where there is none."""
-        return {key: value for key, value in vars(self).items() if key != "reason" or value}
+        """JSON content; without 'reason' and the prior where there is none."""
+        return {key: value for key, value in vars(self).items() if value or key not in ("reason", "prior_std", "prior_mean")}
 
 
 @dataclass(frozen=True)
@@ -208,11 +211,11 @@ class CalibrationFit:
                 if not free and name not in block.why:
                     continue
                 status = _status(block, i, self.options.kinematics)
-                out.append(
-                    Parameter(
-                        name, float(value[i]), float(error[i]), block.units[i], next(std) if free else None, status, block.why.get(name, "")
-                    )
-                )
+                prior = {}
+                if status == "prior":
+                    prior = {"prior_std": float(block.sigma[i]), "prior_mean": 0.0 if block.centre is None else float(block.centre[i])}
+                own_std, why = next(std) if free else None, block.why.get(name, "")
+                out.append(Parameter(name, float(value[i]), float(error[i]), block.units[i], own_std, status, why, **prior))
         return out
 
     def _std(self) -> list[float]:
