@@ -65,10 +65,10 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
     console.print(table)
     for why in dict.fromkeys(row.why for row in rows if row.why):
         names = ", ".join(row.method for row in rows if row.why == why)
-        console.print(f"Undetermined: {names}: {why}", soft_wrap=True)
+        echo(f"Undetermined: {names}: {why}")
     for why in dict.fromkeys(row.why_not_held_out for row in rows if row.why_not_held_out):
         names = ", ".join(row.method for row in rows if row.why_not_held_out == why)
-        console.print(f"Nothing held out: {names}: without some poses, {why}", soft_wrap=True)
+        echo(f"Nothing held out: {names}: without some poses, {why}")
     say_next("calibrate by maximum likelihood", command_line("calibrate", data))
 
 

@@ -42,7 +42,7 @@ def command(
 
     Writes fleet.parquet (a row for each recording), fleet.html (drift of each arm with control limits, arms of one type beside each
     other, outliers) and recordings/ (each result). What is done there already is not repeated. A broken recording is a row with its
-    reason.
+    reason. It needs the extra 'fleet': pip install 'mbcacq[fleet]'.
 
     \b
     Examples:

@@ -97,8 +97,7 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
     yield f"{request.out}: {len(poses)} poses at {len(places)} stations, chosen from {result.tried} views that can be taken"
     if left_out:
         yield f"{left_out} views were left out again, because no free path leads to them"
-    yield f"next: mbcacq plan check {request.out}; mbcacq run {request.out} --dry-run"
-    yield "then put your own numbers in: hand_eye from a drawing, obstacles, workspace, payload; and `plan check` again"
+    yield "put your own numbers in: hand_eye from a drawing, obstacles, workspace, payload"
 
 
 def _refuse_sources(request: NewPlan) -> None:
