@@ -13,6 +13,7 @@ from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import K, uncertainty
 
 _OPTIONS = (
     click.option(
@@ -92,7 +93,9 @@ def command(
         one.pop("simulated", None)
         for note in one.pop("notes", ()):
             echo(f"note: {note}", err=True)
-        more = ", ".join(f"uncertainty {v:.4f} mm (k = 1)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file")
+        more = ", ".join(
+            f"U = {uncertainty(K * v)} mm (k = 2)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file"
+        )
         echo(one["file"] + (f": {more}" if more else ""))
     say_next(*next_step(run, observations, results))
 

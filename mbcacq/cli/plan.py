@@ -225,6 +225,6 @@ def _time_sentence(content: dict[str, Any]) -> str:
 
 
 def _axis_sentence(axis: dict[str, Any]) -> str:
-    units = {"speed": "deg/s", "acceleration": "deg/s2", "jerk": "deg/s3"}
+    units = {"speed": "°/s", "acceleration": "°/s²", "jerk": "°/s³"}
     figures = (f"{axis[what]:.0f} of {axis[f'{what}_limit']:.0f} {unit}" for what, unit in units.items())
     return f"A{axis['axis']}: at most {', '.join(figures)}"

@@ -13,6 +13,7 @@ from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import significant
 
 
 @click.command("design")
@@ -180,7 +181,7 @@ def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out:
     for name in ("parameter", "recorded", "with this motion"):
         table.add_column(name, justify="left" if name == "parameter" else "right")
     for name, before, after in zip(found.names, found.before, found.after, strict=True):
-        table.add_row(name, f"{before:.3g}", f"{after:.3g}")
+        table.add_row(name, significant(before, 2), significant(after, 2))
     terminal_console().print(table)
     for pair, before in found.correlation_before.items():
         echo(f"correlation of {pair}: {before:.4f} recorded, {found.correlation_after[pair]:.4f} with this motion")
@@ -209,5 +210,5 @@ def _print_comparison(rows: list[dict[str, Any]]) -> None:
     for key, label in shown.items():
         values = [row[key] for row in rows]
         if any(v is not None for v in values):
-            table.add_row(label, *("not determined" if v is None else str(v) if isinstance(v, int) else f"{v:.4g}" for v in values))
+            table.add_row(label, *("not determined" if v is None else str(v) if isinstance(v, int) else significant(v) for v in values))
     terminal_console().print(table)

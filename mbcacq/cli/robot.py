@@ -11,6 +11,7 @@ import click
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import significant
 
 
 @click.group("robot")
@@ -94,7 +95,8 @@ def import_(
     for remark in found.remarks:
         echo(f"note: {remark}", err=True)
     echo(f"{target}: {len(found.joints)} axes, {found.base} to {found.flange} ({', '.join(found.joints)})")
-    echo(f"at 200 random postures it agrees with {file.name} within {found.miss_mm:.1e} mm and {found.miss_rad:.1e} rad")
+    miss = f"{significant(found.miss_mm, 2)} mm and {significant(found.miss_rad, 2)} rad"
+    echo(f"at 200 random postures it agrees with {file.name} within {miss}")
     if file.suffix.lower() == ".urdf":
         echo(f"to see its meshes in the viewer, add `urdf: {file}` below `robot:` in the plan")
     tools = ("--scanner", "gocator-3210", "--artefact", "mbc-8")
