@@ -246,6 +246,37 @@ class FleetContent:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChangeRow:
+    """One change that a figure shows. expanded: U with k = 2, in ``unit``; marked: it is beyond chance."""
+
+    name: str
+    unit: str
+    change: float
+    expanded: float
+    marked: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangesContent:
+    """Two recordings compared. names: of the recordings; charts: (title, name) of the figures, whose rows ``rows`` has by that name;
+    spacings: the verification of each recording that has one, by its name; table: (beyond chance, quantity, before, after, change, unit).
+    """
+
+    title: str
+    names: tuple[str, str]
+    headline: str
+    reason: str
+    changed: bool
+    next: Action
+    charts: list[tuple[str, str]]
+    rows: dict[str, list[ChangeRow]]
+    spacings: list[tuple[str, Spacing]]
+    table: list[tuple[bool, str, str, str, str, str]]
+    caveats: list[str]
+    footer: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Content:
     """All that a report says: of the cell with what its diagnosis found where the run has that, else of its geometry. earlier: the spacing
     with the geometry alone, at the places of ``spacing``, where the cell has effects. arm_improved: of a run with corrected targets."""
