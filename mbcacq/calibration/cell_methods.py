@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any, Protocol
+
 import numpy as np
 
-from mbcacq.calibration import uncertainty
+from mbcacq.calibration import notebook, uncertainty
 from mbcacq.calibration.calibrated import Calibrated
 from mbcacq.calibration.verification import Verification, verify
 from mbcacq.model.observations import Observations
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+
+class _Written(Protocol):
+    def to_dict(self) -> dict[str, Any]: ...
 
 
 class CalibratedCellMethods:
@@ -25,3 +34,8 @@ class CalibratedCellMethods:
     def verify(self: Calibrated, observations: Observations, *, limit_mm: float | None = None) -> Verification:
         """Sphere spacing errors of a recording; see ``mbcacq.calibration.verification.verify``."""
         return verify(observations, self, limit_mm=limit_mm)
+
+    def plot(self: _Written) -> go.Figure:
+        """The errors of the arm's parameters that were identified, each with its U (k = 2), as a Plotly figure."""
+        content = self.to_dict()
+        return notebook.parameter_figure(f"{content['robot']['name']}: errors against the data sheet", content["parameters"])

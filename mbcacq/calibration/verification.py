@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, measured, signed, uncertainty
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 # (station, ball id) -> q (1, n), xyz (1, 3) and number of poses
 Ends = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray, int]]
@@ -128,6 +131,13 @@ class Verification:
         ]
         header = ("station", "balls", "certified mm", "before mm", "after mm", "U of judging mm", "U expected mm")
         return notebook.table("Sphere spacing error, U with k = 2", header, rows) + notebook.paragraph(repr(self))
+
+    def plot(self) -> go.Figure:
+        """The sphere spacing errors before and after calibration, as a Plotly figure."""
+        labels = [f"{p.station}: {p.balls[0]}-{p.balls[1]}" for p in self.places]
+        U = [K * (p.judging_mm or 0.0) for p in self.places]
+        errors = {which: list(self.errors(which)) for which in ("before", "after")}
+        return notebook.before_and_after("Sphere spacing error", labels, errors["before"], errors["after"], U)
 
 
 def verify(

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from mbcacq.effects.catalogue import Added, with_added
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -27,7 +28,7 @@ from mbcacq.workflow.load import as_observations, is_run_folder
 from mbcacq.workflow.next_plan import with_reachable_advice
 
 
-def diagnose(
+def diagnose(  # noqa: PLR0913 -- one argument an option of its command
     data: Data | Sequence[Data],
     *,
     progress: Callable[[str], None] = lambda text: None,
@@ -37,6 +38,7 @@ def diagnose(
     place: str = "fitted",
     simulation: Data | Sequence[Data] | None = None,
     propose: bool = False,
+    effects: Sequence[Added] = (),
 ) -> DiagnosisResult:
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
@@ -49,14 +51,24 @@ def diagnose(
     simulator's set for the same poses or motion, one for each recording, or a model file that MuJoCo runs (MJCF, URDF): the mismatch is
     explained against that simulation, and what was found in a model file is written into it (``found.simulation.write("found.xml")``).
     propose: search short formulas for unmodelled effects of one recording of poses (``found.proposals``, ``found.write_effect("folder")``).
+    effects: further effects that are tried beside the catalogue: functions ``name(context)`` that return candidates of that name, modules
+    with NAME and ``candidates``, or files with these.
 
     Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
     """
     several = listed(data)
     if propose and (len(several) > 1 or simulation is not None or is_trajectory(several[0])):
         raise ConfigError("formulas are proposed for one recording of poses; leave --propose out, or give that recording alone")
-    if simulation is not None:
-        return diagnose_against(several, listed(simulation), Question(progress, workers, options, tuple(check), place))
+    question = Question(progress, workers, options, tuple(check), place)
+    with with_added(effects):
+        if simulation is not None:
+            return diagnose_against(several, listed(simulation), question)
+        return _diagnosed(several, question, propose)
+
+
+def _diagnosed(several: list[Data], question: Question, propose: bool) -> DiagnosisResult:
+    """The diagnosis of recordings by themselves, without another simulation beside them."""
+    progress, workers, options, check = question.progress, question.workers, question.options, question.check
     if all(is_trajectory(one) for one in several):
         if not all(is_trajectory(one) for one in check):
             raise ConfigError("what was learnt from trajectories is tried on trajectories; give --check recordings of motion")
@@ -69,9 +81,9 @@ def diagnose(
     observations = as_observations(one)
     others = to_be_checked(observations, check)
     found = diagnose_poses(observations, progress, workers, options, propose, fitted=not check)
-    found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
+    found = replace(found, provenance=provenance(one, check, {"place": question.place, "workers": workers}))
     if check:
-        found = checked(observations, found, others, place, progress)
+        found = checked(observations, found, others, question.place, progress)
     if isinstance(one, Observations):
         return found
     if is_run_folder(Path(one)):
