@@ -45,10 +45,10 @@ class CycleWriter:
             self._shown = time_s
             self.show(cell)
 
-    def show(self, cell: Cell | None) -> None:
-        """Curves and drawn arm of everything written since the last call."""
+    def show(self, cell: Cell | None) -> bool:
+        """Curves and drawn arm of everything written since the last call. Returns whether the arm was drawn."""
         if not self._kept:
-            return
+            return False
         shared = set.intersection(*(set(batch) for batch in self._kept))
         batch = {name: np.concatenate([b[name] for b in self._kept]) for name in shared}
         self._kept.clear()
@@ -72,6 +72,7 @@ class CycleWriter:
                 self._rec.send_columns(entity, index, columns)
             if self.urdf is not None:
                 self.urdf.pose(self._rec, q[keep], index)
+        return cell is not None and bool(keep)
 
     def _periods(self, robot: np.ndarray, host: np.ndarray) -> np.ndarray:
         """(k, 2) ms from the cycle before, by the controller's clock and by this computer's; NaN for the first of all."""

@@ -74,6 +74,8 @@ class Drawing:
         coloured = scan_colouring.colour_scan(self._scan.points, self.artefact, event.ball, event.xyz)
         self._scan = None
         self._form.append(_by_ball(self._cell, event.ball, np.stack([coloured.form_um, coloured.radius_um], axis=1)))
+        if event.exposure:
+            return  # the first exposure of a pose is drawn
         on_balls = rr.Points3D(coloured.on_balls.astype(np.float32), colors=coloured.colours, radii=rr.Radius.ui_points(1.6))
         self._rec.log(layout.ON_BALLS, on_balls)
         background = rr.Points3D(coloured.background.astype(np.float32), colors=[scan_colouring.GREY], radii=rr.Radius.ui_points(0.8))

@@ -27,6 +27,7 @@ from mbcacq.recording.rrd.drawing import Drawing
 from mbcacq.recording.rrd.kept_cloud import kept_cloud
 from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, text_row
 from mbcacq.recording.rrd.new_stream import send_default_blueprint
+from mbcacq.recording.rrd.packed_cloud import packable
 from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 from mbcacq.recording.rrd.sink import Sink
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
@@ -86,6 +87,7 @@ class Recorder:
         self._cell: Cell | None = None
         self._T_base_scanner = np.eye(4)
         self._drawing = Drawing(self._rec)
+        self._said_health: dict[str, int | None] = {}  # device -> pose
         self._n_poses, self._done = 0, 0
         self._failed = False
 
@@ -220,6 +222,9 @@ class Recorder:
 
     @_write.register
     def _(self, event: events.HealthReceived) -> None:
+        if self._pose is not None and self._said_health.get(event.device) == self._pose:
+            return  # once a pose says it: every further row costs 2 kB
+        self._said_health[event.device] = self._pose
         for name, value in event.values.items():
             entity = "/".join(rr.escape_entity_path_part(part) for part in (layout.HEALTH, event.device, name))
             self._rec.log(entity, rr.Scalars(float(value)))
@@ -235,10 +240,11 @@ class Recorder:
     def _(self, event: events.PoseReached) -> None:
         self._pose = event.pose
         self._set_times(event.time_s)
-        self._cycles.show(self._cell)
+        drawn = self._cycles.show(self._cell)
         if self._cell is not None:
             self._T_base_scanner = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
-            self._log_arm(self._cell, event.q)
+            if not drawn:
+                self._log_arm(self._cell, event.q)
             self._drawing.reached(event)
 
     @_write.register
@@ -260,8 +266,9 @@ class Recorder:
     def _write_scan(self, event: events.ScanTaken) -> None:
         move = scene.transforms(self._T_base_scanner[None])
         self._rec.log(layout.SCAN, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
-        points = rr.Points3D(event.scan.points)
-        self._rec.log(layout.SCAN, points, scan_row(event))
+        pack = not self._all_points and packable(event.scan)
+        points = [] if pack else [rr.Points3D(event.scan.points)]
+        self._rec.log(layout.SCAN, *points, scan_row(event, pack=pack))
 
     @_write.register
     def _(self, event: events.CentresFound) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
+from typing import Any
+
 import numpy as np
 import plotly.graph_objects as go
 
@@ -9,6 +12,7 @@ from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
 from mbcacq.report.content import ArmTypeContent, FleetChart
 
 MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
+MOST_NAMES = 12  # of arms at their lines
 GREY = "#9aa3a8"
 
 
@@ -60,23 +64,23 @@ def drift(kind: ArmTypeContent) -> go.Figure:
         figure.add_scatter(
             x=_broken(x, gaps),
             y=_broken(y.tolist(), gaps),
-            text=_broken(text, gaps),
-            mode="lines+markers",
+            customdata=_broken(text, gaps),
+            text=_broken(_names_at_the_end(kind, chart, order), gaps),
+            textposition="middle right",
+            textfont={"size": 10, "color": LINE},
+            mode="lines+markers+text",
             line={"color": GREY, "width": 0.7},
             marker={"color": AFTER, "size": 5},
             name="recording",
             visible=k == 0,
-            hovertemplate="%{text}<br>%{x}: %{y:.4f}<extra></extra>",
+            hovertemplate="%{customdata}<br>%{x}: %{y:.4f}<extra></extra>",
         )
         out = [j for j, i in enumerate(order) if chart.outside[i]]
         figure.add_scatter(
             x=[x[j] for j in out],
             y=[float(y[j]) for j in out],
-            text=[kind.arms[chart.arm[order[j]]].translate(ESCAPES) for j in out],
             customdata=[text[j] for j in out],
-            mode="markers+text" if len(out) <= 12 else "markers",
-            textposition="top center",
-            textfont={"size": 10, "color": LIMIT},
+            mode="markers",
             marker={"color": LIMIT, "size": 9, "symbol": "diamond"},
             name="outside the limits",
             visible=k == 0,
@@ -93,7 +97,7 @@ def drift(kind: ArmTypeContent) -> go.Figure:
             visible=k == 0,
             hoverinfo="skip",
         )
-    figure.update_xaxes(title=title)
+    figure.update_xaxes(title=title, **_axis(times))
     return _chosen(figure, kind, 3, "difference from the arm's centre line")
 
 
@@ -156,10 +160,32 @@ def _farthest(chart: FleetChart, arm: int) -> float:
     return float(np.max(np.abs(chart.deviation[here]) / chart.limit[here])) if here.any() else np.nan
 
 
+def _names_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int]) -> list[str]:
+    """The name of an arm at its last recording, '' at all others; of many arms those that are farthest out."""
+    worst = sorted(range(len(kind.arms)), key=lambda a: -np.nan_to_num(_farthest(chart, a)))[:MOST_NAMES]
+    last = {int(chart.arm[i]): i for i in order}
+    return [kind.arms[chart.arm[i]].translate(ESCAPES) if last[int(chart.arm[i])] == i and chart.arm[i] in worst else "" for i in order]
+
+
+def _axis(times: list) -> dict[str, Any]:
+    """Of dates, or of numbers; with room at the right for the names of the arms."""
+    if not times or not isinstance(times[0], str):
+        return {"dtick": 1, "range": [0.5, max(times, default=1) + 0.25 * max(times, default=1)]}
+    known = [datetime.fromisoformat(time) for time in times]
+    first, last = min(known), max(known)
+    room = max(last - first, timedelta(days=1))
+    return {
+        "type": "date",
+        "range": [(first - 0.05 * room).isoformat(), (last + 0.2 * room).isoformat()],
+        "tickformat": "%Y-%m-%d",
+        "nticks": 6,
+    }
+
+
 def _times(kind: ArmTypeContent) -> tuple[list, str]:
     """Abscissa of the recordings: their time, or their number within the arm where one has none."""
     if all(kind.times):
-        return list(kind.times), "time"
+        return list(kind.times), "date"
     arm = kind.charts[0].arm
     return [int(np.sum(arm[:i] == arm[i])) + 1 for i in range(len(arm))], "recording of the arm"
 
