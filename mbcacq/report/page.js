@@ -21,7 +21,7 @@
     for (const key of Object.keys(layout)) {
       if (/^[xy]axis/.test(key)) layout[key].title = Object.assign({}, layout[key].title, { font: { size: 11 } });
     }
-    if (layout.updatemenus) Object.assign(layout.legend, { x: 0, xanchor: "left", y: -0.2, yanchor: "top" });  // above stands the list
+    if (layout.updatemenus) Object.assign(layout.legend, { x: 0, xanchor: "left", y: -0.34, yanchor: "top" });  // above stands the list, below the names of the axis
     const narrow = layout.meta && layout.meta.narrow;
     if (narrow) {
       layout.height = narrow.height;

@@ -12,7 +12,7 @@ from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
 from mbcacq.report.content import ArmTypeContent, FleetChart
 
 MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
-MOST_NAMES = 12  # of arms at their lines
+MOST_NAMES, NAME_APART = 12, 0.04  # of arms at their lines; their distance as a share of the axis
 GREY = "#9aa3a8"
 
 
@@ -161,10 +161,15 @@ def _farthest(chart: FleetChart, arm: int) -> float:
 
 
 def _names_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int]) -> list[str]:
-    """The name of an arm at its last recording, '' at all others; of many arms those that are farthest out."""
-    worst = sorted(range(len(kind.arms)), key=lambda a: -np.nan_to_num(_farthest(chart, a)))[:MOST_NAMES]
+    """The name of an arm at its last recording, '' at all others; those that are farthest out first, and none over another."""
     last = {int(chart.arm[i]): i for i in order}
-    return [kind.arms[chart.arm[i]].translate(ESCAPES) if last[int(chart.arm[i])] == i and chart.arm[i] in worst else "" for i in order]
+    apart = NAME_APART * float(np.nanmax(chart.deviation) - np.nanmin(chart.deviation)) if np.isfinite(chart.deviation).any() else 0.0
+    named: list[int] = []
+    for arm in sorted(last, key=lambda a: -np.nan_to_num(_farthest(chart, a))):
+        away = [abs(chart.deviation[last[arm]] - chart.deviation[last[other]]) for other in named]
+        if len(named) < MOST_NAMES and all(distance > apart for distance in away):
+            named.append(arm)
+    return [kind.arms[chart.arm[i]].translate(ESCAPES) if chart.arm[i] in named and last[int(chart.arm[i])] == i else "" for i in order]
 
 
 def _axis(times: list) -> dict[str, Any]:
