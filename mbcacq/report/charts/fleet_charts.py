@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
 from mbcacq.report.content import ArmTypeContent, FleetChart
 
 MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
-MOST_NAMES, NAME_APART = 12, 0.04  # of arms at their lines; their distance as a share of the axis
+MOST_NAMES, NAME_APART = 12, 0.05  # of arms at their lines; their distance as a share of the axis
 GREY = "#9aa3a8"
 
 
@@ -65,10 +64,7 @@ def drift(kind: ArmTypeContent) -> go.Figure:
             x=_broken(x, gaps),
             y=_broken(y.tolist(), gaps),
             customdata=_broken(text, gaps),
-            text=_broken(_names_at_the_end(kind, chart, order), gaps),
-            textposition="middle right",
-            textfont={"size": 10, "color": LINE},
-            mode="lines+markers+text",
+            mode="lines+markers",
             line={"color": GREY, "width": 0.7},
             marker={"color": AFTER, "size": 5},
             name="recording",
@@ -97,8 +93,20 @@ def drift(kind: ArmTypeContent) -> go.Figure:
             visible=k == 0,
             hoverinfo="skip",
         )
+        named = _named_at_the_end(kind, chart, order)
+        figure.add_scatter(
+            x=[times[i] for i in named],
+            y=[float(chart.deviation[i]) for i in named],
+            text=[kind.arms[chart.arm[i]].translate(ESCAPES) for i in named],
+            mode="text",
+            textposition="top left",  # ends at the last recording, within the frame
+            textfont={"size": 10, "color": LINE},
+            showlegend=False,
+            visible=k == 0,
+            hoverinfo="skip",
+        )
     figure.update_xaxes(title=title, **_axis(times))
-    return _chosen(figure, kind, 3, "difference from the arm's centre line")
+    return _chosen(figure, kind, 4, "difference from the arm's centre line")
 
 
 def side_by_side(kind: ArmTypeContent) -> go.Figure:
@@ -160,31 +168,21 @@ def _farthest(chart: FleetChart, arm: int) -> float:
     return float(np.max(np.abs(chart.deviation[here]) / chart.limit[here])) if here.any() else np.nan
 
 
-def _names_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int]) -> list[str]:
-    """The name of an arm at its last recording, '' at all others; those that are farthest out first, and none over another."""
+def _named_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int]) -> list[int]:
+    """The last recording of each arm that is named there; those that are farthest out first, and none over another."""
     last = {int(chart.arm[i]): i for i in order}
     apart = NAME_APART * float(np.nanmax(chart.deviation) - np.nanmin(chart.deviation)) if np.isfinite(chart.deviation).any() else 0.0
     named: list[int] = []
     for arm in sorted(last, key=lambda a: -np.nan_to_num(_farthest(chart, a))):
-        away = [abs(chart.deviation[last[arm]] - chart.deviation[last[other]]) for other in named]
+        away = [abs(chart.deviation[last[arm]] - chart.deviation[other]) for other in named]
         if len(named) < MOST_NAMES and all(distance > apart for distance in away):
-            named.append(arm)
-    return [kind.arms[chart.arm[i]].translate(ESCAPES) if chart.arm[i] in named and last[int(chart.arm[i])] == i else "" for i in order]
+            named.append(last[arm])
+    return named
 
 
 def _axis(times: list) -> dict[str, Any]:
-    """Of dates, or of numbers; with room at the right for the names of the arms."""
-    if not times or not isinstance(times[0], str):
-        return {"dtick": 1, "range": [0.5, max(times, default=1) + 0.25 * max(times, default=1)]}
-    known = [datetime.fromisoformat(time) for time in times]
-    first, last = min(known), max(known)
-    room = max(last - first, timedelta(days=1))
-    return {
-        "type": "date",
-        "range": [(first - 0.05 * room).isoformat(), (last + 0.2 * room).isoformat()],
-        "tickformat": "%Y-%m-%d",
-        "nticks": 6,
-    }
+    """Of dates, or of numbers."""
+    return {"type": "date", "tickformat": "%Y-%m-%d", "nticks": 6} if times and isinstance(times[0], str) else {"rangemode": "tozero"}
 
 
 def _times(kind: ArmTypeContent) -> tuple[list, str]:
