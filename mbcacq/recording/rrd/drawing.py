@@ -13,6 +13,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.rrd import layout, scan_colouring, scene
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
+from mbcacq.recording.rrd.stand import Stand
 from mbcacq.spheres.found import SphereOptions
 
 DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
@@ -26,6 +27,7 @@ class Drawing:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._rec = stream
         self._cell: Cell | None = None
+        self._stand: Stand | None = None
         self._route: list[int] = []
         self.artefact: Artefact | None = None
         self._scan: Scan | None = None
@@ -35,6 +37,7 @@ class Drawing:
 
     def start(self, cell: Cell, event: events.RunStarted) -> None:
         self._cell, self._route = cell, list(event.route)
+        self._stand = Stand.of(event.plan_yaml)
         scene.log_obstacles(self._rec, event.plan_yaml)
         scene.log_ball_series(self._rec, cell)
         scene.log_limits(self._rec)
@@ -50,6 +53,8 @@ class Drawing:
         if self._cell is None:
             return
         self.artefact = self._cell.artefact(event.artefact)
+        if self._stand is not None:
+            self._stand.log(self._rec, event.station)
         for other in self._balls:
             scene.fade_balls(self._rec, other, bright=other == event.station)
 

@@ -60,6 +60,7 @@ SCANNER = "world/robot/scanner"  # Transform3D T_base_scanner; frustum and housi
 STATIONS = "world/stations"  # world/stations/ID: balls where they were measured, base frame
 PATH = "world/path"  # LineStrips3D of the flange, one a pose: done and to come
 OBSTACLES = "world/obstacles"  # Boxes3D
+STAND = "world/stand"  # Cylinders3D of a motorised stand at the station that it is at
 
 # The result, in a file of its own with the same recording id.
 RESIDUAL = "result/residual_um"  # result/residual_um/after, before: Scalars, mean of a pose along x, y, z
