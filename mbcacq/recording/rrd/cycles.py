@@ -12,7 +12,7 @@ from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 DRAW_PERIOD_S = 0.04  # of the drawn arm, on the controller's clock
 CURVE_EVERY = 5  # cycles to a point of a curve; the extremes of what is left out are kept where they matter
-LIVE_PERIOD_S, SHOW_PERIOD_S = 0.5, 4.0  # between two batches for display, watched or not: each costs a chunk of 2 kB per entity
+LIVE_PERIOD_S, SHOW_PERIOD_S = 0.5, 60.0  # at most between two batches for display, watched or not: each is a chunk of 2 kB per entity
 OTHER_CLOCK_S = 10.0
 
 
@@ -45,10 +45,15 @@ class CycleWriter:
             self._shown = time_s
             self.show(cell)
 
-    def show(self, cell: Cell | None) -> bool:
-        """Curves and drawn arm of everything written since the last call. Returns whether the arm was drawn."""
+    @property
+    def draws(self) -> bool:
+        """Whether cycles come, by which the arm is drawn."""
+        return self._shown > -np.inf
+
+    def show(self, cell: Cell | None) -> None:
+        """Curves and drawn arm of everything written since the last call."""
         if not self._kept:
-            return False
+            return
         shared = set.intersection(*(set(batch) for batch in self._kept))
         batch = {name: np.concatenate([b[name] for b in self._kept]) for name in shared}
         self._kept.clear()
@@ -72,7 +77,6 @@ class CycleWriter:
                 self._rec.send_columns(entity, index, columns)
             if self.urdf is not None:
                 self.urdf.pose(self._rec, q[keep], index)
-        return cell is not None and bool(keep)
 
     def _periods(self, robot: np.ndarray, host: np.ndarray) -> np.ndarray:
         """(k, 2) ms from the cycle before, by the controller's clock and by this computer's; NaN for the first of all."""

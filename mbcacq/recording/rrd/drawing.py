@@ -13,6 +13,7 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.rrd import layout, scan_colouring, scene
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
+from mbcacq.recording.rrd.drawn_later import DrawnLater
 from mbcacq.recording.rrd.stand import Stand
 from mbcacq.spheres.found import SphereOptions
 
@@ -24,7 +25,7 @@ SEGMENT_POINTS = 8  # of a segment straight in joint space
 class Drawing:
     """Draws the events that matter for display; the owner of the stream sets the times on it. artefact: at the station, or None."""
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
+    def __init__(self, stream: DrawnLater) -> None:
         self._rec = stream
         self._cell: Cell | None = None
         self._stand: Stand | None = None

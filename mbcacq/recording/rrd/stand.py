@@ -10,6 +10,7 @@ import yaml
 
 from mbcacq.model import yaml12
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.drawn_later import Stream
 
 BELOW_MM = 60.0  # of a station's origin: the bracket that holds the artefact stands on the table there
 FOOT_MM = 100.0  # that the column reaches below the lowest table
@@ -38,7 +39,7 @@ class Stand:
             return None
         return cls(places, turning_axis(np.array(list(places.values())).reshape(-1, 3)[:, :2]))
 
-    def log(self, rec: rr.RecordingStream, station: str) -> None:
+    def log(self, rec: Stream, station: str) -> None:
         """Draw it as it stands at that station, at the times set on the stream."""
         if station not in self.places:
             return
