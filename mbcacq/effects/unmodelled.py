@@ -21,7 +21,7 @@ DEVIATION = "deviation"
 
 @dataclass(frozen=True, kw_only=True)
 class UnmodelledOptions:
-    """Tuning of the groups, with reasons; ``benchmarks/transfer.py`` measures all of it together."""
+    """Tuning of the groups, with reasons; ``benchmarks/real_arms.py transfer`` measures all of it together."""
 
     own_order: int = 60  # periods a turn of a joint's own error: encoders and gear meshes of the open recordings end below
     other_order: int = 4  # of what a joint's angle does elsewhere: bearings are slow

@@ -82,7 +82,7 @@ def found_and_covariance(r, measurement):
 @pytest.mark.parametrize("measurement", [ARTEFACT_IN_SCANNER, TARGET_IN_BASE])
 @pytest.mark.parametrize("kind", ["certified", "target", "sphere", "uncertified"])
 def test_the_stated_uncertainty_holds_of_every_kind_of_input(kind, measurement):
-    """A short form of benchmarks/hand_eye.py: over recordings the squared error in stated sigmas is a chi square."""
+    """A short form of benchmarks/accuracy.py hand-eye: over recordings the squared error in stated sigmas is a chi square."""
     nees = []
     for seed in range(8):
         error, covariance = found_and_covariance(recording(np.random.default_rng(seed), kind, measurement=measurement), measurement)

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import PlainValidator
 
 from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
+from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import Number, damage, from_fields, plain
 
@@ -253,4 +254,6 @@ def _mean(errors: list[ErrorBeforeAfter]) -> dict[str, float]:
 
 
 def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
-    return "; ".join(f"{name} = {p['value']} +- {p['std']}" for name, p in effect.parameters.items())
+    """In words with units, ± U (k = 2)."""
+    each = {name: from_fields(ParameterEstimate, p) for name, p in effect.parameters.items()}
+    return "; ".join(parameter_in_words(name, estimate) for name, estimate in each.items())
