@@ -25,7 +25,7 @@ HELD = dict(enumerate(VALUES.values()))
 LIMIT_S, TRIES = 0.2, 20
 
 
-SOON, LATE = 0.02, 1.5 * LIMIT_S  # s after the question, on the clock of a scripted line
+SOON, SLOW, LATE = 0.02, 0.9 * LIMIT_S, 1.5 * LIMIT_S  # s after the question, on the clock of a scripted line
 
 
 def rtu(monkeypatch, delays, answer=None, retries=2):
@@ -40,7 +40,7 @@ def rtu(monkeypatch, delays, answer=None, retries=2):
 
 
 def test_an_answer_that_comes_while_the_line_is_left_alone_is_dropped(monkeypatch):
-    line, sensor = rtu(monkeypatch, {1: LATE})
+    line, sensor = rtu(monkeypatch, {1: LATE, 2: SLOW})
     with sensor:
         for _ in range(3):
             assert sensor.read() == pytest.approx(WANTED)
@@ -49,7 +49,7 @@ def test_an_answer_that_comes_while_the_line_is_left_alone_is_dropped(monkeypatc
 
 def test_after_one_answer_that_comes_behind_the_next_question_every_register_keeps_its_own_value(monkeypatch):
     """It comes later than a line is left alone for, so that the next question is already asked."""
-    line, sensor = rtu(monkeypatch, {1: 2.5 * LIMIT_S, 2: 0.6 * LIMIT_S})
+    line, sensor = rtu(monkeypatch, {1: 2.5 * LIMIT_S, 2: 0.6 * LIMIT_S, 3: SLOW})
     with sensor:
         for _ in range(3):
             assert sensor.read() == pytest.approx(WANTED)
@@ -57,12 +57,12 @@ def test_after_one_answer_that_comes_behind_the_next_question_every_register_kee
 
 
 def test_a_line_that_gave_up_once_is_in_step_again(monkeypatch):
-    """One try, and it is answered, but long after it was given up."""
-    line, sensor = rtu(monkeypatch, {0: 10.0 * LIMIT_S}, retries=0)
+    """One try, and it is answered, but long after it was given up, when the next register is to be read."""
+    line, sensor = rtu(monkeypatch, {0: 9.5 * LIMIT_S}, retries=0)
     with sensor:
         with pytest.raises(DeviceTimeout, match="gave no valid answer while reading holding 0"):
             sensor.read()
-        line.sleep(20.0 * LIMIT_S)
+        line.sleep(8.0 * LIMIT_S)
         assert sensor._link.read(sensor._options.values["air_C"]) == pytest.approx(21.5)
         assert sensor.read() == pytest.approx(WANTED)
 
