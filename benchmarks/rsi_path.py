@@ -152,7 +152,7 @@ PROOF_MOST = 2000  # cycles
 
 
 def proof_cycles(lag_s: float, noise_deg: float, decimals: int, asleep: bool, seed: int) -> int | None:
-    """Cycles from the request of the first motion to its first set point (of the first axis, which no proof moves); None where there is none.
+    """Cycles from the request of the first motion to its first set point (first axis: no proof moves it); None where there is none.
     asleep: the controller carries nothing out before the motion is asked for."""
     one = Controller(False, lag_s, noise_deg, np.random.default_rng(seed), decimals)
     try:

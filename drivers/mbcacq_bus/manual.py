@@ -6,10 +6,9 @@ import select
 import sys
 import threading
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from mbcacq.devices import Aborted, ConfigError, Description, Field
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, Field
 from mbcacq_bus.options import BusOptions, parse
 
 POLL_S = 0.1
@@ -19,7 +18,7 @@ class ManualOptions(BusOptions):
     assume_yes: bool = False
 
 
-class ManualPositioner:
+class ManualPositioner(ContextDevice):
     """Prints the prompt on stderr and waits for Enter; 'q' ends the run. ``assume_yes``: believe that all is in place."""
 
     options_model = ManualOptions
@@ -65,13 +64,6 @@ class ManualPositioner:
 
     def close(self) -> None:
         self.stop()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _answer(self) -> str | None:
         """The line typed, None at the end of input or after ``stop``."""

@@ -6,13 +6,12 @@ import math
 import threading
 import time
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import Aborted, ConfigError, Description, DeviceFault, DeviceTimeout, Field
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field
 from mbcacq_bus.idle import IdlePoll
 from mbcacq_bus.modbus_connection import Connection
 from mbcacq_bus.modbus_link import ModbusLink
@@ -60,7 +59,7 @@ class SensorOptions(Connection):
     values: dict[str, Register] = Option(min_length=1)
 
 
-class _ModbusDevice:
+class _ModbusDevice(ContextDevice):
     """Connection life cycle, common to both kinds. harmless: what is read to keep an idle connection alive."""
 
     def __init__(self, device: str, options: Connection, harmless: Register) -> None:
@@ -79,13 +78,6 @@ class _ModbusDevice:
         self._idle.stop()
         self.stop()
         self._link.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
 
 class ModbusPositioner(_ModbusDevice):

@@ -6,12 +6,21 @@ import math
 import threading
 import time
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import Field as Option
 
-from mbcacq.devices import ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, IdentityError, ProtocolError
+from mbcacq.devices import (
+    ConfigError,
+    ConnectError,
+    ContextDevice,
+    Description,
+    DeviceFault,
+    DeviceTimeout,
+    Field,
+    IdentityError,
+    ProtocolError,
+)
 from mbcacq_bus.options import BusOptions, parse
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.serial_link import SerialIdentity, compiled
@@ -44,7 +53,7 @@ class SerialOptions(BusOptions):
     identity: SerialIdentity | None = None
 
 
-class SerialSensor:
+class SerialSensor(ContextDevice):
     """Keeps the latest line in a thread, so that a reading is never older than ``timeout_s`` and never waits without need."""
 
     options_model = SerialOptions
@@ -182,13 +191,6 @@ class SerialSensor:
             self._thread.join(timeout=2.0)
             self._thread = None
         close_port(port)
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _send(self, text: str) -> None:
         try:

@@ -11,6 +11,7 @@ Units: mm, rad, s unless a field says otherwise. A driver imports this package a
 from __future__ import annotations
 
 from mbcacq.devices.deferred_signals import signals_deferred
+from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
 from mbcacq.devices.registry import available, create, load_driver
 from mbcacq.errors import (
@@ -30,6 +31,7 @@ __all__ = [
     "Aborted",
     "ConfigError",
     "ConnectError",
+    "ContextDevice",
     "Cycles",
     "Description",
     "Device",
