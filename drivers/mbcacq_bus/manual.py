@@ -8,8 +8,8 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, Field
-from mbcacq_bus.options import BusOptions, parse
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, Field, parse_options
+from mbcacq_bus.options import BusOptions
 
 POLL_S = 0.1
 
@@ -28,7 +28,7 @@ class ManualPositioner(ContextDevice):
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._name, self._options = name, parse(ManualOptions, "the manual positioner", options)
+        self._name, self._options = name, parse_options(ManualOptions, "the manual positioner", options)
         self._stopped = threading.Event()
 
     @property

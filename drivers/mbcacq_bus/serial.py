@@ -20,8 +20,9 @@ from mbcacq.devices import (
     Field,
     IdentityError,
     ProtocolError,
+    parse_options,
 )
-from mbcacq_bus.options import BusOptions, parse
+from mbcacq_bus.options import BusOptions
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.serial_link import SerialIdentity, compiled
 from mbcacq_bus.serial_port import close_port, open_port
@@ -61,7 +62,7 @@ class SerialSensor(ContextDevice):
     first_contact = ("The value that `mbcacq doctor {plan}` reads is the one on the device's display, in the unit of the plan.",)
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._options = parse(SerialOptions, DEVICE, options)
+        self._options = parse_options(SerialOptions, DEVICE, options)
         self._pattern = compiled(self._options.line, DEVICE, "line")
         if not self._pattern.groupindex:
             raise ConfigError("options of the serial sensor: line needs named groups, e.g. T=(?P<air_C>[-+0-9.]+); correct the plan")

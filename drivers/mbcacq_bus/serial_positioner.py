@@ -11,9 +11,9 @@ from typing import Any
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, ProtocolError
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, ProtocolError, parse_options
 from mbcacq_bus.idle import IdlePoll
-from mbcacq_bus.options import BusOptions, parse
+from mbcacq_bus.options import BusOptions
 from mbcacq_bus.serial_link import SerialConnection, SerialLink, compiled
 
 POLL_S = 0.05
@@ -89,7 +89,7 @@ class SerialPositioner(ContextDevice):
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        o = self._options = parse(SerialPositionerOptions, DEVICE, options)
+        o = self._options = parse_options(SerialPositionerOptions, DEVICE, options)
         self._model, self._stopped = model, threading.Event()
         self._link = SerialLink(f"positioner {model}".strip(), o, self._stopped)
         question = o.position or o.ready

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
+from mbcacq.devices.plan_options import parse_options
 from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
 from mbcacq.devices.registry import available, create, load_driver
 from mbcacq.errors import (
@@ -53,5 +54,6 @@ __all__ = [
     "available",
     "create",
     "load_driver",
+    "parse_options",
     "signals_deferred",
 ]
