@@ -10,6 +10,7 @@ Units: mm, rad, s unless a field says otherwise. A driver imports this package a
 
 from __future__ import annotations
 
+from mbcacq.devices.addresses import HOST, is_host
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.plan_options import parse_options
@@ -29,6 +30,7 @@ from mbcacq.errors import (
 )
 
 __all__ = [
+    "HOST",
     "Aborted",
     "ConfigError",
     "ConnectError",
@@ -53,6 +55,7 @@ __all__ = [
     "SystemRefused",
     "available",
     "create",
+    "is_host",
     "load_driver",
     "parse_options",
     "signals_deferred",
