@@ -234,7 +234,8 @@ class ArmTypeContent:
 @dataclass(frozen=True, kw_only=True)
 class FleetContent:
     """A fleet. outliers: (arm, recording, figure, difference, limit, their ratio); broken: (arm, recording, status, reason); verdicts,
-    effects: (name, how often). unlisted: how many outliers and broken recordings are in the table only."""
+    effects: (name, how often). unlisted: how many outliers and broken recordings are in the table only. caveat: that data are simulated, ''
+    where none are. recordings: (arm, recording, date, poses, rms of the residuals, largest sphere spacing error, verdict or status)."""
 
     headlines: list[tuple[str, str, str]]
     outliers: list[tuple[str, str, str, str, str, str]]
@@ -243,6 +244,8 @@ class FleetContent:
     effects: list[tuple[str, str]]
     types: list[ArmTypeContent]
     unlisted: int = 0
+    caveat: str = ""
+    recordings: list[tuple[str, ...]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
