@@ -9,7 +9,7 @@ from typing import Self
 class ContextDevice:
     """Base of a driver that has ``connect`` and ``close``: the context manager of both. ``close`` is called whatever the block raised."""
 
-    def connect(self) -> None:
+    def connect(self) -> object:
         raise NotImplementedError
 
     def close(self) -> None:
