@@ -120,7 +120,7 @@ def read_table(fleet: Path) -> list[dict[str, Any]]:
         rows = parquet.read_table(path).to_pylist()
     except (OSError, ArrowException, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read as the table of a fleet ({error}); give what mbcacq fleet wrote") from error
-    needed = {"recording", "arm", "status", "names", "covariance", "nominal"}
+    needed = {"recording", "arm", "robot", "time", "status", "names", "covariance", "nominal"}
     if not rows or not needed <= set(rows[0]):
         raise ConfigError(f"{path} is no table of a fleet; give what mbcacq fleet wrote")
     for number, row in enumerate(rows, 1):

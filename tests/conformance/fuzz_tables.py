@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fuzz_files import CELL
 from fuzz_target import Target, in_file
 
 from mbcacq.exports.programs.points_csv import read_points
@@ -19,8 +20,9 @@ from mbcacq.model import shipped
 from mbcacq.model.robot_import import import_robot
 from mbcacq.plan import expand, load
 from mbcacq.recording.datasets import merge
+from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table
-from mbcacq.recording.datasets.trajectory_set import read_trajectory_set
+from mbcacq.recording.datasets.trajectory_set import read_motion, read_trajectory_set
 from mbcacq.workflow.collect import _slots
 from mbcacq.workflow.joint_log import read_joint_log
 from mbcacq.workflow.robot_program import plan_digest
@@ -142,11 +144,12 @@ def _slots_of(path: Path) -> object:
 
 def table_targets() -> list[Target]:
     """All of them."""
+    robot = parse_cell(CELL.decode()).robot
     return [
         Target(
             "trajectory set, trajectory.csv",
             (TRAJECTORY,),
-            in_file("trajectory.csv", lambda path: read_trajectory_set(path.parent), {"cell.yaml": MOTION}),
+            in_file("trajectory.csv", lambda path: read_motion(path.parent, robot, simulated=False)),
         ),
         Target(
             "trajectory set, cell.yaml",
