@@ -34,8 +34,8 @@ MESSAGES = 8  # of each topic
 
 
 @cache
-def bag_files(plugin: str) -> dict[str, bytes]:
-    """The files of a small bag of joint states and poses. plugin: 'MCAP' or 'SQLITE3'."""
+def bag_files(plugin: str, messages: int = MESSAGES, x_m: float = 0.5, qw: float = 0.8) -> dict[str, bytes]:
+    """The files of a small bag of joint states and poses. plugin: 'MCAP' or 'SQLITE3'; x_m, qw: of the target."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -46,13 +46,13 @@ def bag_files(plugin: str) -> dict[str, bytes]:
         with Writer(folder, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
             states = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
             poses = writer.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
-            for k in range(MESSAGES):
+            for k in range(messages):
                 stamp = 10_000_000 * (k + 100)
                 header = kind["std_msgs/msg/Header"](kind["builtin_interfaces/msg/Time"](1, 10_000_000 * k), "base")
                 state = kind["sensor_msgs/msg/JointState"](header, ["a", "b"], np.array([0.1, -0.4]), np.zeros(2), np.array([7.0, 5.0]))
                 writer.write(states, stamp, store.serialize_cdr(state, state.__msgtype__))
                 turned = kind["geometry_msgs/msg/Pose"](
-                    kind["geometry_msgs/msg/Point"](0.5, 0.25, 1.0), kind["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8)
+                    kind["geometry_msgs/msg/Point"](x_m, 0.25, 1.0), kind["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, qw)
                 )
                 pose = kind["geometry_msgs/msg/PoseStamped"](header, turned)
                 writer.write(poses, stamp, store.serialize_cdr(pose, pose.__msgtype__))

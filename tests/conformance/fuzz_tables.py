@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -106,15 +107,15 @@ def hand_eye() -> bytes:
     return (",".join(heads) + "\n" + "\n".join(rows) + "\n").encode()
 
 
-def fleet_parquet() -> bytes:
-    """Five calibrated arms of two axes."""
+def fleet_parquet(without: Sequence[str] = ()) -> bytes:
+    """Five calibrated arms of two axes. without: columns that are left out."""
     import pyarrow as pa
     from pyarrow import parquet
 
     row = {"status": EVALUATED, "names": ["theta_1"], "covariance": [1e-6], "nominal": [0.1] * 10, "robot": "two axes"}
     row |= {"error.theta_1": 0.01, "std.theta_1": 1e-3, "time": None}
     out = io.BytesIO()
-    parquet.write_table(pa.Table.from_pylist([{"recording": f"r{k}", "arm": f"arm-{k}", **row} for k in range(5)]), out)
+    parquet.write_table(pa.Table.from_pylist([{"recording": f"r{k}", "arm": f"arm-{k}", **row} for k in range(5)]).drop_columns(list(without)), out)
     return out.getvalue()
 
 
