@@ -207,7 +207,9 @@ def instrument_targets() -> list[Target]:
         Target(
             "hand-eye pair of tables",
             (pose_table(poses()[1]),),
-            in_file("eye.csv", lambda path: read_hand_eye_files([path.with_name("hand.csv"), path], KUKA), {"hand.csv": pose_table(poses()[0])}),
+            in_file(
+                "eye.csv", lambda path: read_hand_eye_files([path.with_name("hand.csv"), path], KUKA), {"hand.csv": pose_table(poses()[0])}
+            ),
         ),
         Target(
             "hand-eye folder of matrices",

@@ -115,7 +115,9 @@ def fleet_parquet(without: Sequence[str] = ()) -> bytes:
     row = {"status": EVALUATED, "names": ["theta_1"], "covariance": [1e-6], "nominal": [0.1] * 10, "robot": "two axes"}
     row |= {"error.theta_1": 0.01, "std.theta_1": 1e-3, "time": None}
     out = io.BytesIO()
-    parquet.write_table(pa.Table.from_pylist([{"recording": f"r{k}", "arm": f"arm-{k}", **row} for k in range(5)]).drop_columns(list(without)), out)
+    parquet.write_table(
+        pa.Table.from_pylist([{"recording": f"r{k}", "arm": f"arm-{k}", **row} for k in range(5)]).drop_columns(list(without)), out
+    )
     return out.getvalue()
 
 
@@ -140,7 +142,7 @@ def _joints(path: Path) -> object:
 
 def _slots_of(path: Path) -> object:
     loaded, poses = _quick()
-    return _slots(loaded, poses, path, frozenset())
+    return _slots(loaded, poses, path, frozenset(), 3)
 
 
 def table_targets() -> list[Target]:

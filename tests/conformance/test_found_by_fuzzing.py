@@ -14,7 +14,6 @@ from fuzz_targets import targets
 from mbcacq.files.bounded_read import read_bounded
 
 
-
 def mcap_bag(**what: float) -> bytes:
     """The small bag, with one thing about its messages changed."""
     return bag_files("MCAP", **what)["run.mcap"]

@@ -91,15 +91,7 @@ def read_motion(folder: Path, robot: RobotModel, simulated: bool) -> Trajectory:
     }
     temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}
     return Trajectory(
-        robot,
-        time_s,
-        q,
-        **signals,
-        current_unit=unit,
-        temperatures=temperatures,
-        extra=table.rest(),
-        name=str(folder),
-        simulated=simulated,
+        robot, time_s, q, **signals, current_unit=unit, temperatures=temperatures, extra=table.rest(), name=str(folder), simulated=simulated
     )
 
 
