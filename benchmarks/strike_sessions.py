@@ -71,8 +71,8 @@ def sessions(work: Path) -> dict[str, Session]:
             lambda run: command("investigate", "--dry-run", "--resume", run),
             "investigation.json",
             make_plan,
-            strikes=3,
-            moments=4,
+            strikes=2,
+            moments=2,
         ),
     }
 
@@ -120,8 +120,7 @@ def strike_session(
             for path, data in files.items():
                 (folder / path).parent.mkdir(parents=True, exist_ok=True)
                 (folder / path).write_bytes(data)
-            out[kind, "-", judge()] += 1
-            print(f"  {name}: record {moment} of {len(found)}, {kind}", flush=True)
+            _note(out, name, kind, "-", judge())
     count = work / "count"
     _empty(folder)
     assert run_in_child(tools.killed_at(1 << 60, folder, case.begin(run), count)) == 0, name
@@ -129,13 +128,19 @@ def strike_session(
     for number in tools.rng.sample(range(1, events + 1), min(case.strikes, events)):
         _empty(folder)
         code = run_in_child(tools.killed_at(number, folder, case.begin(run)))
-        out["kill", "killed" if code < 0 else code, judge()] += 1
+        _note(out, name, "kill", "killed" if code < 0 else code, judge())
     for write in sorted(tools.rng.sample(range(writes), min(case.strikes, writes))):
         _empty(folder)
         code = run_in_child(_full_at(tools.library, folder, write, case.begin(run)))
-        out["full disk", code, "neither: foreign" if code in (1, 99) else judge()] += 1
+        _note(out, name, "full disk", code, "neither: foreign" if code in (1, 99) else judge())
     print(f"{name}: {len(found)} records, {writes} writes, {events} events", flush=True)
     return out
+
+
+def _note(out: Counter, name: str, kind: str, code: object, found: str) -> None:
+    """Count an outcome, and say it: each takes a while."""
+    out[kind, code, found] += 1
+    print(f"  {name}: {kind}, exit {code}: {found}", flush=True)
 
 
 def _full_at(library: Any, folder: Path, write: int, begin: Work) -> Work:

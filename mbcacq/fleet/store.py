@@ -139,6 +139,9 @@ def is_evaluated(row: Mapping[str, Any]) -> bool:
         and all(isinstance(values, list) for values in lists)
         and all(isinstance(name, str) for name in names)
         and all(_is_figure(row.get(f"error.{name}")) for name in names if name.rpartition("_")[0] in PARAMETERS)
+        and all(
+            _is_figure(row.get(name.replace("error.", "std.", 1))) for name in row if name.startswith("error.") and row[name] is not None
+        )
         and len(row["covariance"]) == len(names) ** 2
         and len(row["nominal"]) % len(PARAMETERS) == 0
         and all(map(_is_figure, (*row["covariance"], *row["nominal"])))

@@ -36,6 +36,7 @@ REFUSED = {
     "a URScript angle of 400 digits": ("program URScript", SCRIPT.replace(b"[0.1,", b"[" + ENDLESS + b",")),
     "an LS angle of 400 digits": ("program LS", LS.replace(b"J1=     0.000", b"J1=  " + ENDLESS + b".0")),
     "a fleet without times": ("fleet Parquet", fleet_parquet(without=("time",))),
+    "an error without its uncertainty": ("fleet Parquet", fleet_parquet(without=("std.theta_1",))),
     "a target that no tracker reaches": ("bag MCAP, observations", mcap_bag(x_m=1e300)),
     "a quaternion of no unit length": ("bag MCAP, observations", mcap_bag(qw=1e200)),
     "a single message of the joints": ("bag MCAP, observations", mcap_bag(messages=1)),
