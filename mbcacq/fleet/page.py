@@ -32,13 +32,13 @@ def fleet_content(rows: Sequence[Mapping[str, Any]], kinds: Sequence[ArmType], o
     verdicts = Counter(row["verdict"] for row in rows if row.get("verdict"))
     effects = Counter(effect for row in rows for effect in row.get("effects") or ())
     return FleetContent(
-        headlines,
-        [_listed(o) for o in outside[:MOST_LISTED]],
-        [(row["arm"], Path(row["recording"]).name, row["status"], row["reason"] or "") for row in broken[:MOST_LISTED]],
-        [(verdict, str(count)) for verdict, count in verdicts.most_common()],
-        [(effect, str(count)) for effect, count in effects.most_common(20)],
-        [_type(kind) for kind in kinds],
-        max(len(outside) - MOST_LISTED, 0) + max(len(broken) - MOST_LISTED, 0),
+        headlines=headlines,
+        outliers=[_listed(o) for o in outside[:MOST_LISTED]],
+        broken=[(row["arm"], Path(row["recording"]).name, row["status"], row["reason"] or "") for row in broken[:MOST_LISTED]],
+        verdicts=[(verdict, str(count)) for verdict, count in verdicts.most_common()],
+        effects=[(effect, str(count)) for effect, count in effects.most_common(20)],
+        types=[_type(kind) for kind in kinds],
+        unlisted=max(len(outside) - MOST_LISTED, 0) + max(len(broken) - MOST_LISTED, 0),
     )
 
 

@@ -21,7 +21,7 @@ from mbcacq.simulation.model_match import ModelMatch
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class DiagnosisResult:
     """What was found. poses: the diagnosis of the poses at standstill; motion: that of the motion; at least one of them is there.
 
@@ -197,8 +197,8 @@ class DiagnosisResult:
         if "channels" in content["fit"]:
             return cls(motion=MotionDiagnosis.from_json(content), simulation=match)
         return cls(
-            Diagnosis.from_json(content),
-            None if motion is None else MotionDiagnosis.from_json(motion),
+            poses=Diagnosis.from_json(content),
+            motion=None if motion is None else MotionDiagnosis.from_json(motion),
             checks=checks,
             provenance=content.get("provenance"),
             simulation=match,

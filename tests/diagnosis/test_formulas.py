@@ -41,7 +41,7 @@ def hose_between_two_angles(s):
 
 
 def found_at(where, on):
-    return EffectFound(UNMODELLED, (where,), {}, 0.0, 1.0, depends_on=on)
+    return EffectFound(name=UNMODELLED, where=(where,), parameters={}, p_value=0.0, held_out_gain=1.0, depends_on=on)
 
 
 def terms_at(problem, places):

@@ -37,6 +37,8 @@ def desk(tmp_path: Path) -> Path:
     text = quick.read_text(encoding="utf-8").replace("port: 49152", f"port: {free_port()}")
     ports = ", ".join(f"{name}_port: {free_port()}" for name in ("control", "health", "data"))
     quick.write_text(text.replace("options: {address: 127.0.0.1}", f"options: {{address: 127.0.0.1, {ports}}}"), encoding="utf-8")
+    arm = tmp_path / "plans" / "ur.yaml"  # 168 clouds, whose points are a millimetre apart here: their number is the fact, not their size
+    arm.write_text(f"{arm.read_text(encoding='utf-8')}\nfake: {{pitch_mm: 1.0}}\n", encoding="utf-8")
     for entry in ("docs", "benchmarks", "tests", "mbcacq", "drivers", "fakes", "pyproject.toml", "mkdocs.yml"):
         (tmp_path / entry).symlink_to(ROOT / entry)
     bin = tmp_path / ".venv" / "bin"

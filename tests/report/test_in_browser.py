@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from chromium import Browser, program
 from made_up import devices, diagnosis, pictures
-from test_report import make_observations, make_result
+from result_page import make_observations, make_result
 
 from mbcacq.report import report_from_result
 
