@@ -18,8 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kill_and_resume import differences
-from power_cut import Disk, records
+from interrupted_runs import Disk, differences, records
 from strike_commands import ROOT, Work, command
 
 sys.path[:0] = [str(ROOT / "tests" / "collect"), str(ROOT / "tests" / "adaptive")]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import tracemalloc
 
 import pytest
 from fuzz_bags import bag_files
 from fuzz_descriptions import CALIBRATION, MJCF, URDF
+from fuzz_instruments import easy_handeye_samples
 from fuzz_programs import LS, MOD, SCRIPT, SRC
 from fuzz_tables import DH, FLEET, fleet_parquet, joint_dat, joint_messages
 from fuzz_targets import targets
@@ -37,6 +39,8 @@ REFUSED = {
     "an LS angle of 400 digits": ("program LS", LS.replace(b"J1=     0.000", b"J1=  " + ENDLESS + b".0")),
     "a fleet without times": ("fleet Parquet", fleet_parquet(without=("time",))),
     "an error without its uncertainty": ("fleet Parquet", fleet_parquet(without=("std.theta_1",))),
+    "a sample that is none": ("hand-eye samples", easy_handeye_samples().replace(b"  tracking: {", b"  tracking:\n  other: {", 1)),
+    "a sample's quaternion of zeros": ("hand-eye samples", re.sub(rb"rotation: {[^}]*}", b"rotation: {x: 0, y: 0, z: 0, w: 0}", easy_handeye_samples())),
     "a target that no tracker reaches": ("bag MCAP, observations", mcap_bag(x_m=1e300)),
     "a quaternion of no unit length": ("bag MCAP, observations", mcap_bag(qw=1e200)),
     "a single message of the joints": ("bag MCAP, observations", mcap_bag(messages=1)),

@@ -27,7 +27,6 @@ NS = 1e-9
 FASTEST_RAD_S = 15.0  # of a joint: above the wrists of the fastest small arms (about 12 rad/s)
 UR_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 FARTHEST_M = 1e3  # of a target: laser trackers reach 160 m
-UNIT = 0.01  # by which the length of a quaternion may differ from 1, as in tables
 SHORTEST_S = 1e-3  # between messages, for stamps are not exact
 T = TypeVar("T")
 FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
@@ -257,7 +256,7 @@ def _refuse_strange(bag: Bag, topic: str, time: float, point: np.ndarray, turn: 
     """Raise ConfigError where a message gives no place that a target may have, or no orientation."""
     if not (np.abs(point) < FARTHEST_M).all():
         what = f"a target at {', '.join(f'{v:.4g}' for v in point)} m"
-    elif turn is not None and not ((np.abs(turn) < 2).all() and abs(np.linalg.norm(turn) - 1) <= UNIT):
+    elif turn is not None and not ((np.abs(turn) < 2).all() and abs(np.linalg.norm(turn) - 1) <= quaternions.UNIT):
         what = f"a target whose quaternion (w, x, y, z) is {', '.join(f'{v:.4g}' for v in turn)}, of a length that is not 1,"
     else:
         return
