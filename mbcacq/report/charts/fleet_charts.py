@@ -19,7 +19,7 @@ def overview(kind: ArmTypeContent) -> go.Figure:
     if len(shown) > MOST_ARMS:
         shown = np.sort(np.argsort(-np.nanmax(np.nan_to_num(ratio), axis=1))[:MOST_ARMS])
     figure = go.Figure(
-        name=go.Heatmap(
+        data=go.Heatmap(
             z=ratio[shown],
             x=[chart.title.translate(ESCAPES) for chart in kind.charts],
             y=[kind.arms[a].translate(ESCAPES) for a in shown],
