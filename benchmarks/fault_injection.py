@@ -2,7 +2,7 @@
 
     python benchmarks/fault_injection.py [--only NAME ...] [--most N] [--json FILE]
     python benchmarks/fault_injection.py --only "whole run" --most 6
-    python benchmarks/fault_injection.py --only "whole run over EKI, GoPxL, Modbus, serial" --draw 120 --seed 1
+    python benchmarks/fault_injection.py --only "whole run over EKI, GoPxL, Modbus, serial" --draw 60 --seed 1
 
 A man in the middle hurts one message of a small piece of work (connect, use twice, close): drop, delay, truncate, duplicate,
 garbage, close. Afterwards the device must rest and the next driver must work. 'whole run' does the
