@@ -35,7 +35,7 @@ from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.table import markdown, row, summary
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.result import Diagnosis
-from mbcacq.effects.catalogue import with_files
+from mbcacq.effects.catalogue import with_added
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.effect_draft import write_draft
 
@@ -353,7 +353,7 @@ def with_draft(observations: Observations, found: Diagnosis) -> str:
         return ""
     with TemporaryDirectory() as folder:
         draft = write_draft(found.proposals, Path(folder) / "draft")
-        with with_files(draft[1:]):
+        with with_added(draft[1:]):
             again = diagnose(observations, workers=1, folds=2)
     names = {file.stem.removeprefix("mbcacq_effect_") for file in draft[1:]}
     return f"{again.verdict}: {', '.join('the draft' if e.name in names else e.name for e in again.effects)}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import damage, read_json
 from mbcacq.model.observations import Observations
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 
 class HasModel(Protocol):
@@ -352,6 +355,11 @@ class CalibratedCell:
             f"CalibratedCell({self.robot}: {int(self.own_fit.used.sum())} centres, residual {self.own_fit.rms_mm:.4f} mm rms, "
             f"{len(self.names)} parameters, rank {self.own_fit.rank})"
         )
+
+    def plot(self) -> go.Figure:
+        """The errors of the arm's parameters that were identified, each with its U (k = 2), as a Plotly figure."""
+        content = self.to_dict()
+        return notebook.parameter_figure(f"{content['robot']['name']}: errors against the data sheet", content["parameters"])
 
     def _repr_html_(self) -> str:
         return result_io.html(self.to_dict()) + notebook.paragraph(repr(self))

@@ -106,7 +106,7 @@ def compare(
     names = list(COMPARED_METHODS) if methods is None else list(methods)
     rows = []
     for number, name in enumerate(names, 1):
-        progress(f"{name}: method {number} of {len(names)}")
+        progress(f"{name} (method {number}/{len(names)})")  # no count: some take a hundred times as long as others
         rows.append(_row(name, COMPARED_METHODS[name], obs, observations, held_out, seed))
     return Comparison(tuple(rows))
 

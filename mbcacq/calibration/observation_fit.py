@@ -17,7 +17,8 @@ from mbcacq.model.observations import Observations
 class Parameter:
     """value: as the model uses it (hand-eye rotation: rotation vector of the change since the first guess). error: value minus nominal.
     status: 'free', 'prior' (free within a certificate, or within the common size of such errors), 'marginal' (the nominal value stays; std
-    says by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None)."""
+    says by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None). prior_std,
+    prior_mean: of the error, where a prior was used."""
 
     name: str
     value: float
@@ -26,10 +27,12 @@ class Parameter:
     std: float | None
     status: str
     reason: str = ""
+    prior_std: float | None = None
+    prior_mean: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON content; without 'reason' where there is none."""
-        return {key: value for key, value in vars(self).items() if key != "reason" or value}
+        """JSON content; without 'reason' and the prior where there is none."""
+        return {key: value for key, value in vars(self).items() if value or key not in ("reason", "prior_std", "prior_mean")}
 
 
 @dataclass(frozen=True)

@@ -111,6 +111,7 @@ def parameters_of(fit: ObservationFit, layout: ParameterLayout, state: CellState
             std=next(std) if block.free[i] else None,
             status=_status(block, i, fit.options.kinematics),
             reason=block.why.get(name, ""),
+            **_prior(block, i, fit.options.kinematics),
         )
         for block, value, error in zip(layout.blocks, values, errors, strict=True)
         for i, name in enumerate(block.names)
@@ -135,6 +136,13 @@ def _status(block: parameters.ParameterBlock, i: int, identified: bool) -> str:
     if block.name == "chain" and block.group is not None and not identified:
         return "marginal"
     return "prior" if np.isfinite(block.sigma[i]) else "free"
+
+
+def _prior(block: parameters.ParameterBlock, i: int, identified: bool) -> dict[str, float]:
+    """Standard deviation and mean of the prior of a parameter's error, where one was used."""
+    if _status(block, i, identified) != "prior":
+        return {}
+    return {"prior_std": float(block.sigma[i]), "prior_mean": 0.0 if block.centre is None else float(block.centre[i])}
 
 
 def effects_of(result: Mapping[str, Any]) -> EffectModel | None:

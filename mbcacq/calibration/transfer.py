@@ -6,7 +6,7 @@ nothing at all where its places are known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -28,6 +28,7 @@ from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import fixed, micrometres
 
 PLACES = ("fitted", "known")
 GROSS = 20.0  # medians, from which a centre is an outlier where nothing is fitted
@@ -110,25 +111,25 @@ class Transfer:
         """The figures in plain sentences."""
         how = "base, tool and stations fitted" if self.place == "fitted" else "nothing fitted"
         out = [
-            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', '.4f', ' mm')}.",
-            f"  chi2 per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', '.2f')}",
+            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', micrometres)}.",
+            f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
         out += [
-            f"  {e.name} at {', '.join(e.where)}: without it {e.without_mm:.4f} mm ({e.gain:+.0%} of the geometry's mean square)"
+            f"  {e.name} at {', '.join(e.where)}: without it {micrometres(e.without_mm)} ({e.gain:+.0%} of the geometry's mean square)"
             for e in self.effects
         ]
         if n := self.normalised_error:
             out.append(f"  error over stated uncertainty: {n.rms:.2f} rms, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
-    def _compared(self, figure: str, digits: str, unit: str = "") -> str:
+    def _compared(self, figure: str, shown: Callable[[float], str]) -> str:
         """One figure of the geometry, of the effects where there are any, and of a geometry fitted there."""
         learnt, effects = getattr(self.geometry_alone, figure), getattr(self.with_effects, figure)
-        text = f"{learnt:{digits}}{unit} with the learnt geometry"
+        text = f"{shown(learnt)} with the learnt geometry"
         if self.with_effects != self.geometry_alone:
-            text += f" alone, {effects:{digits}}{unit} with its effects"
+            text += f" alone, {shown(effects)} with its effects"
         if self.own_geometry:
-            text += f"; {getattr(self.own_geometry, figure):{digits}}{unit} with a geometry fitted there"
+            text += f"; {shown(getattr(self.own_geometry, figure))} with a geometry fitted there"
         return text
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, measured, signed, uncertainty
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 End = tuple[np.ndarray, np.ndarray, int]  # of a length: q (1, n) rad, xyz (1, 3) mm in the scanner frame, number of poses averaged over
 
@@ -126,6 +129,13 @@ class Verification:
         ]
         header = ("station", "balls", "certified mm", "before mm", "after mm", "U of judging mm", "U expected mm")
         return notebook.table("Sphere spacing error, U with k = 2", header, rows) + notebook.paragraph(repr(self))
+
+    def plot(self) -> go.Figure:
+        """The sphere spacing errors before and after calibration, as a Plotly figure."""
+        labels = [f"{p.station}: {p.balls[0]}-{p.balls[1]}" for p in self.places]
+        U = [K * (p.judging_mm or 0.0) for p in self.places]
+        errors = {which: list(self.errors(which)) for which in ("before", "after")}
+        return notebook.before_and_after("Sphere spacing error", labels, errors["before"], errors["after"], U)
 
 
 class MeasuredPair(NamedTuple):

@@ -15,6 +15,7 @@ from mbcacq.errors import CalibrationError
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.findings import PlanFinding
 from mbcacq.plan.routing import Routes, find_paths
+from mbcacq.quantities import K, significant, symbol, uncertainty, with_unit
 
 Figures = tuple[list[PlanFinding], PredictedAccuracy | None, Detectability | None]
 
@@ -63,9 +64,10 @@ def _of_accuracy(accuracy: PredictedAccuracy, place: str, weak_mm: float) -> lis
         sentence = f"these poses do not determine {names}; add stations at other places and poses with a larger range of joint angles"
         return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)]
     if accuracy.workspace_mm is not None and accuracy.workspace_mm > weak_mm:
+        U = uncertainty(K * accuracy.workspace_mm)
         sentence = (
-            f"a point measured anywhere in reach will be uncertain by {accuracy.workspace_mm:.2f} mm; add stations at other places, "
-            f"heights and distances"
+            f"a point measured anywhere in reach will be uncertain by U = {U} mm (k = 2); add stations "
+            "at other places, heights and distances"
         )
         return [PlanFinding(level="warning", code="weak", step="", place=place, sentence=sentence)]
     return []
@@ -97,14 +99,15 @@ def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
     lines = [f"determines {accuracy.determined} of {accuracy.parameters} parameters of {what}; observability {indices}"]
     if accuracy.distance_mm is not None:
         spread = [e for _, e in accuracy.distances]
-        parts = f"{accuracy.calibration_mm:.4f} mm from the calibration, the rest from measuring them"
+        parts = f"{_micro(accuracy.calibration_mm)} from the calibration, the rest from measuring them"
+        ends = f"{uncertainty(1e3 * K * min(spread))} to {_micro(K * max(spread))}"
         lines.append(
-            f"expected error of the certified distances: mean {accuracy.distance_mm:.4f} mm ({parts}; standard uncertainty "
-            f"{min(spread):.4f} to {max(spread):.4f} mm by place)"
+            f"expected error of the certified distances: mean {_micro(accuracy.distance_mm)} ({parts}; U = {ends} by place, k = 2)"
         )
     if accuracy.workspace_mm is not None:
-        lines.append(f"expected uncertainty of a point anywhere in reach: {accuracy.workspace_mm:.3f} mm rms")
-    lines.append("least well determined: " + ", ".join(f"{n} (+-{s:.2g} {u})" for n, s, u in accuracy.weakest))
+        lines.append(f"expected uncertainty of a point anywhere in reach: U = {_micro(K * accuracy.workspace_mm)} (k = 2, rms)")
+    weakest = ", ".join(f"{n} (± {with_unit(uncertainty(K * s), symbol(u))})" for n, s, u in accuracy.weakest)
+    lines.append(f"least well determined, ± U (k = 2): {weakest}")
     if accuracy.correlated:
         lines.append("hard to tell apart: " + _pairs(accuracy.correlated))
     detectable = sum(e.detectable for e in found.effects)
@@ -112,6 +115,11 @@ def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
     if found.indistinguishable:
         lines.append("effects that look alike here: " + _pairs(found.indistinguishable))
     return lines
+
+
+def _micro(mm: float | None) -> str:
+    """A length that is expected, in µm: two digits."""
+    return f"{significant(1e3 * (mm or 0.0), 2)} µm"
 
 
 def _pairs(correlated: Sequence[tuple[str, str, float]]) -> str:

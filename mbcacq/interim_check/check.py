@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.acquisition.device_check import refuse_impossible_devices
+from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
 from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.devices.addresses import on_loopback_only
@@ -124,6 +124,7 @@ def check(
     file = _history_file(result, history)
     if not dry_run and measured is None:
         refuse_impossible_devices(loaded)
+        refuse_unattended(loaded, operator.assume_yes)
     with ExitStack() as held:
         file.absolute().parent.mkdir(parents=True, exist_ok=True)
         held.enter_context(write_lock(file.absolute().parent, "check"))
@@ -217,10 +218,10 @@ def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, o
     operator.progress("")
     if not dry_run:
         operator.allow(acquisition)
-    folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")
-    with write_lock(folder, "check"):
-        operator.began(folder)
-        operator.progress("starting the fake cell" if dry_run else "")
-        with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
+    operator.progress("starting the fake cell" if dry_run else "")
+    with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
+        folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")
+        with write_lock(folder, "check"):
+            operator.began(folder)
             acquisition.execute(overrides, operator.subscribers, message=operator.message, pause=operator.pause)
     return folder

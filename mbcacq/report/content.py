@@ -234,7 +234,8 @@ class ArmTypeContent:
 @dataclass(frozen=True, kw_only=True)
 class FleetContent:
     """A fleet. outliers: (arm, recording, figure, difference, limit, their ratio); broken: (arm, recording, status, reason); verdicts,
-    effects: (name, how often). unlisted: how many outliers and broken recordings are in the table only."""
+    effects: (name, how often). unlisted: how many outliers and broken recordings are in the table only. caveat: that data are simulated, ''
+    where none are. recordings: (arm, recording, date, poses, rms of the residuals, largest sphere spacing error, verdict or status)."""
 
     headlines: list[tuple[str, str, str]]
     outliers: list[tuple[str, str, str, str, str, str]]
@@ -243,6 +244,39 @@ class FleetContent:
     effects: list[tuple[str, str]]
     types: list[ArmTypeContent]
     unlisted: int = 0
+    caveat: str = ""
+    recordings: list[tuple[str, ...]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeRow:
+    """One change that a figure shows. expanded: U with k = 2, in ``unit``; marked: it is beyond chance."""
+
+    name: str
+    unit: str
+    change: float
+    expanded: float
+    marked: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangesContent:
+    """Two recordings compared. names: of the recordings; charts: (title, name) of the figures, whose rows ``rows`` has by that name;
+    spacings: the verification of each recording that has one, by its name; table: (beyond chance, quantity, before, after, change, unit).
+    """
+
+    title: str
+    names: tuple[str, str]
+    headline: str
+    reason: str
+    changed: bool
+    next: Action
+    charts: list[tuple[str, str]]
+    rows: dict[str, list[ChangeRow]]
+    spacings: list[tuple[str, Spacing]]
+    table: list[tuple[bool, str, str, str, str, str]]
+    caveats: list[str]
+    footer: str
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbcacq.acquisition.device_check import refuse_impossible_devices
+from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
 from mbcacq.design.adaptive.investigation import Budget, Decision, refuse_empty
 from mbcacq.design.adaptive.investigation import decisions as decisions_of
 from mbcacq.devices.addresses import on_loopback_only
@@ -208,6 +208,7 @@ def investigate(  # noqa: PLR0913 -- one argument an option of its command
     loaded = as_plan(plan)
     if not dry_run:
         refuse_impossible_devices(loaded)
+        refuse_unattended(loaded, operator.assume_yes)
     folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
     operator.began(folder)
     return CellInvestigation(loaded=loaded, folder=folder, budget=budget, dry_run=dry_run, seed=seed, live=live, operator=operator)

@@ -18,8 +18,8 @@ def test_the_uncertainty_of_an_rms_is_that_of_the_chi_square_distribution():
 
 def test_a_model_within_the_uncertainty_of_the_noise_reaches_it():
     assert NoiseFloor.of(0.0133, 0.0129, 512).distance == "down to the measured noise"
-    assert NoiseFloor.of(0.0145, 0.0129, 512).distance == "to 1.6 µm (12%) above the measured noise"
-    assert NoiseFloor.of(0.0145, 0.0129, 512).noise == "(12.9 ± 0.5) µm"
+    assert NoiseFloor.of(0.0145, 0.0129, 512).distance == "to 1.60 ± 0.47 µm (k = 2; 12%) above the measured noise"
+    assert NoiseFloor.of(0.0145, 0.0129, 512).noise == "12.90 ± 0.47 µm"
     assert NoiseFloor.of(0.0145, 0.0129, 0).noise == "12.9 µm"
 
 

@@ -33,10 +33,12 @@ def test_poses_never_reached_and_interruptions_are_gaps(tmp_path):
     again = gaps_of(tmp_path, started(4, "2026-11-21T12:00:00+00:00"), pose_done(1), events.RunStopped(2.0, "fail", "the gate was opened"))
     assert again == [
         "2 of 4 planned poses were not measured: 2, 3",
-        "the run was interrupted after pose 0 (it was killed) and went on at 2026-11-21T12:00:00+00:00",
+        "the run was interrupted after 1 pose, the last of them pose 0 (it was killed) and went on at 2026-11-21T12:00:00+00:00",
     ]
     last = gaps_of(tmp_path, started(4, "2026-11-21T13:00:00+00:00"), pose_done(2), pose_done(3))
-    assert last[1:] == ["the run was interrupted after pose 1 (the gate was opened) and went on at 2026-11-21T13:00:00+00:00"]
+    assert last[1:] == [
+        "the run was interrupted after 2 poses, the last of them pose 1 (the gate was opened) and went on at 2026-11-21T13:00:00+00:00"
+    ]
 
 
 def test_a_pose_left_out_is_a_gap_until_a_resumed_run_measured_it(tmp_path):
