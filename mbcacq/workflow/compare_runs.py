@@ -19,7 +19,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.json_text import damage
-from mbcacq.quantities import K, measured, p_value, symbol
+from mbcacq.quantities import K, fixed, measured, p_value, symbol
 
 FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
 TURNS = {"rad": 180.0 / np.pi}  # angles are shown in degrees
@@ -45,7 +45,9 @@ class Change:
 
     @property
     def title(self) -> str:
-        """The quantity as people read it: 'hand-eye x' of 'hand_eye.x'."""
+        """The quantity as people read it: 'hand-eye x' of 'hand_eye.x', 'unmodelled A1 q1 order 2 [0]' of 'unknown:A1:q1:order 2[0]'."""
+        if self.name.startswith("unknown:"):
+            return self.name.replace("unknown:", "unmodelled ").replace(":", " ").replace("_", " ").replace("[", " [")
         return self.name.replace("hand_eye.", "hand-eye ")
 
     def to_dict(self) -> dict[str, Any]:
@@ -109,17 +111,19 @@ class RunComparison:
     def table(self) -> list[tuple[bool, str, str, str, str, str]]:
         """(beyond chance, quantity, before, after, change, unit) of every row, in words and figures."""
 
-        def text(pair: tuple[float, float | None] | None) -> str:
-            return "–" if pair is None else measured(*pair)
+        def text(row: Change, pair: tuple[float, float | None] | None) -> str:
+            if pair is None:
+                return "–"
+            return fixed(1e3 * pair[0], 1) if row.what == "figure" else measured(*pair)
 
         return [
             (
                 row.significant,
                 row.title,
-                text(row.before),
-                text(row.after),
-                text(row.change) if row.change is not None else row.why_not or "–",
-                symbol(row.unit),
+                text(row, row.before),
+                text(row, row.after),
+                text(row, row.change) if row.change is not None else row.why_not or "–",
+                "µm" if row.what == "figure" else symbol(row.unit),
             )
             for row in self.rows
         ]
