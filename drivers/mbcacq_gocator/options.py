@@ -14,7 +14,7 @@ BRACKETS = ("merge", "best")
 _MAX_BRACKET, _MAX_PASSWORD = 16, 63
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GocatorOptions:
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. job_file: a file to
     store on the sensor as ``job`` (default: its own name) first. timeout_s: longest wait for a scan. reply_limit_s: caps the

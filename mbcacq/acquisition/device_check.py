@@ -58,4 +58,4 @@ def _finding(loaded: LoadedPlan, role: str, sentence: str) -> PlanFinding:
     options = [where for where in keys if "options" in where and re.search(rf"\b{re.escape(str(where[-1]))}\b", sentence)]
     driver = (*section, "driver")
     at = options[0] if options else driver if driver in loaded.lines else section
-    return PlanFinding("error", "device", "", f"{loaded.path}:{loaded.lines.get(at, 1)}", sentence)
+    return PlanFinding(level="error", code="device", step="", place=f"{loaded.path}:{loaded.lines.get(at, 1)}", sentence=sentence)

@@ -118,16 +118,16 @@ def command(
       mbcacq diagnose motion1 motion2 --simulation arm.xml --write-model found.xml
     """
     import mbcacq
-    from mbcacq.effects.catalogue import with_files
+    from mbcacq.effects.catalogue import with_added
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
     refuse_pictures_of_motion(data, report, rrd)
     if look:
-        with with_files(effect_files):
+        with with_added(effect_files):
             print_evidence(data, options, out, as_json)
         return
-    with StepProgress() as progress, with_files(effect_files):
+    with StepProgress() as progress, with_added(effect_files):
         progress("reading the recording")
         found = mbcacq.diagnose(
             data,

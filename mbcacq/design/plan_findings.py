@@ -35,12 +35,12 @@ def identifiability_findings(
     useful = [p for p in poses if p.balls]
     if not any(p.phase != "verification" for p in useful):
         sentence = "there is no pose to calibrate with; add steps of another phase"
-        return [PlanFinding("warning", "undetermined", "", place, sentence)], None, None
+        return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)], None, None
     try:
         accuracy = predicted_accuracy(loaded, useful)
     except CalibrationError as error:
         sentence = f"a calibration will refuse these poses: {error}"
-        return [PlanFinding("warning", "undetermined", "", place, sentence)], None, None
+        return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)], None, None
     starts = {p["pose"]: p["start_s"] for p in summary["poses"]}
     transits = dict(zip((p.number for p in poses), (routes or find_paths(loaded, poses))[0], strict=True))
     effects = detectability(loaded, useful, [transits[p.number] for p in useful], [starts[p.number] for p in useful], options)
@@ -49,24 +49,27 @@ def identifiability_findings(
 
 def reach_findings(loaded: LoadedPlan) -> list[PlanFinding]:
     """The way out for each station with views out of reach."""
-    return [PlanFinding("info", "move-station", "", f"{loaded.path}:{m.line}", m.sentence()) for m in station_moves(loaded)]
+    return [
+        PlanFinding(level="info", code="move-station", step="", place=f"{loaded.path}:{m.line}", sentence=m.sentence())
+        for m in station_moves(loaded)
+    ]
 
 
 def _of_accuracy(accuracy: PredictedAccuracy, place: str, weak_mm: float) -> list[PlanFinding]:
     if accuracy.hand_eye_alone:
-        return [PlanFinding("info", "hand-eye-alone", "", place, HAND_EYE_ALONE)]
+        return [PlanFinding(level="info", code="hand-eye-alone", step="", place=place, sentence=HAND_EYE_ALONE)]
     harmful = [u for u in accuracy.undetermined if not u.harmless]
     if harmful:
         names = ", ".join(u.name for u in harmful)
         sentence = f"these poses do not determine {names}; add stations at other places and poses with a larger range of joint angles"
-        return [PlanFinding("warning", "undetermined", "", place, sentence)]
+        return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)]
     if accuracy.workspace_mm is not None and accuracy.workspace_mm > weak_mm:
         U = uncertainty(K * accuracy.workspace_mm)
         sentence = (
             f"a point measured anywhere in reach will be uncertain by U = {U} mm (k = 2); add stations "
             "at other places, heights and distances"
         )
-        return [PlanFinding("warning", "weak", "", place, sentence)]
+        return [PlanFinding(level="warning", code="weak", step="", place=place, sentence=sentence)]
     return []
 
 
@@ -78,7 +81,15 @@ def _of_detectability(found: Detectability, place: str) -> list[PlanFinding]:
     if not hidden:
         return []
     listed = "; ".join(f"{name} ({', '.join(sorted(locations))})" for name, locations in hidden.items())
-    return [PlanFinding("info", "blind", "", place, f"effects that these poses would not detect at their usual size: {listed}")]
+    return [
+        PlanFinding(
+            level="info",
+            code="blind",
+            step="",
+            place=place,
+            sentence=f"effects that these poses would not detect at their usual size: {listed}",
+        )
+    ]
 
 
 def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:

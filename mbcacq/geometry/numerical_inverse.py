@@ -19,9 +19,9 @@ from mbcacq.geometry.chain import Chain
 FULL_TURN = 2 * np.pi
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SolverOptions:
-    """The numbers that tune the solver, each with its reason; ``benchmarks/inverse_kinematics.py`` measured them."""
+    """The numbers that tune the solver, each with its reason; ``benchmarks/speed.py inverse-kinematics`` measured them."""
 
     table_size: int = 20000  # random postures to start from; beyond, starts come no closer
     starts_per_round: int = 24  # enough for most branches of most targets at once

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
-from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CellChanged, ConfigError
@@ -75,7 +75,7 @@ class InterimCheck:
 
 
 def check(
-    result: Calibration | CalibratedCell | dict[str, Any] | Path | str,
+    result: CalibratedCell | dict[str, Any] | Path | str,
     plan: LoadedPlan | Path | str,
     *,
     history: Path | str | None = None,
@@ -165,7 +165,7 @@ def with_observations(planned: PlannedCheck, history: CheckHistory, obs: Observa
     return replace(history, stations=history.stations or stations).with_day(CheckedDay(started, name, residual))
 
 
-def _history_file(result: Calibration | CalibratedCell | dict[str, Any] | Path | str, history: Path | str | None) -> Path:
+def _history_file(result: CalibratedCell | dict[str, Any] | Path | str, history: Path | str | None) -> Path:
     if history is not None:
         return Path(history)
     if not isinstance(result, Path | str):
@@ -184,7 +184,14 @@ def _new_history(
     everything = planned_check(loaded, [p for p in poses if p.balls], cell, settings.standing, settings.days)
     numbers = choose_poses(everything, options)
     q = np.array([p.q for p in poses if p.number in numbers])
-    return CheckHistory(digest(content), loaded.path.name, tuple(sorted(numbers)), q, settings.standing, settings.days)
+    return CheckHistory(
+        result=digest(content),
+        plan=loaded.path.name,
+        poses=tuple(sorted(numbers)),
+        q=q,
+        standing=settings.standing,
+        usual_days=settings.days,
+    )
 
 
 def _chosen(loaded: LoadedPlan, poses: list[PlannedPose], history: CheckHistory, file: Path) -> list[PlannedPose]:

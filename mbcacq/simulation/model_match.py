@@ -61,7 +61,7 @@ class ModelCheck:
     errors: tuple[ChannelError, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelMatch:
     """A MuJoCo model with what was found in recordings.
 

@@ -34,7 +34,7 @@ def _content(found: RunComparison, first: Mapping[str, Any], second: Mapping[str
     groups += [(f"Effects, {unit}", f"effects-{k}", rows) for k, (unit, rows) in enumerate(effects.items())]
     drawn = {
         name: [
-            ChangeRow(row.title, row.unit, row.change[0], row.change[1], row.significant)
+            ChangeRow(name=row.title, unit=row.unit, change=row.change[0], expanded=row.change[1], marked=row.significant)
             for row in rows
             if row.change is not None and row.change[1] is not None
         ]

@@ -58,7 +58,7 @@ class Change:
         return {"what": self.what, "name": self.name, "unit": self.unit, **shown, "significant": self.significant, "why_not": self.why_not}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunComparison:
     """What changed between two recordings of one arm.
 
@@ -173,7 +173,15 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: 
     limit = float(-ndtri(FALSE_ALARMS / 2 / max(tested, 1)))
     rows = [_judged(row, limit) for row in rows]
     chi2, dof = _together([row.change[0] for row in changes if row.change is not None], covariance)
-    return RunComparison(names, robot, (*rows, *figures), chi2, dof, float(chdtrc(dof, chi2)) if dof else 1.0, leaning)
+    return RunComparison(
+        names=names,
+        robot=robot,
+        rows=(*rows, *figures),
+        chi2=chi2,
+        dof=dof,
+        p_value=float(chdtrc(dof, chi2)) if dof else 1.0,
+        leaning=leaning,
+    )
 
 
 def best_result(path: Path) -> dict[str, Any]:

@@ -39,7 +39,7 @@ def refuse_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Operator:
     """Who is asked and informed during a run; the default moves no real arm.
 

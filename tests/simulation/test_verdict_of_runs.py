@@ -17,7 +17,7 @@ def error(before, after):
 
 
 def match(errors, parameters=(), compared="runs", checks=()):
-    return ModelMatch("arm.xml", "", tuple(parameters), compared, tuple(errors), tuple(checks))
+    return ModelMatch(model="arm.xml", xml="", parameters=tuple(parameters), compared=compared, errors=tuple(errors), checks=tuple(checks))
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ _NUMBERS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GoPxLOptions:
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. data_port: 0 takes the one that the sensor names.
 

@@ -30,7 +30,7 @@ _RANGES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EkiOptions:
     """Everything a plan may say about the EKI connection, and the cell it expects at the other end.
 

@@ -37,7 +37,7 @@ class SetToTell:
     log_odds: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SetComparison:
     """Two sets, one of which is true. truth: column of its displacement; model: columns of the other set, in prior sigmas; weight: how
     probable it is to be true; known: log odds in its favour as they stand.
@@ -60,7 +60,7 @@ class SetComparison:
         return own - np.sum(across * taken, axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Questions:
     """columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects that could hide, by weights and names
     (K - pairs,).
@@ -118,12 +118,12 @@ def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: boo
     names, weights, hidden = _hidden(look, linear, timeless)
     shape = (*linear.residual.shape, 0)
     return Questions(
-        tuple(sets),
-        tuple(comparisons),
-        np.concatenate([np.zeros(shape), *columns, *hidden], axis=2),
-        pairs,
-        np.array(weights),
-        tuple(names),
+        sets=tuple(sets),
+        comparisons=tuple(comparisons),
+        columns=np.concatenate([np.zeros(shape), *columns, *hidden], axis=2),
+        pairs=pairs,
+        weights=np.array(weights),
+        names=tuple(names),
     )
 
 
@@ -174,7 +174,7 @@ def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell]
         for b in range(len(found)):
             if a != b and 0 in (a, b):  # each against the most probable one
                 known = float(logs[a] - logs[b])
-                comparisons.append(SetComparison(truth[a], model[b], float(probability[a]), known, a, b))
+                comparisons.append(SetComparison(truth=truth[a], model=model[b], weight=float(probability[a]), known=known, a=a, b=b))
     return sets, comparisons, columns
 
 

@@ -157,7 +157,7 @@ class _Recordings:
     def cross_validate(self) -> dict[str, np.ndarray]:
         """Mean squares (2, J) before and after by kind of mismatch, each part predicted by what was selected and fitted on the others."""
         parts = held_out_parts(self.runs)[0]
-        # A thread sees the effects of files (``catalogue.with_files``) in a copy of the context alone, each in its own.
+        # A thread sees the effects of files (``catalogue.with_added``) in a copy of the context alone, each in its own.
         contexts = [copy_context() for _ in parts]
         with ThreadPoolExecutor(NUMBERS.workers) as pool:
             passes = list(pool.map(lambda number: contexts[number].run(self.explain, number)[0], range(len(parts))))
