@@ -100,6 +100,6 @@ def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool
         echo(sentence)
     if report is not None:
         echo(f"page: {report}")
-        say_next("ask what the later recording says of the cause", command_line("diagnose", second))
+        say_next(*found.next_step)
     else:
         say_next("see it with its charts", command_line("compare", first, second, "--report", "changes.html"))

@@ -15,7 +15,7 @@ from scipy.special import chdtrc, ndtri
 from mbcacq.calibration.result_io import chain_of, effects_of
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.without_prior import without_prior
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, command_line
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.json_text import damage
@@ -96,6 +96,13 @@ class RunComparison:
         names = ", ".join(row.title for row in self.changed)
         out = [f"Changed beyond chance: {names}" if names else "No single quantity changed beyond chance"]
         return [*out, f"Arm and hand-eye together: χ² {self.chi2:.1f} of {self.dof} degrees of freedom, {p_value(self.p_value)}"]
+
+    @property
+    def next_step(self) -> tuple[str, str]:
+        """What to do next, and the command for it."""
+        if self.changed or self.p_value < FALSE_ALARMS:
+            return "ask what the later recording says of the cause", command_line("diagnose", self.names[1])
+        return "calibrate both together, as of one arm", command_line("calibrate", *self.names)
 
     @property
     def how(self) -> str:
@@ -204,7 +211,9 @@ def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list
     for name, one in listed[0].items():
         two = listed[1].get(name)
         mount = name.removeprefix("hand_eye.") if name.startswith("hand_eye.") else ""
-        if two is None or name.startswith("ball_") or not {one["status"], two["status"]} & DETERMINED:
+        what = "hand-eye" if mount else "effect" if name.startswith("unknown:") else "parameter"
+        named_effect = ":" in name and not name.startswith("unknown:")  # has a row of its own below
+        if two is None or name.startswith("ball_") or named_effect or not {one["status"], two["status"]} & DETERMINED:
             continue
         scale = TURNS.get(one["unit"], 1.0)
         unit = "deg" if one["unit"] in TURNS else one["unit"]
@@ -214,11 +223,11 @@ def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list
         )
         if one["std"] is None or two["std"] is None:
             held = "first" if one["std"] is None else "second"
-            rows.append(Change("hand-eye" if mount else "parameter", name, unit, before, after, None, why_not=f"held in the {held}"))
+            rows.append(Change(what, name, unit, before, after, None, why_not=f"held in the {held}"))
             continue
         value = moved[mount] if mount else own[1].error[name] - own[0].error[name]
         change = (scale * value, K * scale * float(np.hypot(own[0].std(name), own[1].std(name))))
-        rows.append(Change("hand-eye" if mount else "parameter", name, unit, before, after, change))
+        rows.append(Change(what, name, unit, before, after, change))
         common.append((name, scale))
     covariance = np.zeros((len(common), len(common)))
     for each in own:
