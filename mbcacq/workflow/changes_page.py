@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mbcacq.quantities import symbol
 from mbcacq.report import write_changes_page
 from mbcacq.report.content import Action, ChangeRow, ChangesContent
 from mbcacq.report.sources.from_result import spacing_of
@@ -30,7 +31,7 @@ def _content(found: RunComparison, first: Mapping[str, Any], second: Mapping[str
     for row in found.rows:
         if row.what == "effect":
             effects.setdefault(row.unit, []).append(row)
-    groups += [(f"Effects, {unit}", f"effects-{k}", rows) for k, (unit, rows) in enumerate(effects.items())]
+    groups += [(f"Effects, {symbol(unit)}", f"effects-{k}", rows) for k, (unit, rows) in enumerate(effects.items())]
     drawn = {
         name: [
             ChangeRow(name=row.title, unit=row.unit, change=row.change[0], expanded=row.change[1], marked=row.significant)

@@ -11,7 +11,7 @@ from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
 from mbcacq.report.content import ChangeRow
 
 LABEL = 18  # characters of a line of a name, so that there is room for the figure on a phone
-ROW_PX, FRAME_PX = 26, 90  # of one quantity, and of axis and margins
+ROW_PX, LINE_PX, FRAME_PX = 26, 15, 90  # of one quantity, of a further line of its name, and of axis and margins
 
 
 def changes(rows: list[ChangeRow]) -> go.Figure:
@@ -34,7 +34,7 @@ def changes(rows: list[ChangeRow]) -> go.Figure:
         categoryorder="array", categoryarray=[_label(row.name) for row in rows], autorange="reversed", dtick=1, showgrid=False
     )
     figure.update_xaxes(title=f"change / {symbol(rows[0].unit)}, with U (k = 2)", gridcolor="#e6e6e6")
-    return styled(figure, FRAME_PX + ROW_PX * len(rows))
+    return styled(figure, FRAME_PX + sum(ROW_PX + LINE_PX * _label(row.name).count("<br>") for row in rows))
 
 
 def _label(name: str) -> str:
