@@ -163,6 +163,10 @@ class _KrlStatements:
                 single, plain = value.children[0], len(value.children) == 1 and getattr(value.children[0], "type", "") == "SIGNED"
                 fields[str(token).lower()] = getattr(single, "start_pos", 0), str(single) if plain else ""
         wanted = [f"a{i + 1}" for i in range(self.n)]
+        named = [str(f.children[0]).split()[0].lower() for f in aggregate.children if f.data == "field"]
+        if len(set(named)) < len(named) and set(wanted) & set(named):
+            self.left.append((name, number, reason or "has the angle of an axis twice"))
+            return
         if not all(key in fields for key in wanted):
             if any(re.fullmatch(r"a[1-9]", key) for key in fields):
                 self.left.append((name, number, reason or "has not the angles of all axes"))
