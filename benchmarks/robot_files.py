@@ -35,14 +35,15 @@ VECTORS, CLOSE_MM, CLOSE_RAD = 20, 1e-3, 1e-6
 KINDS = {".urdf": "URDF", ".xacro": "xacro", ".mjcf": "MJCF", ".xml": "MJCF"}
 CLASSES = {  # what the sentence of a refusal says of the file, the first that fits
     "nothing moves": r"no moving joints",
-    "a part that another file includes": r"mujocoinclude|defines macros only|begins with <|unknown transmission|not found in (tendon|actuator|collision)"
-    r"|unknown default class|cannot be renamed|repeated name",
+    "a part that another file includes": r"mujocoinclude|defines macros only|begins with <|unknown transmission|cannot be renamed"
+    r"|not found in (tendon|actuator|collision)|unknown default class|repeated name",
     "several chains (legs, hands, arms)": r"chains of joints end in",
     "fewer than two turning joints": r"fewer than two",
     "slides, balls or floats": r"is (prismatic|free|floating|spherical|planar|a ball joint); an arm",
     "coupled joints": r"is no axis of its own",
     "a package or an included file is not there": r"package '|No such file|Error opening file|needs an argument",
-    "not of today's format, or damaged": r"MuJoCo cannot read|not well-formed|should be \d+ number|xacro cannot expand|hangs on two|without 'xacro:'|axis of length",
+    "not of today's format, or damaged": r"MuJoCo cannot read|not well-formed|should be \d+ number|xacro cannot expand|hangs on two"
+    r"|without 'xacro:'|axis of length",
 }
 NO_ARM = tuple(CLASSES)[:5]
 MOVING = 3  # axes of what is an arm here

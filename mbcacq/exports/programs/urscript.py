@@ -33,7 +33,17 @@ COMMENT: /#.*/
 %ignore COMMENT
 %ignore /[ \t\f\v\x00-\x1f\x7f-\xa0]+/
 """
-MOVES = ("movej", "movel", "movep", "movec", "optimovej", "optimovel", "servoj", "servop", "servoc")  # whose first arguments are places, joint angles or poses
+MOVES = (
+    "movej",
+    "movel",
+    "movep",
+    "movec",
+    "optimovej",
+    "optimovel",
+    "servoj",
+    "servop",
+    "servoc",
+)  # whose first arguments are places, joint angles or poses
 PLACES = {"movec": 2, "servoc": 2}  # a via point and an end
 HINTS = ("get_inverse_kin", "get_inverse_kin_has_solution")  # joint angles there are where the search begins
 SPEEDS = ("speedj", "speedl", "stopj", "stopl")

@@ -134,7 +134,11 @@ class KinematicTree:
         is_vehicle = len(before) <= TURNS_OF_A_VEHICLE and axes >= ARM_ON_A_VEHICLE
         if carrying and ((not before and axes >= ARM_BEFORE_FINGERS) or is_vehicle):
             named = [j.name for i, j in enumerate(joints[: last + 1]) if i in carrying or j in before]
-            what = "carries the arm and is none of its axes; it stands" if len(named) == 1 else "carry the arm and are none of its axes; they stand"
+            what = (
+                "carries the arm and is none of its axes; it stands"
+                if len(named) == 1
+                else "carry the arm and are none of its axes; they stand"
+            )
             remarks.append(f"{_list(named)} {what} as at zero")
             first = next(i for i in range(last + 1, len(joints)) if joints[i].kind in TURNING)
         elif carrying and carrying[0] < first:

@@ -120,9 +120,10 @@ class Bag:
             named = [str(name) for name in message.name]
             return time, named, np.asarray(message.position, dtype=float).ravel(), np.asarray(message.effort, dtype=float).ravel()
 
-        times, positions, efforts = [], [], []
+        times, positions, efforts, others = [], [], [], list[list[str]]()
         for time, present, position, effort in self.messages(topic, ("sensor_msgs/msg/JointState",), read):
-            if names and not set(names) & set(present):
+            if not set(names) & set(present) if names else len(present) < n:
+                others.append(present)
                 continue  # of another publisher, such as a gripper's
             at = self._columns(topic, present, names, n)
             if len(position) and np.isnan(position).all():
@@ -135,6 +136,8 @@ class Bag:
                 )
             positions.append(position[at])
             efforts.append(effort[at] if len(effort) == len(position) else np.full(n, np.nan))
+        if not times and others:
+            self._columns(topic, others[0], names, n)  # raises
         if not times:
             raise ConfigError(f"{self.path}: the topic {topic} holds no message; record it, or correct cell.yaml")
         time_s, effort = np.array(times), np.array(efforts)
