@@ -233,11 +233,11 @@ def _ros(T: np.ndarray) -> dict:
 
 
 def _hand_eye(truth: np.ndarray) -> Callable[[dict], str]:
-    return lambda result: _off(np.array(result["hand_eye"]["matrix"]), truth, "hand-eye")
+    return lambda result: _off(np.array(result["T_flange_scanner"]), truth, "hand-eye")
 
 
 def _station(truth: np.ndarray) -> Callable[[dict], str]:
-    return lambda result: _off(np.array(result["stations"][0]["matrix"]), truth, "camera in the base")
+    return lambda result: _off(np.array(result["stations"][0]["T_base_station"]), truth, "camera in the base")
 
 
 def _off(T: np.ndarray, truth: np.ndarray, what: str) -> str:
