@@ -203,7 +203,7 @@ class _TrackedArm:
 
         arm = mbcacq.CalibratedCell.from_dict(result)
         truth = self._spacings(self.true)
-        before, after = (np.abs(self._spacings(chain) - truth).mean() for chain in (self.model.chain, arm.robot.chain))
+        before, after = (np.abs(self._spacings(chain) - truth).mean() for chain in (self.model.chain, arm.state.chain))
         return f"error of a distance {before:.3f} mm before, {after:.3f} mm after"
 
     def _spacings(self, chain: Chain) -> np.ndarray:
