@@ -11,6 +11,7 @@ from mbcacq.cli.next_step import say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -73,6 +74,13 @@ if TYPE_CHECKING:
     metavar="NEXT.yaml",
     help="Write the poses that would decide most of what is left open as a plan, which runs: mbcacq run --extend RUN NEXT.yaml.",
 )
+@click.option(
+    "--minutes",
+    type=click.FloatRange(0.01),
+    default=OPTIONS.minutes,
+    show_default=True,
+    help="End the search after so many minutes, and say what was found by then: the verdict is then 'cannot tell'.",
+)
 @click.option("--evidence", "look", is_flag=True, help="Only weigh the evidence as it stands, without validation: a look within seconds.")
 @click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")
 def command(
@@ -92,6 +100,7 @@ def command(
     propose: Path | None,
     effect_files: tuple[Path, ...],
     next_file: Path | None,
+    minutes: float,
     look: bool,
     write_model: Path | None,
 ) -> None:
@@ -129,6 +138,7 @@ def command(
             place=place,
             simulation=simulation or None,
             propose=propose is not None,
+            minutes=minutes,
         )
         if write_model is not None:
             write_matched_model(found, write_model)

@@ -15,6 +15,8 @@ class DiagnosisOptions:
     most_poses: int = 20000  # a longer recording is thinned, so that memory stays below 3 GiB (benchmarks/diagnosis.md)
     folds: int = 4  # of whole stations, or of blocks of one; two where half of the poses are still as many as are searched
 
+    minutes: float = 30.0  # after which a search ends: the longest open recording takes one on two cores, and nobody waits for longer
+
     # Prior of effects
     sizes: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of a coefficient's prior sigma, in typical sizes, equally probable
     further: float = 0.1  # prior probability of one more effect

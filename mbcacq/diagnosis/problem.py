@@ -13,6 +13,7 @@ from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import GeometryAlone
 from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
@@ -39,6 +40,7 @@ class DiagnosisProblem:
     dropped: effect -> what the recording lacks for it. noise: with geometry alone, as calibration estimates it. prior_noise: prior of the
     variance components. undetermined: what the poses leave open of the geometry. design_blocks: of unmodelled effects; they depend on the
     poses alone. geometry_alone: the cell of each recording as calibration has it; whatever is thinned or readmitted later, it stays.
+    budget: of the time for the search.
     """
 
     linear: LinearProblem
@@ -50,11 +52,12 @@ class DiagnosisProblem:
     design_blocks: DesignBlocks
     undetermined: tuple[Undetermined, ...] = ()
     geometry_alone: tuple[GeometryAlone, ...] = ()
+    budget: TimeBudget = UNLIMITED
 
     def with_observations(self, obs: Observations, options: CalibrationOptions) -> DiagnosisProblem:
         """The same poses under another noise, adjusted anew; what is stated of geometry alone stays."""
         anew = prepared(obs, replace(options, refuse=False))[0]
-        return replace(anew, geometry_alone=self.geometry_alone)
+        return replace(anew, geometry_alone=self.geometry_alone, budget=self.budget)
 
     def with_linearization(self, linear: LinearProblem) -> DiagnosisProblem:
         """The same with another linearisation of the same poses, or with other centres kept."""
