@@ -202,12 +202,14 @@ class _TrackedArm:
         import mbcacq
 
         arm = mbcacq.CalibratedCell.from_dict(result)
-        truth = self._spacings(self.true)
-        before, after = (np.abs(self._spacings(chain) - truth).mean() for chain in (self.model.chain, arm.state.chain))
+        truth = self._spacings(self.true, REFLECTOR)
+        calibrated = arm.state.chain, arm.state.T_flange_scanner[:3, 3]  # errors of the last link are in the reflector's place
+        guesses = (self.model.chain, REFLECTOR), calibrated
+        before, after = (np.abs(self._spacings(chain, reflector) - truth).mean() for chain, reflector in guesses)
         return f"error of a distance {before:.3f} mm before, {after:.3f} mm after"
 
-    def _spacings(self, chain: Chain) -> np.ndarray:
-        places = se3.apply(chain.flange(self.other), REFLECTOR)
+    def _spacings(self, chain: Chain, reflector: np.ndarray) -> np.ndarray:
+        places = se3.apply(chain.flange(self.other), reflector)
         return np.linalg.norm(places[1:] - places[:-1], axis=1)
 
     def walk(self, program: str, arm: str, instrument: str) -> Walk:

@@ -15,7 +15,9 @@ import argparse
 import contextlib
 import io
 import re
+import struct
 import sys
+import zlib
 from collections import Counter
 from collections.abc import Callable
 from importlib import import_module
@@ -187,9 +189,12 @@ def _compiled(mujoco: Any, path: Path) -> Any:
             return mujoco.MjModel.from_xml_path(str(path.resolve()), assets)
         except ValueError as error:
             missing = OPENING.search(str(error))
-            if missing is None or (name := missing[1] or missing[2]) in assets or not name.lower().endswith((".obj", ".stl", ".msh")):
+            if missing is None or (name := missing[1] or missing[2]) in assets:
                 return None
-            assets[name] = TETRAHEDRON if name.lower().endswith(".obj") else _stl()
+            kind = Path(name).suffix.lower()
+            if kind not in (".obj", ".stl", ".png"):
+                return None
+            assets[name] = {".obj": TETRAHEDRON, ".stl": _stl(), ".png": _png()}[kind]
     return None
 
 
@@ -200,6 +205,13 @@ def _stl() -> bytes:
     for a, b, c in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)):
         out += bytes(12) + corners[[a, b, c]].tobytes() + bytes(2)
     return out
+
+
+def _png() -> bytes:
+    """Twelve grey points, as a picture for the sides of a cube."""
+    parts = (b"IHDR", struct.pack(">IIBBBBB", 4, 3, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(3 * (b"\0" + 12 * b"\x80"))), (b"IEND", b"")
+    chunks = (struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 if __name__ == "__main__":
