@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
@@ -38,10 +39,12 @@ from mbcacq.design.adaptive.investigation import Budget, Decision, decisions, ef
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.diagnosis.result import plain
+from mbcacq.effects.catalogue import declaration
 from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand, load
 from mbcacq.plan.expansion import expand_reachable
+from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
 
 PLAN = Path(__file__).parents[1] / "plans" / "seeing.yaml"
 VIEWS = 16  # of an artefact, of a bar four for each ball
@@ -55,6 +58,8 @@ KEPT = Path("runs") / "investigate-benchmark"
 BLOCK = 8
 SIZES = (32, 64, 128)  # poses of the fixed plan after which it is looked at
 ALARM = float(np.log(100))
+UNSEEN = 9.0  # information of three standard deviations: what shows by less cannot be found
+COMPARED_EXACTLY = ("pose_id", "ball", "q", "xyz", "time_s", "direction")  # of two recordings, bit by bit
 COMPARED = 4  # one cell of so many is compared at new places as well: two diagnoses and two calibrations more
 
 
@@ -93,7 +98,8 @@ class NewPlaces:
     def __init__(self):
         plan = yaml12.load(PLAN.read_text())
         plan["stations"] = [
-            {"id": name, "artefact": artefact, "pose_in_base": {"translation_mm": xyz, "abc_deg": abc}} for name, artefact, xyz, abc in PLACES
+            {"id": name, "artefact": artefact, "pose_in_base": {"translation_mm": xyz, "abc_deg": abc}}
+            for name, artefact, xyz, abc in PLACES
         ]
         rng = np.random.default_rng(3)
         views = [
@@ -217,8 +223,10 @@ class Table:
         self.done = {row["number"] for row in self.rows}
 
     def add(self, number: int, row: dict) -> None:
+        self.rows.append({"number": number, **row})
+        self.done.add(number)
         with self.path.open("a") as file:
-            print(json.dumps({"number": number, **row}), file=file, flush=True)
+            print(json.dumps(self.rows[-1]), file=file, flush=True)
 
 
 def looks(loaded: LoadedPlan, count: int, seed: int) -> None:
@@ -233,32 +241,103 @@ def looks(loaded: LoadedPlan, count: int, seed: int) -> None:
         table.add(scenario.number, {"log_e_values": [weigh(obs.select(first_of(order, n))).full.evidence.log_e_value for n in sizes]})
 
 
-def resumed_after_kill(plan: Path, folder: Path, poses: int, whole: tuple[list[Decision], Observations]) -> dict:
-    """Whether an investigation that was killed after so many poses, and resumed, decided and measured what the undisturbed one did."""
-    killed = subprocess.run([sys.executable, simulated_cell.__file__, str(plan), str(folder), str(poses)], capture_output=True, check=False)
-    resumed = list(mbcacq.investigate(None, resume=folder, dry_run=True))
-    again, (decided, obs) = mbcacq.load_observations(folder), whole
-    same = [np.array_equal(getattr(again, name), getattr(obs, name)) for name in ("pose_id", "ball", "xyz", "time_s", "direction")]
-    return {
-        "killed_after": poses,
-        "killed": killed.returncode == -signal.SIGKILL,
-        "decisions": [(d.verdict, d.sets, d.steps, d.end) for d in resumed] == [(d.verdict, d.sets, d.steps, d.end) for d in decided],
-        "observations": all(same),
-    }
+class Undisturbed:
+    """An investigation of a simulated cell that nothing disturbs: its decisions, observations, calibration and seconds."""
+
+    def __init__(self, folder: Path):
+        self.plan = simulated_cell.simulated_plan(folder, "concealed.yaml")
+        began = time.monotonic()
+        self.decided = list(mbcacq.investigate(self.plan, simulated_cell.BUDGET, out=folder / "whole", dry_run=True))
+        self.seconds = time.monotonic() - began
+        self.observed = mbcacq.load_observations(folder / "whole")
+        self.calibrated = figures_of(self.observed)
+
+    def killed(self, folder: Path, poses: int | None, seconds: float) -> tuple[bool, int]:
+        """Kill -9 after so many poses, or after a time; whether it was in time, and how many poses were measured."""
+        script = [sys.executable, simulated_cell.__file__, str(self.plan), str(folder), str(poses or 10_000)]
+        with subprocess.Popen(script, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            try:
+                process.wait(seconds if poses is None else None)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        measured = mbcacq.load_observations(folder).n_poses if list(folder.glob("*.rrd")) else 0
+        return process.returncode == -signal.SIGKILL, measured
+
+    def resumed(self, folder: Path) -> dict:
+        """What a resumed investigation has in common with this one; to begin with, whether it can be resumed."""
+        resumed = list(mbcacq.investigate(None, resume=folder, dry_run=True))
+        again = mbcacq.load_observations(folder)
+        same = {name: np.array_equal(getattr(again, name), getattr(self.observed, name)) for name in COMPARED_EXACTLY}
+        return {
+            "decisions": [d.to_dict() for d in resumed] == [d.to_dict() for d in self.decided],
+            **same,
+            "calibration": figures_of(again) == self.calibrated,
+        }
+
+
+def figures_of(obs: Observations) -> str:
+    """All figures of the calibration of a recording, with every digit."""
+    return json.dumps(mbcacq.calibrate(obs).to_dict(), sort_keys=True)
 
 
 def kills(count: int, seed: int) -> None:
-    """Random moments, at the poses of the first block and of the visit."""
+    """Killed after a random number of poses, and, every second time, at a random moment."""
+    table, rng = Table(f"kills-{seed}"), np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as made:
-        plan = simulated_cell.simulated_plan(Path(made), "concealed.yaml")
-        decided = list(mbcacq.investigate(plan, simulated_cell.BUDGET, out=Path(made) / "whole", dry_run=True))
-        whole = decided, mbcacq.load_observations(Path(made) / "whole")
-        for k, poses in enumerate(np.random.default_rng(seed).integers(1, whole[1].n_poses + 1, count).tolist()):
-            print(json.dumps(resumed_after_kill(plan, Path(made) / f"killed{k}", poses, whole)), flush=True)
+        whole = Undisturbed(Path(made))
+        for k in range(count):
+            poses, share = int(rng.integers(1, whole.observed.n_poses + 1)), float(rng.uniform(0.2, 1.0))
+            if k in table.done:
+                continue
+            folder = Path(made) / f"killed{k}"
+            in_time, measured = whole.killed(folder, None if k % 2 else poses, share * whole.seconds)
+            row = {"by": "moment" if k % 2 else "poses", "killed": in_time, "measured": measured}
+            begun = (folder / INVESTIGATION_FILE).exists()  # else nothing was measured, and there is nothing to resume
+            table.add(k, row | (whole.resumed(folder) if begun else {"begun": False}))
+
+
+GROUPS = ("of the catalogue, at rest", "of the catalogue, in time", "two", "outside of the catalogue", "nothing")
+OUTCOMES = ("right", "in part", "open", "missed", "wrong name", "false alarm")
+
+
+def group_of(row: dict) -> str:
+    """Which kind of cell a row is of."""
+    kind = row["kind"]
+    if kind in (NONE, TWO) or kind in OUTSIDE:
+        return {NONE: GROUPS[4], TWO: GROUPS[2]}.get(kind, GROUPS[3])
+    return GROUPS[1] if declaration(kind).acts_in_time else GROUPS[0]
 
 
 def page(seed: int) -> None:
     """Tables on stdout, as they stand in benchmarks/investigate.md."""
+    rows = Table(f"cells-{seed}").rows
+    print(f"| concealed | cells | {' | '.join(OUTCOMES)} | missed, shown by less than 9 | poses | moves |\n|---|{'--:|' * 10}")
+    for group in (*GROUPS, "all"):
+        some = [r for r in rows if group in ("all", group_of(r))]
+        if some:
+            counts = [sum(r["outcome"] == one for r in some) for one in OUTCOMES]
+            unseen = sum(r["outcome"] == "missed" and r["information"] < UNSEEN for r in some)
+            median = [f"{np.median([r[key] for r in some]):.0f}" for key in ("poses", "moves")]
+            print(f"| {group} | {len(some)} | {' | '.join(map(str, counts))} | {unseen} | {' | '.join(median)} |")
+    some = [r for r in rows if "fixed_outcome" in r]
+    right = np.array([r["poses"] if r["outcome"] == "right" else np.inf for r in some])
+    there = np.array([r["fixed_poses"] if r["fixed_outcome"] == "right" else np.inf for r in some])
+    print("\n| cells with an effect: decided right after at most | 24 | 32 | 48 | 64 | 96 | 128 |\n|---|--:|--:|--:|--:|--:|--:|")
+    for title, poses in (("investigated", right), ("the plan's poses in random order", there)):
+        print(f"| {title} | {' | '.join(str(int((poses <= n).sum())) for n in (24, 32, 48, 64, 96, 128))} |")
+    wrong = [sum(r[key] == "wrong name" for r in some) for key in ("outcome", "fixed_outcome")]
+    alarms = sum(r["largest_log_e_value"] > ALARM for r in rows if r["kind"] == NONE)
+    print(f"\nwrong names {wrong[0]}, of the plan {wrong[1]}, of {len(some)}; alarms {alarms} of {len(rows) - len(some)}")
+    error = np.array([(r["error_mm"], r["fixed_error_mm"]) for r in rows if "error_mm" in r]) * 1e3
+    if len(error):
+        ratio = error[:, 0] / error[:, 1]
+        print(
+            f"at new places, um: {np.median(error, axis=0).round(1)}, ratio {np.quantile(ratio, (0.1, 0.5, 0.9)).round(2)}, {len(error)} cells"
+        )
+    kept = [r["log_e_values"] for r in Table(f"looks-{seed}").rows]
+    if kept:
+        largest = np.array(kept).max(axis=1)
+        print(f"{len(kept)} clean sequences of ten looks: {int((largest > ALARM).sum())} alarms, largest E {np.exp(largest.max()):.2g}")
 
 
 def main() -> None:
