@@ -35,7 +35,7 @@ from mbcacq.challenge.scenarios import NONE, OUTSIDE, TWO, Scenario, catalogued,
 from mbcacq.challenge.score import companions_of
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.strength import Gauge
-from mbcacq.design.adaptive.investigation import Budget, Decision, decisions, effort, sure
+from mbcacq.design.adaptive.investigation import Budget, decisions, effort, sure
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.diagnosis.result import plain
@@ -71,7 +71,7 @@ class RecordedCell:
 
     @property
     def information(self) -> float:
-        """Squared length, in the noise and beyond geometry, of what the effects displace at the measured poses: a decision takes 20 to 30."""
+        """Squared length, in noises and beyond the geometry, of what the effects displace at the measured poses; 20 to 30 decide."""
         return Gauge(self.plan, expand(self.plan)).gain(self.scenario, self.injected)
 
     def measure(self, grown: LoadedPlan) -> Observations:
@@ -331,9 +331,8 @@ def page(seed: int) -> None:
     error = np.array([(r["error_mm"], r["fixed_error_mm"]) for r in rows if "error_mm" in r]) * 1e3
     if len(error):
         ratio = error[:, 0] / error[:, 1]
-        print(
-            f"at new places, um: {np.median(error, axis=0).round(1)}, ratio {np.quantile(ratio, (0.1, 0.5, 0.9)).round(2)}, {len(error)} cells"
-        )
+        spread = np.quantile(ratio, (0.1, 0.5, 0.9)).round(2)
+        print(f"at new places / um: {np.median(error, axis=0).round(1)}, ratio {spread}, {len(error)} cells")
     kept = [r["log_e_values"] for r in Table(f"looks-{seed}").rows]
     if kept:
         largest = np.array(kept).max(axis=1)
