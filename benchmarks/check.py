@@ -2,6 +2,7 @@
 
     python benchmarks/check.py nothing [--years 1000]     years in which nothing changes but what does from day to day
     python benchmarks/check.py daily [--years 300]        the same with a look on every day of the year
+    python benchmarks/check.py first [--years 100]        so many other cells, each checked once after its calibration
     python benchmarks/check.py power [--years 20]         years with a change, for each change that the fakes can make
     python benchmarks/check.py year [--years 3]           the rest of the year for those that are not noticed within a month
     python benchmarks/check.py page                       the figures of all as benchmarks/check.md
@@ -21,7 +22,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from mbcacq.interim_check.measured_day import fit_stations, residuals_of
 from mbcacq.interim_check.options import OPTIONS, UsualChanges
 from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
 from mbcacq.interim_check.verdict import Evidence, verdict_by
+from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
 
 ROOT = Path(__file__).parents[1]
@@ -80,7 +82,7 @@ class Bench:
         poses = expand(self.loaded)
         recorded, _ = observe(self.loaded, poses, CLEAN, [])
         with threadpool_limits(1):
-            cell = CalibratedCell.from_dict(json.loads(json.dumps(mbcacq.calibrate(recorded).to_dict())))
+            cell = calibrated(recorded)
             everything = planned_check(self.loaded, [p for p in poses if len(p.balls) > 2], cell, True, UsualChanges())
             numbers = choose_poses(everything)
             self.poses: list[PlannedPose] = [p for p in poses if p.number in numbers]
@@ -126,6 +128,11 @@ class Bench:
         return np.array(out)
 
 
+def calibrated(recorded: Observations) -> CalibratedCell:
+    """The cell of a recording, as it is read back from its file."""
+    return CalibratedCell.from_dict(json.loads(json.dumps(mbcacq.calibrate(recorded).to_dict())))
+
+
 def kept(name: str) -> dict[str, Any]:
     """Figures of earlier calls."""
     path = KEPT / f"{name}.json"
@@ -151,6 +158,27 @@ def nothing(bench: Bench, years: int, seconds: float, looks: Iterable[int] = LOO
         found[str(year)] = {"usual": usual, "largest": float(log_e.max()), "last": float(log_e[-1])}
         keep(name, found)
     print(len(found), "years, largest log E", max(v["largest"] for v in found.values()))
+
+
+def first(bench: Bench, cells: int, seconds: float) -> None:
+    """Other cells of the kind, each calibrated and checked once with nothing changed: the e-value since the calibration."""
+    found, until = kept("first"), time.monotonic() + seconds
+    for number in range(cells):
+        if str(number) in found:
+            continue
+        if time.monotonic() > until:
+            break
+        scenario = replace(CLEAN, seed=1000 + number)
+        recorded, _ = observe(bench.loaded, expand(bench.loaded), scenario, [])
+        check = planned_check(bench.loaded, bench.poses, calibrated(recorded), True, UsualChanges())
+        again, _ = observe(bench.loaded, bench.poses, scenario, [], noise_seed=50_000 + number)
+        residual = residuals_of(check, again, fit_stations(check, again))
+        day = np.concatenate([residual[key] for key in check.keys])[None]
+        process = EProcess(check.rows, [r.columns for r in check.changes], np.array([r.weight for r in check.changes]))
+        verdict = verdict_by(Evidence(process, check.changes, day, np.ones(day.shape[1], bool)), check, OPTIONS)
+        found[str(number)] = verdict.log_e_calibration
+        keep("first", found)
+    print(len(found), "cells, largest log E since the calibration", max(found.values()))
 
 
 def power(bench: Bench, years: int, seconds: float) -> None:
@@ -221,7 +249,7 @@ def names(bench: Bench, days: np.ndarray) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("what", choices=("nothing", "daily", "power", "year", "page"))
+    parser.add_argument("what", choices=("nothing", "daily", "first", "power", "year", "page"))
     parser.add_argument("--years", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=240.0, help="after which the call ends; the next goes on")
     given = parser.parse_args()
@@ -233,6 +261,8 @@ def main() -> None:
             nothing(bench, given.years or 1000, given.seconds)
         elif given.what == "daily":
             nothing(bench, given.years or 300, given.seconds, DAILY, "daily")
+        elif given.what == "first":
+            first(bench, given.years or 100, given.seconds)
         elif given.what == "year":
             year(bench, given.years or 3, given.seconds)
         else:
@@ -250,6 +280,10 @@ def page() -> None:
             largest = np.array([y["largest"] for y in years if y["usual"] == usual])
             alarms = int((largest >= threshold).sum())
             print(f"| {usual:g} x usual | {len(largest)} | {len(largest) * looks} | {alarms} | {np.exp(largest.max()):.2g} |")
+    since = np.array(list(kept("first").values()))
+    if len(since):
+        above = int((since >= threshold).sum())
+        print(f"\n{len(since)} cells checked once after their calibration: {above} alarms, largest E {np.exp(since.max()):.2g}")
     if rest := kept("year"):
         print("\n| change | size | moves the balls by / µm | alarms within the year | after checks |\n|---|--:|--:|--:|---|")
         for one in rest.values():

@@ -1,9 +1,10 @@
 """Concealed cells investigated blind through the array path: poses and moves to the verdict, against the fixed plan; false alarms of looks.
 
-    python benchmarks/investigate.py cells --count 200 --seed 1100   # of ten: four of the catalogue, two outside, a pair, three of nothing
-    python benchmarks/investigate.py looks --count 1000 --seed 1200  # clean cells, ten looks each: largest e-value of each
-    python benchmarks/investigate.py page --seed 1100                # the tables of benchmarks/investigate.md
-    python benchmarks/investigate.py kills --count 20                # kill -9 after a random pose, then resumed: is all as undisturbed?
+    python benchmarks/investigate.py cells --count 200 --seed 1100      # of ten: four of the catalogue, two outside, a pair, three of nothing
+    python benchmarks/investigate.py protocols --count 20 --seed 1100  # every tenth of them through the fakes of robot and scanner
+    python benchmarks/investigate.py looks --count 1000 --seed 1200     # clean cells, ten looks each: largest e-value of each
+    python benchmarks/investigate.py page --seed 1100                   # the tables of benchmarks/investigate.md
+    python benchmarks/investigate.py kills --count 20                   # kill -9 after a random pose, then resumed: is all as undisturbed?
 
 Nothing that is measured once is measured anew: a block adds its poses to those of the blocks before. Every row is appended to a table in
 runs/investigate-benchmark, so that a call goes on where another ended.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -60,6 +62,7 @@ SIZES = (32, 64, 128)  # poses of the fixed plan after which it is looked at
 ALARM = float(np.log(100))
 UNSEEN = 9.0  # information of three standard deviations: what shows by less cannot be found
 COMPARED_EXACTLY = ("pose_id", "ball", "q", "xyz", "time_s", "direction")  # of two recordings, bit by bit
+PROTOCOLS = 10  # one cell of so many goes through the protocols as well
 COMPARED = 4  # one cell of so many is compared at new places as well: two diagnoses and two calibrations more
 
 
@@ -206,6 +209,32 @@ def cells(loaded: LoadedPlan, count: int, seed: int) -> None:
         table.add(scenario.number, row)
 
 
+def protocols(loaded: LoadedPlan, count: int, seed: int) -> None:
+    """The same cells through the fakes of robot, scanner and thermometers: runner, checks, recordings and all."""
+    gauge, table = Gauge(loaded, expand(loaded)), Table(f"protocols-{seed}")
+    for scenario in draw(seed, PROTOCOLS * count, mixed(PROTOCOLS * count))[::PROTOCOLS]:
+        if scenario.number in table.done:
+            continue
+        with tempfile.TemporaryDirectory() as made:
+            plan = yaml12.load(PLAN.read_text())
+            plan["robot"]["model"] = str(PLAN.parent / plan["robot"]["model"])
+            plan["artefacts"] = [str(PLAN.parent / name) for name in plan["artefacts"]]
+            plan["fake"]["hidden"] = gauge.inject(scenario)
+            path = Path(made) / "plan.yaml"
+            path.write_text(yaml12.dump(plan))
+            began, used = time.monotonic(), processor_s()
+            made_of = mbcacq.investigate(path, Budget(poses=96), out=Path(made) / "run", dry_run=True, seed=scenario.seed)
+            last = list(made_of)[-1]
+        row = {"kind": scenario.kind, "poses": last.poses, "moves": last.moves, "verdict": last.verdict, "found": last.sets[0][0]}
+        row |= {"outcome": outcome(last.verdict, names_of(last.sets[0][0]), set(scenario.names)), "end": last.end}
+        table.add(scenario.number, row | {"seconds": time.monotonic() - began, "processor_s": processor_s() - used})
+
+
+def processor_s() -> float:
+    """Processor time of this process and of those that it started and that have ended."""
+    return sum(r.ru_utime + r.ru_stime for r in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
+
+
 def mixed(count: int) -> list[str]:
     """Of ten cells four of the catalogue, two with an effect outside of it, one pair and three of nothing, each name equally often."""
     inside, outside = cycle(catalogued()), cycle(OUTSIDE)
@@ -341,7 +370,7 @@ def page(seed: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["cells", "looks", "kills", "page"])
+    parser.add_argument("what", choices=["cells", "protocols", "looks", "kills", "page"])
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1100)
     given = parser.parse_args()
@@ -350,7 +379,7 @@ def main() -> None:
     if given.what == "page":
         return page(given.seed)
     with threadpool_limits(1):
-        (cells if given.what == "cells" else looks)(load(PLAN), given.count, given.seed)
+        {"cells": cells, "protocols": protocols, "looks": looks}[given.what](load(PLAN), given.count, given.seed)
     return None
 
 
