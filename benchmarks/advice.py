@@ -2,11 +2,12 @@
 
     python benchmarks/advice.py [--count 50] [--seed 1300] [--plan plans/seeing.yaml]
 
-Weakly disturbed cells (some with nothing) are recorded by the array path at the first 24 to 64 poses of a plan, as a run that was stopped
-early. Where a look says ``cannot_tell``, the next poses are chosen as by ``mbcacq diagnose RUN --next next.yaml``, the plan is written,
-read, grown onto that of the recording and checked as ``mbcacq run next.yaml --extend RUN`` does, every motion of it too; its poses are
-measured in the same cell and all is weighed again. What is still open gets one more piece of advice. Rows go to runs/advice-benchmark, so
-that a call goes on where another ended; the last lines count them.
+Cells are recorded by the array path at the first 24 to 64 poses of a plan, as a run that was stopped early, with effects that these poses
+show by an information of 8 to 40, about what a decision takes. Where a look says ``cannot_tell``, the next poses are chosen as by
+``mbcacq diagnose RUN --next next.yaml``, the plan is written, read, grown onto that of the recording and checked as
+``mbcacq run next.yaml --extend RUN`` does, every motion of it too; its poses are measured in the same cell and all is weighed again. What
+is still open gets one more piece of advice. Rows go to runs/investigate-benchmark, so that a call goes on where another ended; the last
+lines count them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +22,9 @@ from investigate import PLAN, Table, mixed, names_found, outcome
 from threadpoolctl import threadpool_limits
 
 import mbcacq
-from mbcacq.challenge.scenarios import WEAKEST, Scenario, draw
+from mbcacq.challenge.scenarios import NONE, Scenario, draw
 from mbcacq.challenge.simulated_cells import observe
-from mbcacq.challenge.strength import Gauge
+from mbcacq.challenge.strength import LARGEST_STRENGTH, Gauge
 from mbcacq.design.adaptive.next_plan import choose_next, next_plan_text
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.errors import MbcacqError
@@ -34,6 +34,7 @@ from mbcacq.plan.growth import grown
 from mbcacq.workflow.acquire import plan_acquisition
 
 FEWEST, MOST = 24, 64  # poses after which a run was stopped
+SHOWN = (8.0, 40.0)  # information of each effect in these poses
 ROUNDS = 2
 
 
@@ -63,12 +64,28 @@ def measured(loaded: LoadedPlan, scenario: Scenario, injected: list, first: int,
     return obs.select((number < first) | (number >= planned))
 
 
-def followed(loaded: LoadedPlan, scenario: Scenario, injected: list, folder: Path) -> dict:
+def injected_in(loaded: LoadedPlan, scenario: Scenario, first: int, information: float) -> list | None:
+    """The effects of a scenario, each as strong as the first poses show by this information; None where they show one not at all."""
+    gauge, out = Gauge(loaded, expand(loaded)[:first]), []
+    for number, name in enumerate(scenario.names):
+        one = {"name": name, "strength": 1.0, "seed": scenario.effect_seed + number}
+        gain = gauge.gain(scenario, [one])
+        strength = float(np.sqrt(information / max(gain, 1e-9)))
+        if strength > LARGEST_STRENGTH:
+            return None
+        out.append({**one, "strength": strength})
+    return out
+
+
+def followed(loaded: LoadedPlan, scenario: Scenario, folder: Path) -> dict:
     """Row of one cell: what was said at first, what was advised, and what came out of it."""
-    true, planned = set(scenario.names), len(expand(loaded))
-    first = int(np.random.default_rng(scenario.seed).integers(FEWEST, MOST + 1))
+    true, planned, rng = set(scenario.names), len(expand(loaded)), np.random.default_rng(scenario.seed)
+    first, information = int(rng.integers(FEWEST, MOST + 1)), float(np.exp(rng.uniform(*np.log(SHOWN))))
+    injected = injected_in(loaded, scenario, first, information)
+    if injected is None:
+        return {"kind": scenario.kind, "verdict": "unseen", "rounds": []}
     look = weigh(measured(loaded, scenario, injected, first, planned))
-    row = {"kind": scenario.kind, "excess": scenario.excess, "first": first, "verdict": look.verdict, "rounds": []}
+    row = {"kind": scenario.kind, "information": information, "first": first, "verdict": look.verdict, "rounds": []}
     for _ in range(ROUNDS):
         if look.verdict != "cannot_tell":
             break
@@ -89,14 +106,13 @@ def main() -> None:
     parser.add_argument("--plan", type=Path, default=PLAN)
     given = parser.parse_args()
     loaded = mbcacq.load_plan(given.plan)
-    table, gauge = Table(f"advice-{given.plan.stem}-{given.seed}"), Gauge(loaded, expand(loaded))
+    table = Table(f"advice-{given.plan.stem}-{given.seed}")
     with threadpool_limits(1), tempfile.TemporaryDirectory() as made:
-        for scenario in draw(given.seed, 40 * given.count, mixed(40 * given.count)):
+        for scenario in draw(given.seed, 20 * given.count, [kind for kind in mixed(30 * given.count) if kind != NONE]):
             if sum(bool(row["rounds"]) for row in table.rows) >= given.count:
                 break
             if scenario.number not in table.done:
-                weak = replace(scenario, excess=WEAKEST * float(np.sqrt(scenario.excess / WEAKEST)))
-                table.add(scenario.number, followed(loaded, weak, gauge.inject(weak), Path(made)))
+                table.add(scenario.number, followed(loaded, scenario, Path(made)))
     count(table.rows)
 
 

@@ -1,7 +1,7 @@
 """Concealed cells investigated blind through the array path: poses and moves to the verdict, against the fixed plan; false alarms of looks.
 
-    python benchmarks/investigate.py cells --count 200 --seed 1100      # of ten: four of the catalogue, two outside, a pair, three of nothing
-    python benchmarks/investigate.py protocols --count 20 --seed 1100  # every tenth of them through the fakes of robot and scanner
+    python benchmarks/investigate.py cells --count 200 --seed 1100      # four of ten of the catalogue, two outside, a pair, three clean
+    python benchmarks/investigate.py protocols --count 20 --seed 1100   # every ninth of them through the fakes of robot and scanner
     python benchmarks/investigate.py looks --count 1000 --seed 1200     # clean cells, ten looks each: largest e-value of each
     python benchmarks/investigate.py page --seed 1100                   # the tables of benchmarks/investigate.md
     python benchmarks/investigate.py kills --count 20                   # kill -9 after a random pose, then resumed: is all as undisturbed?
@@ -62,7 +62,7 @@ SIZES = (32, 64, 128)  # poses of the fixed plan after which it is looked at
 ALARM = float(np.log(100))
 UNSEEN = 9.0  # information of three standard deviations: what shows by less cannot be found
 COMPARED_EXACTLY = ("pose_id", "ball", "q", "xyz", "time_s", "direction")  # of two recordings, bit by bit
-PROTOCOLS = 10  # one cell of so many goes through the protocols as well
+PROTOCOLS = 9  # one cell of so many goes through the protocols as well, of every kind in turn
 COMPARED = 4  # one cell of so many is compared at new places as well: two diagnoses and two calibrations more
 
 
