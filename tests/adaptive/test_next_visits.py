@@ -153,3 +153,14 @@ def test_an_effect_that_may_be_chance_is_not_given_up_as_out_of_reach():
     chosen = choose_next(look, plan, visits=1, poses=10)
     assert not chosen.futile
     assert len(chosen.poses) >= 6
+
+
+def test_a_station_that_creeps_is_found_where_three_poses_see_it():
+    """The first block visits p8 with three poses, while its tripod creeps."""
+    plan = first_block(load(Path(__file__).parents[2] / "plans" / "seeing.yaml"))
+    poses = expand(plan)
+    assert sum(p.station == "p8" for p in poses) == 3
+    creeping = [{"name": "station_drift", "station": "p8", "strength": 0.3, "seed": 5}]
+    look = weigh(observe(plan, poses, Scenario(0, "station_drift", 11, ("station_drift",), 5, 1.0), creeping)[0])
+    assert look.reported.labels == {"station_drift:stationp8"}
+    assert look.verdict == "explained"
