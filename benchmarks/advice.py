@@ -26,7 +26,6 @@ from mbcacq.challenge.scenarios import NONE, Scenario, draw
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.strength import LARGEST_STRENGTH, Gauge
 from mbcacq.design.adaptive.next_plan import choose_next, next_plan_text
-from mbcacq.design.adaptive.options import ADVICE
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.errors import MbcacqError
 from mbcacq.model.observations import Observations
@@ -41,7 +40,7 @@ ROUNDS = 2
 
 def advised(loaded: LoadedPlan, look: InterimEvidence, folder: Path) -> tuple[LoadedPlan | None, dict]:
     """The plan that has grown by the advice, if that runs; and what was advised."""
-    chosen = choose_next(look, loaded, visits=3, poses=24, options=ADVICE)
+    chosen = choose_next(look, loaded, visits=3, poses=24)
     said = {"advised": len(chosen.poses), "visits": len(chosen.visits), "reasons": chosen.reasons[:3]}
     if not chosen.visits:
         return None, said | {"runs": None}

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mbcacq.design.adaptive.next_plan import NextPoses, choose_next, next_plan_text
-from mbcacq.design.adaptive.options import ADVICE
 from mbcacq.design.adaptive.pool import reachable_views
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.diagnosis.result import Advice, EvidenceSummary
@@ -108,4 +107,4 @@ def _chosen(look: InterimEvidence, loaded: LoadedPlan, visits: int, poses: int, 
     unknown = {s.id for s in look.problem.linear.obs.cell.stations} - {s.id for s in loaded.cell.stations}
     if unknown:
         raise ConfigError(f"{loaded.path} has no station {', '.join(sorted(unknown))} of the recording; give the plan of the cell")
-    return choose_next(look, loaded, visits, poses, views=reachable_views(loaded, seed), options=ADVICE)
+    return choose_next(look, loaded, visits, poses, views=reachable_views(loaded, seed))

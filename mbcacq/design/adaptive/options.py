@@ -48,6 +48,3 @@ class AdaptiveOptions:
 
 
 OPTIONS = AdaptiveOptions()
-# Advice that people follow once is to decide: log odds that are expected to grow by g scatter by the root of 2 g, so that eight in ten come
-# out above what is enough with this much to spare (benchmarks/advice.py).
-ADVICE = AdaptiveOptions(spare=5.0)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
+from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.diagnosis.evidence.coefficients import coefficients, displacements
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
 from mbcacq.diagnosis.evidence.posterior import nested
@@ -41,15 +41,13 @@ class SetToTell:
 @dataclass(frozen=True)
 class SetComparison:
     """Two sets, one of which is true. differs: column by which their displacements differ; model: columns of the other set, in prior
-    sigmas; weight: how probable the first is to be true; known: log odds in its favour as they stand; lacks: those that are aimed at beyond
-    them.
+    sigmas; weight: how probable the first is to be true; known: log odds in its favour as they stand.
     """
 
     differs: int
     model: tuple[int, ...]
     weight: float
     known: float
-    lacks: float
     a: int
     b: int
 
@@ -98,7 +96,7 @@ class Questions:
         total = np.zeros(products.shape[:-2])
         for comparison, known in zip(self.comparisons, before, strict=True):
             gained = 0.5 * np.maximum(comparison.information(products) - known, 0.0)
-            total = total + comparison.weight * np.minimum(gained, comparison.lacks)
+            total = total + comparison.weight * np.minimum(gained, needed(comparison))
         return total
 
     @property
@@ -111,12 +109,17 @@ class Questions:
         return np.array([c.information(products) for c in self.comparisons])
 
 
-def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: bool = False, options: AdaptiveOptions = OPTIONS) -> Questions:
+def needed(comparison: SetComparison) -> float:
+    """Log odds that a comparison still lacks."""
+    return max(OPTIONS.enough + OPTIONS.spare - comparison.known, 0.0)
+
+
+def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: bool = False) -> Questions:
     """What is open after a look, or before the first one, as columns of a problem that is linearised at measured and planned poses.
 
     timeless: leave out what acts in time, where nobody knows yet when a pose will be measured.
     """
-    sets, comparisons, columns = ((), (), []) if look is None else _sets(look, linear, options)
+    sets, comparisons, columns = ((), (), []) if look is None else _sets(look, linear)
     pairs = sum(c.shape[2] for c in columns)
     names, weights, hidden = _hidden(look, linear, timeless)
     shape = (*linear.residual.shape, 0)
@@ -156,9 +159,7 @@ def differ_by_direction(look: InterimEvidence) -> bool:
     return any("direction" in catalogue.declaration(m.candidate.name).needs for h in surviving(look) for m in h.members)
 
 
-def _sets(
-    look: InterimEvidence, linear: LinearProblem, options: AdaptiveOptions
-) -> tuple[list[SetToTell], list[SetComparison], list[np.ndarray]]:
+def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell], list[SetComparison], list[np.ndarray]]:
     found = surviving(look)
     if len(found) < 2:
         return [], [], []
@@ -179,8 +180,7 @@ def _sets(
         columns.append((moved[0] - moved[b])[:, :, None])
         for one, other in ((0, b), (b, 0)):
             known = float(logs[one] - logs[other])
-            lacks = max(options.enough + options.spare - known, 0.0)
-            comparisons.append(SetComparison(start, model[other], float(probability[one]), known, lacks, one, other))
+            comparisons.append(SetComparison(start, model[other], float(probability[one]), known, one, other))
         start += 1
     return sets, comparisons, columns
 
