@@ -14,9 +14,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+from mbcacq.challenge.power import least_gain
 from threadpoolctl import threadpool_limits
 
-from mbcacq.challenge.power import least_gain
 from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario, catalogued
 from mbcacq.challenge.simulated_cells import observe
