@@ -136,9 +136,17 @@ def test_a_few_telegrams_and_then_silence_are_no_firewall():
 
     def one_telegram():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-            sock.sendto(b'<Rob Type="KUKA"><AIPos A1="0" A2="0" A3="0" A4="0" A5="0" A6="0"/><IPOC>4</IPOC></Rob>', ("127.0.0.1", port))
+            sock.settimeout(20.0)
+            sock.connect(("127.0.0.1", port))
+            for _ in range(10_000):  # until somebody listens there: before, the system says so
+                try:
+                    sock.send(b'<Rob Type="KUKA"><AIPos A1="0" A2="0" A3="0" A4="0" A5="0" A6="0"/><IPOC>4</IPOC></Rob>')
+                    sock.recv(2048)
+                    return
+                except ConnectionRefusedError:
+                    time.sleep(0.005)
 
-    sender = threading.Timer(0.5, one_telegram)
+    sender = threading.Thread(target=one_telegram)
     sender.start()
     with pytest.raises(ConnectError, match=r"came from 127\.0\.0\.1:\d+ .* and then none.* smartPAD") as caught:
         robot.connect()

@@ -85,7 +85,7 @@ def _problem(key: str, value: Any) -> str:
         return "" if isinstance(value, bool) else "true or false"
     if key in _NUMBERS:
         low, high = _NUMBERS[key]
-        kind: type | tuple[type, ...] = (int, float)
+        kind: type[int] | tuple[type[int], type[float]] = (int, float)
     else:
         low, high = (_PORTS[key], 65535) if key in _PORTS else (0, 10) if key == "retries" else (1, 2**32 - 1)
         kind = int
