@@ -63,15 +63,15 @@ def sessions(work: Path) -> dict[str, Session]:
             "plan.yaml",
             make_clouds,
             strikes=6,
-            moments=5,
+            moments=10,
         ),
         "investigate": Session(
             lambda run: command("investigate", cell, "--dry-run", "--poses", 30, "--out", run),
             lambda run: command("investigate", "--dry-run", "--resume", run),
             "investigation.json",
             make_plan,
-            strikes=1,
-            moments=1,
+            strikes=3,
+            moments=4,
         ),
     }
 
