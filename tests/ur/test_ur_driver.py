@@ -110,7 +110,13 @@ def test_a_controller_without_a_variable_names_it(controller):
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
-    [({"limits_deg": [[-1, 1]] * 5}, "limits_deg"), ({"limits_deg": [[1, -1]] * 6}, "lower limit"), ({"address": ""}, "address")],
+    [
+        ({"limits_deg": [[-1, 1]] * 5}, "limits_deg"),
+        ({"limits_deg": [[1, -1]] * 6}, "lower limit"),
+        ({"address": ""}, "address"),
+        ({"adress": "127.0.0.1", "address": None}, "unknown option 'adress' .it knows: address, port"),
+        ({"payload_kg": -1.0}, "payload_kg: Input should be greater than or equal to 0"),
+    ],
 )
 def test_options_that_cannot_be_are_named(controller, options, sentence):
     with pytest.raises(ConfigError, match=sentence):
