@@ -23,6 +23,8 @@ from strike_commands import ROOT, Work, command
 
 sys.path[:0] = [str(ROOT / "tests" / "collect"), str(ROOT / "tests" / "adaptive")]
 
+ENDED = ("result.json", "report.html")
+
 
 @dataclass(frozen=True)
 class Session:
@@ -63,15 +65,15 @@ def sessions(work: Path) -> dict[str, Session]:
             "plan.yaml",
             make_clouds,
             strikes=6,
-            moments=5,
+            moments=10,
         ),
         "investigate": Session(
             lambda run: command("investigate", cell, "--dry-run", "--poses", 30, "--out", run),
             lambda run: command("investigate", "--dry-run", "--resume", run),
             "investigation.json",
             make_plan,
-            strikes=1,
-            moments=1,
+            strikes=3,
+            moments=4,
         ),
     }
 
@@ -156,12 +158,11 @@ def _judged(case: Session, run: Path, whole: Any, run_in_child: Callable[[Work],
     begun = (run / case.begun).exists()
     if not begun:
         shutil.rmtree(run, ignore_errors=True)
-    code = run_in_child(case.resume(run) if begun else case.begin(run))
+    ended = all((run / name).exists() for name in ENDED)  # then there is nothing to resume
+    code = 0 if ended else run_in_child(case.resume(run) if begun else case.begin(run))
     if code:
         return f"neither: resumed with exit {code}" if begun else f"neither: begun anew with exit {code}"
-    wrong = next(differences(run, whole), "") or next(
-        (f"no {name}" for name in ("result.json", "report.html") if not (run / name).exists()), ""
-    )
+    wrong = next(differences(run, whole), "") or next((f"no {name}" for name in ENDED if not (run / name).exists()), "")
     return f"neither: {wrong}" if wrong else "new" if begun else "old"
 
 

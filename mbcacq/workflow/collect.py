@@ -134,7 +134,8 @@ def collect(
         for sentence in before.repairs:
             operator.message(sentence)
         paired = pair_clouds(loaded, sources, done=before.done, operator=operator)
-        if not paired.poses and not (before.done and folder is not None and not (folder / "result.json").exists()):
+        evaluated = folder is None or all((folder / name).exists() for name in ("result.json", "report.html"))
+        if not paired.poses and (evaluated or not before.done):
             for _, text in paired.notes:
                 operator.message(text)
             raise ConfigError(f"{sources.clouds}: no cloud belongs to a pose that is still missing; look at the messages above")

@@ -62,17 +62,17 @@ def test_a_session_that_was_killed_goes_on_with_the_same_clouds(rehearsed, cloud
     assert np.array_equal(again.xyz, whole.xyz)
 
 
-@pytest.mark.parametrize("with_table", [True, False], ids=["program's table", "no table"])
-def test_a_session_that_ended_in_its_calibration_is_calibrated(rehearsed, clouds, tmp_path, with_table):
+@pytest.mark.parametrize(("with_table", "missing"), [(True, "result.json"), (False, "result.json"), (True, "report.html")])
+def test_a_session_that_ended_in_its_calibration_is_calibrated(rehearsed, clouds, tmp_path, with_table, missing):
     plan = loaded(rehearsed / "plan.yaml")
     if with_table:
         shutil.copy(rehearsed / "program" / "poses.csv", clouds)
     else:
         (clouds / "poses.csv").unlink(missing_ok=True)
     whole = mbcacq.collect(plan, clouds, out=tmp_path / "run")
-    (whole.folder / "result.json").unlink()
+    (whole.folder / missing).unlink()
     again = mbcacq.collect(plan, clouds, resume=whole.folder)
-    assert (whole.folder / "result.json").exists()
+    assert (whole.folder / missing).exists()
     assert np.array_equal(hand_eye(again), hand_eye(whole))
     with pytest.raises(ConfigError, match="no cloud belongs to a pose that is still missing"):
         mbcacq.collect(plan, clouds, resume=whole.folder)
