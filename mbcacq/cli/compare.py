@@ -74,6 +74,7 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
 
 def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool) -> None:
     """The comparison of two recordings."""
+    from mbcacq.workflow.changes_page import write_page
     from mbcacq.workflow.compare_runs import compare_runs
 
     with StepProgress() as progress:
@@ -81,7 +82,7 @@ def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool
         found = compare_runs(first, second)
         if report is not None:
             progress("drawing the page")
-            found.write_html(report)
+            write_page(found, report)
     if as_json:
         echo(json.dumps(found.to_dict()))
         return

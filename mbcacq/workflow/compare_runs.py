@@ -135,12 +135,6 @@ class RunComparison:
             for row in self.rows
         ]
 
-    def write_html(self, path: Path | str) -> Path:
-        """Write the comparison as one HTML page with charts. Raises RecordingError where it cannot be written."""
-        from mbcacq.workflow.changes_page import write_page
-
-        return write_page(self, path)
-
     def to_dict(self) -> dict[str, Any]:
         """JSON content, format 'mbcacq-run-comparison/1'. Lengths mm, angles deg."""
         together = {"chi2": self.chi2, "dof": self.dof, "p_value": self.p_value}

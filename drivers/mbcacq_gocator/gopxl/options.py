@@ -77,10 +77,11 @@ class GoPxLOptions:
 
 def _problem(key: str, value: Any) -> str:
     """What a value should be instead, '' where it is right."""
-    if key in ("address", "broadcast") and isinstance(value, str) and value.strip() and not is_host(value.strip()):
-        return "a host name or an IP address, such as 192.168.1.10"
     if key in _TEXTS:
-        return "" if isinstance(value, str) else "a text"
+        text = value.strip() if isinstance(value, str) else None
+        if text and key in ("address", "broadcast") and not is_host(text):
+            return "a host name or an IP address, such as 192.168.1.10"
+        return "a text" if text is None else ""
     if key in _FLAGS:
         return "" if isinstance(value, bool) else "true or false"
     if key in _NUMBERS:
