@@ -47,7 +47,9 @@ def parameter_figure(title: str, parameters: Sequence[Mapping[str, Any]]) -> go.
             marker={"color": colour, "size": 8},
             error_y={"array": [factor * K * p["std"] for p in drawn], "color": colour, "thickness": 1.2, "width": 3},
         )
-    figure.update_xaxes(title="parameter", type="category", categoryorder="array", categoryarray=[p["name"] for p in arm or known])
+    figure.update_xaxes(
+        title="parameter", tickangle=-60, type="category", categoryorder="array", categoryarray=[p["name"] for p in arm or known]
+    )
     figure.update_yaxes(title="error with U (k = 2) / mm, mrad", zeroline=True)
     figure.update_layout(title=title, template="plotly_white", height=420)
     return figure

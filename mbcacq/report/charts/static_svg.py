@@ -107,6 +107,8 @@ def _bar(axes: Any, trace: Any, place: _Place) -> None:
         at = at + (own - (len(place.bars) - 1) / 2) * width
     draw: Callable = axes.barh if flat else axes.bar
     draw(at, size, width, base, color=_one(trace.marker.color) or "#0072B2", label=_label(trace))
+    if not flat and trace.error_y.array is not None:
+        axes.errorbar(at, base + size, np.asarray(trace.error_y.array, dtype=float), fmt="none", ecolor="#333333", elinewidth=1, capsize=3)
 
 
 def _heatmap(axes: Any, trace: Any, place: _Place) -> None:
