@@ -9,7 +9,7 @@ arm with corrected targets misses (after). Both are of the same poses, of one re
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from mbcacq.estimation.forward_model import predict, residual
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.terms import unit
 from mbcacq.geometry import se3
+from mbcacq.model.json_text import fields_as_json, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 
@@ -40,7 +41,7 @@ class MissedBy:
         return cls(float(np.sqrt(np.mean(mm**2))), float(np.median(mm)), float(mm.max()))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ArmImprovement:
     """What corrected targets changed, at poses of one recording. before, after: over the poses that count; noise_mm: rms that the scanner
     and the joints' repeatability alone would leave; poses: how many count; new: whether none of these places took part in the
@@ -73,14 +74,12 @@ class ArmImprovement:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content."""
-        return asdict(self) | {key: list(getattr(self, key)) for key in ("pose", "before_mm", "after_mm")}
+        return fields_as_json(self)
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> ArmImprovement:
-        """What ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
-        several = {key: tuple(content[key]) for key in ("pose", "before_mm", "after_mm")}
-        before, after = (MissedBy(**content[key]) for key in ("before", "after"))
-        return cls(before, after, float(content["noise_mm"]), int(content["poses"]), content["new"], **several)
+        """What ``to_dict`` wrote. Raises ValueError where it is damaged."""
+        return from_fields(cls, content)
 
 
 def arm_improvement(

@@ -10,7 +10,10 @@ Units: mm, rad, s unless a field says otherwise. A driver imports this package a
 
 from __future__ import annotations
 
+from mbcacq.devices.addresses import HOST, is_host
 from mbcacq.devices.deferred_signals import signals_deferred
+from mbcacq.devices.life_cycle import ContextDevice
+from mbcacq.devices.plan_options import parse_options
 from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
 from mbcacq.devices.registry import available, create, load_driver
 from mbcacq.errors import (
@@ -27,9 +30,11 @@ from mbcacq.errors import (
 )
 
 __all__ = [
+    "HOST",
     "Aborted",
     "ConfigError",
     "ConnectError",
+    "ContextDevice",
     "Cycles",
     "Description",
     "Device",
@@ -50,6 +55,8 @@ __all__ = [
     "SystemRefused",
     "available",
     "create",
+    "is_host",
     "load_driver",
+    "parse_options",
     "signals_deferred",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiagnosisOptions:
     """Tuning of a diagnosis. ``benchmarks/challenge.md`` measures all of it together; no field was fitted to a single recording."""
 

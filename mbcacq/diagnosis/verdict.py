@@ -29,7 +29,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.in_words import odds_in_words
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JudgedFit:
     """What is reported of a fit. before: score on the data fitted with geometry alone, which leaves residual (M, R). pairs: that are not
     separable, with their coefficients. model: the reported effects, to be kept; None where there are none.

@@ -17,6 +17,7 @@ import numpy as np
 
 from mbcacq.effects.functions import OF_CENTRES, ZERO, Column, DescribedPart
 from mbcacq.estimation.terms import Part
+from mbcacq.model.json_text import Number
 from mbcacq.quantities import K, measured, split_unit
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "Hyperparameter",
     "MOMENT",
     "Missing",
+    "ON_THE_ARM",
     "ORDER",
     "ParameterEstimate",
     "Parameters",
@@ -43,6 +45,8 @@ MOMENT = "moment"  # rank in time of the first pose after a change
 ORDER = "order"  # periods a turn of the angle that the effect depends on
 BREAKPOINT = "breakpoint"  # value of a covariate at which something changes
 FADING = "fading"  # time constant of something that fades
+
+ON_THE_ARM = ("A", "link", "base")  # how the locations begin that several recordings of one arm share
 
 
 class Missing(Exception):
@@ -70,8 +74,8 @@ class Hyperparameter:
 class ParameterEstimate:
     """A reported parameter and its standard deviation, in the unit that its name ends with; tuples where it has several components."""
 
-    value: float | tuple[float, ...]
-    std: float | tuple[float, ...]
+    value: Number | tuple[Number, ...]
+    std: Number | tuple[Number, ...]
 
     def __str__(self) -> str:
         return self.shown("")

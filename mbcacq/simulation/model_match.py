@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import floor, isfinite, log10
 from pathlib import Path
 from typing import Any
 
 from mbcacq.files.atomic_write import write_file
+from mbcacq.model.json_text import Number, fields_as_json, from_fields
+from mbcacq.quantities import K, significant, symbol, uncertainty
 
 RUNS, TORQUES, POSES = "runs", "torques", "poses"  # what a recording is compared with
 AT_NOISE = 1.2  # times the noise, which is itself an estimate to some per cent: up to that a held-out channel is explained
@@ -24,10 +26,10 @@ class ModelParameter:
     name: str
     where: str
     parameter: str
-    before: float
-    after: float
-    std: float
-    p_value: float
+    before: Number
+    after: Number
+    std: Number
+    p_value: Number
     named: bool
 
     @property
@@ -47,9 +49,9 @@ class ChannelError:
 
     channel: str
     unit: str
-    noise: float
-    before: float
-    after: float
+    noise: Number
+    before: Number
+    after: Number
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class ModelCheck:
     errors: tuple[ChannelError, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelMatch:
     """A MuJoCo model with what was found in recordings.
 
@@ -87,19 +89,12 @@ class ModelMatch:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON content."""
-        return asdict(self)
+        return fields_as_json(self)
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> ModelMatch:
-        """From what ``to_dict`` gave. Raises KeyError or TypeError for anything else."""
-        lists: dict[str, Any] = {
-            "parameters": tuple(ModelParameter(**{**p, "std": _number(p["std"])}) for p in content["parameters"]),
-            "errors": tuple(ChannelError(**e) for e in content["errors"]),
-            "checks": tuple(ModelCheck(c["recording"], tuple(ChannelError(**e) for e in c["errors"])) for c in content["checks"]),
-            "remarks": tuple(content["remarks"]),
-        }
-        known: dict[str, Any] = {name: content[name] for name in ("model", "xml", "compared")}
-        return cls(**known, **lists)
+        """From what ``to_dict`` gave. Raises ValueError for anything else."""
+        return from_fields(cls, content)
 
     @property
     def verdict(self) -> str | None:
@@ -119,19 +114,17 @@ class ModelMatch:
     @property
     def text(self) -> str:
         """In plain lines, as the command line prints it."""
-        lines = [
-            "",
-            f"Written into {Path(self.model).name}:" if self.parameters else f"Nothing is to be changed in {Path(self.model).name}.",
-        ]
+        name = Path(self.model).name
+        lines = ["", f"Written into {name} (± U, k = 2):" if self.parameters else f"Nothing is to be changed in {name}."]
         for p in self.parameters:
-            std = "" if p.std != p.std else f" +- {p.std:.2g}"
+            std = "" if p.std != p.std else f" ± {uncertainty(K * p.std)}"
             lines.append(f"  {p.where:<12} {p.parameter:<24} {p.given} -> {p.found}{std}")
         lines += [f"  ({remark})" for remark in self.remarks]
         if self.compared != POSES:
             what = "new runs of MuJoCo by the recorded set points" if self.compared == RUNS else "MuJoCo's torque along the recorded motion"
             lines += ["", f"Recorded against {what}, on held-out parts (rms before, after, noise):", *_rows(self.errors)]
         else:
-            lines += ["", *(f"  {e.channel}: {e.after:.2g} {e.unit}" for e in self.errors)]
+            lines += ["", *(f"  {e.channel}: {significant(e.after, 2)} {symbol(e.unit)}" for e in self.errors)]
         for check in self.checks:
             lines += ["", f"In {check.recording}, held out:", *_rows(check.errors)]
         return "\n".join(lines)
@@ -147,8 +140,7 @@ def to_precision(value: float, std: float) -> str:
 
 
 def _rows(errors: tuple[ChannelError, ...]) -> list[str]:
-    return [f"  {e.channel:<12} {e.before:.3g} -> {e.after:.3g} {e.unit} (noise {e.noise:.2g})" for e in errors]
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
+    return [
+        f"  {e.channel:<12} {significant(e.before)} -> {significant(e.after)} {symbol(e.unit)} (noise {significant(e.noise, 2)})"
+        for e in errors
+    ]

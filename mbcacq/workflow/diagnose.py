@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.effects.catalogue import Added, with_added
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -40,6 +41,7 @@ def diagnose(  # noqa: PLR0913 -- one argument an option of its command
     simulation: Data | Sequence[Data] | None = None,
     propose: bool = False,
     minutes: float | None = OPTIONS.minutes,
+    effects: Sequence[Added] = (),
 ) -> DiagnosisResult:
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
@@ -53,6 +55,8 @@ def diagnose(  # noqa: PLR0913 -- one argument an option of its command
     explained against that simulation, and what was found in a model file is written into it (``found.simulation.write("found.xml")``).
     propose: search short formulas for unmodelled effects of one recording of poses (``found.proposals``, ``found.write_effect("folder")``).
     minutes: when they are over the search ends, and the verdict is ``cannot_tell`` with what was found by then (None: no end).
+    effects: further effects that are tried beside the catalogue: functions ``name(context)`` that return candidates of that name, modules
+    with NAME and ``candidates``, or files with these.
 
     Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
     """
@@ -60,8 +64,15 @@ def diagnose(  # noqa: PLR0913 -- one argument an option of its command
     how = Question(progress=progress, workers=workers, options=options, check=tuple(check), place=place, minutes=minutes)
     if propose and (len(several) > 1 or simulation is not None or is_trajectory(several[0])):
         raise ConfigError("formulas are proposed for one recording of poses; leave --propose out, or give that recording alone")
-    if simulation is not None:
-        return diagnose_against(several, listed(simulation), how)
+    with with_added(effects):
+        if simulation is not None:
+            return diagnose_against(several, listed(simulation), how)
+        return _diagnosed(several, how, propose)
+
+
+def _diagnosed(several: list[Data], how: Question, propose: bool) -> DiagnosisResult:
+    """The diagnosis of recordings by themselves, without another simulation beside them."""
+    check = how.check
     if all(is_trajectory(one) for one in several):
         if not all(is_trajectory(one) for one in check):
             raise ConfigError("what was learnt from trajectories is tried on trajectories; give --check recordings of motion")
@@ -75,9 +86,9 @@ def diagnose(  # noqa: PLR0913 -- one argument an option of its command
     observations = as_observations(one)
     others = to_be_checked(observations, check)
     found = diagnose_poses(observations, how, formulas=propose, fitted=not check)
-    found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
+    found = replace(found, provenance=provenance(one, check, {"place": how.place, "workers": how.workers}))
     if check:
-        found = checked(observations, found, others, place, progress)
+        found = checked(observations, found, others, how.place, how.progress)
     if isinstance(one, Observations):
         return found
     if is_run_folder(Path(one)):

@@ -45,7 +45,7 @@ def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
         found = diagnose_poses(recordings[0], how)
     else:
         poses = diagnose(recordings, progress=how.progress, workers=how.workers or cores(), options=how.options, minutes=how.minutes)
-        found = DiagnosisResult(poses)
+        found = DiagnosisResult(poses=poses)
     if motions:
         how.progress("comparing the motion")
         found = replace(found, motion=diagnose_motion([m for m in motions if not isinstance(m, Observations)], how).motion)
@@ -176,7 +176,7 @@ def diagnose_poses(observations: Observations, how: Question, *, formulas: bool 
         refit=refit,
         minutes=how.minutes,
     )
-    return DiagnosisResult(found, observations=observations)
+    return DiagnosisResult(poses=found, observations=observations)
 
 
 def fitted_model(observations: Observations, model: EffectModel) -> tuple[EffectModel | None, tuple[str, ...]]:

@@ -16,8 +16,9 @@ from mbcacq.cli import calibrate as calibrate_command
 from mbcacq.cli import diagnose as diagnose_command
 from mbcacq.diagnosis.output.text import geometry_lines, words
 from mbcacq.diagnosis.problem import prepare
-from mbcacq.diagnosis.result import Diagnosis, plain
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.schema import diagnosis_schema
+from mbcacq.model.json_text import plain
 from mbcacq.recording import load_observations, write_observation_set
 
 HELD = CalibrationOptions(refuse=False, discrepancy=False, random_links=False)
@@ -56,7 +57,7 @@ def observed(plan):
 def test_both_commands_write_one_cell_although_the_search_begins_with_more_centres(observed, tmp_path):
     write_observation_set(observed, tmp_path / "set")
     read = load_observations(tmp_path / "set")
-    assert prepare(read).linear.keep.sum() > calibrate(read, HELD).used.sum()
+    assert prepare(read).linear.keep.sum() > calibrate(read, HELD).fit.used.sum()
 
     calibrated, found, printed = by_the_commands(tmp_path / "set", tmp_path, "--even-if-undetermined")
 

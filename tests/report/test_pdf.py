@@ -7,7 +7,7 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 from click.testing import CliRunner
-from test_report import make_observations, make_result
+from result_page import make_observations, make_result
 
 from mbcacq.cli.report import command
 from mbcacq.errors import ConfigError

@@ -28,6 +28,7 @@ from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.quantities import K, measured
 
 OPTIONAL = (
     "q_set",
@@ -82,7 +83,8 @@ def _other_payload(found: MotionDiagnosis, robot: RobotModel) -> list[str]:
     """In words, by how much the load on the flange is not as described, where that was found."""
     masses = [e.parameters["mass_kg"] for e in found.named_effects if catalogue.declaration(e.name).adds_body]
     described = float(robot.payload_mass)
-    return [f"with {m['value'] - described:+.3g} +- {m['std']:.2g} kg at the flange the torque is explained better" for m in masses]
+    extra = (measured(m["value"] - described, K * m["std"], "kg") for m in masses)
+    return [f"with a load that differs by {kg} (k = 2) at the flange the torque is explained better" for kg in extra]
 
 
 def check_trajectories(learnt: Sequence[Trajectory], others: Sequence[tuple[str, Trajectory]]) -> tuple[MotionCheck, ...]:
@@ -155,7 +157,7 @@ class _Recordings:
     def cross_validate(self) -> dict[str, np.ndarray]:
         """Mean squares (2, J) before and after by kind of mismatch, each part predicted by what was selected and fitted on the others."""
         parts = held_out_parts(self.runs)[0]
-        # A thread sees the effects of files (``catalogue.with_files``) in a copy of the context alone, each in its own.
+        # A thread sees the effects of files (``catalogue.with_added``) in a copy of the context alone, each in its own.
         contexts = [copy_context() for _ in parts]
         with ThreadPoolExecutor(NUMBERS.workers) as pool:
             passes = list(pool.map(lambda number: contexts[number].run(self.explain, number)[0], range(len(parts))))

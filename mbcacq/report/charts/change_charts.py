@@ -1,0 +1,42 @@
+"""Figures of two recordings compared: each change with its expanded uncertainty."""
+
+from __future__ import annotations
+
+import textwrap
+
+import plotly.graph_objects as go
+
+from mbcacq.quantities import measured, symbol
+from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
+from mbcacq.report.content import ChangeRow
+
+LABEL = 18  # characters of a line of a name, so that there is room for the figure on a phone
+ROW_PX, LINE_PX, FRAME_PX = 26, 15, 90  # of one quantity, of a further line of its name, and of axis and margins
+
+
+def changes(rows: list[ChangeRow]) -> go.Figure:
+    """Changes of quantities of one unit, each with its expanded uncertainty; those beyond chance in the colour of a limit."""
+    figure = go.Figure()
+    for marked, name, colour, shape in ((False, "within chance", AFTER, "circle"), (True, "beyond chance", LIMIT, "diamond")):
+        shown = [row for row in rows if row.marked == marked]
+        figure.add_scatter(
+            x=[row.change for row in shown],
+            y=[_label(row.name) for row in shown],
+            error_x={"type": "data", "array": [row.expanded for row in shown], "color": colour, "thickness": 1.2, "width": 4},
+            mode="markers",
+            marker={"color": colour, "size": 8, "symbol": shape},
+            name=name,
+            text=[measured(row.change, row.expanded, symbol(row.unit)) for row in shown],
+            hovertemplate="%{y}: %{text} (k = 2)<extra></extra>",
+        )
+    figure.add_vline(x=0.0, line={"color": LINE, "width": 1})
+    figure.update_yaxes(
+        categoryorder="array", categoryarray=[_label(row.name) for row in rows], autorange="reversed", dtick=1, showgrid=False
+    )
+    figure.update_xaxes(title=f"change / {symbol(rows[0].unit)}, with U (k = 2)", gridcolor="#e6e6e6")
+    return styled(figure, FRAME_PX + sum(ROW_PX + LINE_PX * _label(row.name).count("<br>") for row in rows))
+
+
+def _label(name: str) -> str:
+    """A name in lines that are short."""
+    return "<br>".join(line.translate(ESCAPES) for line in textwrap.wrap(name, LABEL))
