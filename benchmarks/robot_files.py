@@ -194,7 +194,7 @@ def _compiled(mujoco: Any, path: Path) -> Any:
             kind = Path(name).suffix.lower()
             if kind not in (".obj", ".stl", ".png"):
                 return None
-            assets[name] = {".obj": TETRAHEDRON, ".stl": _stl(), ".png": _png()}[kind]
+            assets[name] = {".obj": TETRAHEDRON, ".stl": _stl(), ".png": _png(12)}[kind]
     return None
 
 
@@ -207,9 +207,10 @@ def _stl() -> bytes:
     return out
 
 
-def _png() -> bytes:
-    """Twelve grey points, as a picture for the sides of a cube."""
-    parts = (b"IHDR", struct.pack(">IIBBBBB", 4, 3, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(3 * (b"\0" + 12 * b"\x80"))), (b"IEND", b"")
+def _png(size: int) -> bytes:
+    """A grey picture of size x size points."""
+    lines = size * (b"\0" + 3 * size * b"\x80")
+    parts = (b"IHDR", struct.pack(">IIBBBBB", size, size, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")
     chunks = (struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts)
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
