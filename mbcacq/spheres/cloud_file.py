@@ -198,10 +198,10 @@ def _pcd_binary(path: Path, data: bytes, fields: list[tuple[str, np.dtype]], cou
             raise ConfigError(f"{path}: has {len(data)} bytes of points where its header announces {size}; copy it anew")
         rows = np.frombuffer(data[:size], np.dtype([(name, t.newbyteorder("<")) for name, t in fields]))
         return {name: rows[name].astype(t) for name, t in fields}
-    length, announced = np.frombuffer(data[:8], "<u4") if len(data) >= 8 else (0, -1)
+    length, announced = np.frombuffer(data[:8], "<u4").tolist() if len(data) >= 8 else (0, -1)
     if announced != size or len(data) < 8 + length:
         raise ConfigError(f"{path}: its compressed points are not whole; copy it anew")
-    plain, out, at = _lzf(path, data[8 : 8 + int(length)], size), {}, 0
+    plain, out, at = _lzf(path, data[8 : 8 + length], size), {}, 0
     for name, t in fields:  # one field after the other
         out[name] = np.frombuffer(plain, t.newbyteorder("<"), count, at).astype(t)
         at += count * t.itemsize

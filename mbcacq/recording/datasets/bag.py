@@ -20,12 +20,13 @@ from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.model.cell import Cell
 from mbcacq.model.cell_schema import Strict
 from mbcacq.recording.datasets import quaternions
-from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
+from mbcacq.recording.datasets.yaml_text import load_yaml, validate
 
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9
 FASTEST_RAD_S = 15.0  # of a joint: above the wrists of the fastest small arms (about 12 rad/s)
 UR_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
+FARTHEST_M = 1e3  # of a target: laser trackers reach 160 m
 SHORTEST_S = 1e-3  # between messages, for stamps are not exact
 T = TypeVar("T")
 FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
@@ -60,12 +61,9 @@ class JointStates:
     effort: np.ndarray | None
 
 
-def bag_of(folder: Path) -> BagSpec | None:
-    """What cell.yaml says under ``bag``; None where it says nothing. Raises ConfigError."""
+def bag_of(text: str, folder: Path) -> BagSpec | None:
+    """What the text of the cell.yaml of a folder says under ``bag``; None where it says nothing. Raises ConfigError."""
     path = folder / "cell.yaml"
-    if not path.is_file():
-        return None
-    text = read_yaml_text(path)
     if "bag" not in text:
         return None
     data, node = load_yaml(text, str(path))
@@ -205,7 +203,7 @@ def observation_columns(folder: Path, spec: BagSpec, cell: Cell) -> dict[str, An
         raise ConfigError(f"{folder / 'cell.yaml'}: a bag is read as one station, cell.yaml has {len(cell.stations)}; make a set of each")
     bag = Bag(folder, spec)
     states = bag.joint_states(spec.joint_states, spec.joints, cell.robot.n)
-    windows = standstills(states, spec.standstill)
+    windows = standstills(states, spec.standstill) if len(states.time_s) > 1 else []
     if not windows:
         raise ConfigError(f"{bag.path}: the arm never stands still for {spec.standstill.seconds:g} s; change bag: standstill")
     measured = _targets(bag, spec, states, windows) if spec.target is not None else _clouds(bag, spec, cell, states, windows)
@@ -242,6 +240,7 @@ def _targets(bag: Bag, spec: BagSpec, states: JointStates, windows: list[slice])
     for time, (point, turn) in bag.messages(str(spec.target), kinds, lambda time, message: (time, _target(message))):
         at = _window_of(time, states, windows)
         if at is not None:
+            _refuse_strange(bag, str(spec.target), time, point, turn)
             points.setdefault(at, []).append(point)
             if turn is not None:
                 turns.setdefault(at, []).append(turn)
@@ -251,6 +250,17 @@ def _targets(bag: Bag, spec: BagSpec, states: JointStates, windows: list[slice])
     if len(turns) == len(points) and turns and not _never_turned(turns):
         out["rotation"] = quaternions.to_matrix(np.array([_mean_turn(turns[p]) for p in pose.tolist()]))
     return out
+
+
+def _refuse_strange(bag: Bag, topic: str, time: float, point: np.ndarray, turn: np.ndarray | None) -> None:
+    """Raise ConfigError where a message gives no place that a target may have, or no orientation."""
+    if not (np.abs(point) < FARTHEST_M).all():
+        what = f"a target at {', '.join(f'{v:.4g}' for v in point)} m"
+    elif turn is not None and not ((np.abs(turn) < 2).all() and abs(np.linalg.norm(turn) - 1) <= quaternions.UNIT):
+        what = f"a target whose quaternion (w, x, y, z) is {', '.join(f'{v:.4g}' for v in turn)}, of a length that is not 1,"
+    else:
+        return
+    raise ConfigError(f"{bag.path}: the topic {topic} has {what} at {time:.6f} s; it is damaged, remove the message from the bag")
 
 
 def _target(message: Any) -> tuple[np.ndarray, np.ndarray | None]:

@@ -82,7 +82,7 @@ def _of_samples(path: Path, options: TableOptions) -> UnderstoodTable:
             hand = se3.inverse(hand) if options.measurement == "target_in_base" else hand
         else:
             raise ConfigError(f"{path}: samples hold {', '.join(map(str, samples[0]))}; effector_wrt_world or robot is expected")
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: a sample is damaged ({error!r}); save the samples anew") from None
     return understood(_table(path, hand, eye), replace(options, length="m"))
 
@@ -106,7 +106,10 @@ def _ros_transform(content: dict[str, Any]) -> np.ndarray:
 
     content = content.get("transform", content)
     t, r = content["translation"], content["rotation"]
-    return se3.transform(quaternions.to_matrix(np.array([r[c] for c in "wxyz"], float)), np.array([t[c] for c in "xyz"], float))
+    turn = np.array([r[c] for c in "wxyz"], float)
+    if not (np.abs(turn) < 2).all() or abs(np.linalg.norm(turn) - 1) > quaternions.UNIT:
+        raise ValueError(f"the quaternion {r} has a length that is not 1")
+    return se3.transform(quaternions.to_matrix(turn), np.array([t[c] for c in "xyz"], float))
 
 
 def _table(path: Path, hand: np.ndarray, eye: np.ndarray) -> Table:
