@@ -13,7 +13,6 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.solver import Weights
 from mbcacq.model.observations import Observations
 
-
 Status = Annotated[str, WithJsonSchema({"enum": ["free", "prior", "marginal", "held"]})]
 
 
