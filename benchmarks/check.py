@@ -1,16 +1,19 @@
 """Interim checks over simulated years: false alarms, and the power for each change that the fake cell can make.
 
     python benchmarks/check.py nothing [--years 1000]     years in which nothing changes but what does from day to day
+    python benchmarks/check.py daily [--years 300]        the same with a look on every day of the year
+    python benchmarks/check.py first [--years 100]        so many other cells, each checked once after its calibration
     python benchmarks/check.py power [--years 20]         years with a change, for each change that the fakes can make
-    python benchmarks/check.py page                       the figures of both as benchmarks/check.md
+    python benchmarks/check.py year [--years 3]           the rest of the year for those that are not noticed within a month
+    python benchmarks/check.py page                       the figures of all as benchmarks/check.md
 
 A cell is calibrated from a recording of plans/seeing.yaml by the array path (the fake cell's world without protocols), its twelve poses
 are chosen, and days of these are recorded by the same path: a pool of days as they are, and for each change and each of its sizes its
 trace, the difference of two days of one noise with and without it. The days of a year are put together of poses of the pool, with a random
 sign of their noise, and what changes from day to day is added to them; a change stands from day 30 on.
-Years without a change are looked at daily until day 60 and every tenth day from then on, years with one daily from the change. For changes
-more than twenty checks back the simulation takes every fifth with the weight of five. Figures are kept in runs/check-benchmark, so that a
-call goes on where another ended.
+Years without a change are looked at daily until day 60 and every tenth day from then on, or on all days (``daily``); years with one daily
+from the change for a month, and the rest of the year in steps that grow by a tenth (``year``). For changes more than twenty checks back the
+simulation takes every fifth with the weight of five. Figures are kept in runs/check-benchmark, so that a call goes on where another ended.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +39,7 @@ from mbcacq.interim_check.measured_day import fit_stations, residuals_of
 from mbcacq.interim_check.options import OPTIONS, UsualChanges
 from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
 from mbcacq.interim_check.verdict import Evidence, verdict_by
+from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
 
 ROOT = Path(__file__).parents[1]
@@ -45,6 +49,7 @@ POOL = 500  # days as they are
 ONSET, LAST = 30, 60  # a change stands from this day on, and is waited for until that one
 YEAR = 365
 LOOKS = (*range(2, 61), *range(70, YEAR + 1, 10))  # of a year in which nothing changes
+DAILY = range(2, YEAR + 1)
 WITHIN_A_RUN = ("joint_step", "mount_shift")  # begin in the middle of a run, and stand at its first pose here
 SIZES = (0.1, 0.3, 1.0)  # of what a plan that can see shows plainly
 
@@ -77,7 +82,7 @@ class Bench:
         poses = expand(self.loaded)
         recorded, _ = observe(self.loaded, poses, CLEAN, [])
         with threadpool_limits(1):
-            cell = CalibratedCell.from_dict(json.loads(json.dumps(mbcacq.calibrate(recorded).to_dict())))
+            cell = calibrated(recorded)
             everything = planned_check(self.loaded, [p for p in poses if len(p.balls) > 2], cell, True, UsualChanges())
             numbers = choose_poses(everything)
             self.poses: list[PlannedPose] = [p for p in poses if p.number in numbers]
@@ -123,6 +128,11 @@ class Bench:
         return np.array(out)
 
 
+def calibrated(recorded: Observations) -> CalibratedCell:
+    """The cell of a recording, as it is read back from its file."""
+    return CalibratedCell.from_dict(json.loads(json.dumps(mbcacq.calibrate(recorded).to_dict())))
+
+
 def kept(name: str) -> dict[str, Any]:
     """Figures of earlier calls."""
     path = KEPT / f"{name}.json"
@@ -134,19 +144,41 @@ def keep(name: str, content: Mapping[str, Any]) -> None:
     (KEPT / f"{name}.json").write_text(json.dumps(content))
 
 
-def nothing(bench: Bench, years: int, seconds: float) -> None:
+def nothing(bench: Bench, years: int, seconds: float, looks: Iterable[int] = LOOKS, name: str = "nothing", stream: int = 1) -> None:
     """Years without a change, at three sizes of what changes from day to day."""
-    found, until = kept("nothing"), time.monotonic() + seconds
+    found, until = kept(name), time.monotonic() + seconds
     for year in range(years):
         usual = (0.0, 1.0, 2.0)[year % 3]
         if str(year) in found:
             continue
         if time.monotonic() > until:
             break
-        log_e = bench.log_e(bench.year(YEAR, np.random.default_rng([1, year]), usual), LOOKS)
+        days = bench.year(YEAR, np.random.default_rng([stream, year]), usual)
+        log_e = bench.log_e(days, looks)
         found[str(year)] = {"usual": usual, "largest": float(log_e.max()), "last": float(log_e[-1])}
-        keep("nothing", found)
+        keep(name, found)
     print(len(found), "years, largest log E", max(v["largest"] for v in found.values()))
+
+
+def first(bench: Bench, cells: int, seconds: float) -> None:
+    """Other cells of the kind, each calibrated and checked once with nothing changed: the e-value since the calibration."""
+    found, until = kept("first"), time.monotonic() + seconds
+    for number in range(cells):
+        if str(number) in found:
+            continue
+        if time.monotonic() > until:
+            break
+        scenario = replace(CLEAN, seed=1000 + number)
+        recorded, _ = observe(bench.loaded, expand(bench.loaded), scenario, [])
+        check = planned_check(bench.loaded, bench.poses, calibrated(recorded), True, UsualChanges())
+        again, _ = observe(bench.loaded, bench.poses, scenario, [], noise_seed=50_000 + number)
+        residual = residuals_of(check, again, fit_stations(check, again))
+        day = np.concatenate([residual[key] for key in check.keys])[None]
+        process = EProcess(check.rows, [r.columns for r in check.changes], np.array([r.weight for r in check.changes]))
+        verdict = verdict_by(Evidence(process, check.changes, day, np.ones(day.shape[1], bool)), check, OPTIONS)
+        found[str(number)] = verdict.log_e_calibration
+        keep("first", found)
+    print(len(found), "cells, largest log E since the calibration", max(found.values()))
 
 
 def power(bench: Bench, years: int, seconds: float) -> None:
@@ -176,6 +208,38 @@ def power(bench: Bench, years: int, seconds: float) -> None:
             print(key, f"{1e3 * moved:.1f} um", after, named, flush=True)
 
 
+def year(bench: Bench, years: int, seconds: float) -> None:
+    """The rest of the year for changes of which some were not noticed within a month: after how many checks the alarm comes."""
+    month, found, until = kept("power"), kept("year"), time.monotonic() + seconds
+    threshold, looks = np.log(2 / OPTIONS.false_alarms), rest_of_the_year()
+    for size in SIZES:
+        for change in changes(size):
+            key = f"{change.name} {size}"
+            missed = key not in month or None in month[key]["after"]
+            if key in found or not missed:
+                continue
+            trace, after = bench.trace(change), []
+            for number in range(years):
+                if time.monotonic() > until:
+                    return
+                days = bench.year(YEAR, np.random.default_rng([2, number]), 1.0)
+                days[ONSET:] += trace
+                alarm = np.flatnonzero(bench.log_e(days, looks) >= threshold)
+                after.append(looks[int(alarm[0])] - ONSET if len(alarm) else None)
+            moved = np.sqrt(np.mean(np.sum(trace.reshape(-1, 3) ** 2, axis=1)))
+            found[key] = {"name": change.name, "size": size, "moved_mm": float(moved), "after": after}
+            keep("year", found)
+            print(key, f"{1e3 * moved:.1f} um", after, flush=True)
+
+
+def rest_of_the_year() -> list[int]:
+    """Days of looks after the first month with a change, in steps that grow by a tenth of what has passed since; the last day is one."""
+    days = [LAST]
+    while days[-1] < YEAR:
+        days.append(min(days[-1] + max((days[-1] - ONSET) // 10, 1), YEAR))
+    return days
+
+
 def names(bench: Bench, days: np.ndarray) -> list[str]:
     """The suspects a week after the alarm."""
     keep = np.ones(days.shape[1], bool)
@@ -185,7 +249,7 @@ def names(bench: Bench, days: np.ndarray) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("what", choices=("nothing", "power", "page"))
+    parser.add_argument("what", choices=("nothing", "daily", "first", "power", "year", "page"))
     parser.add_argument("--years", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=240.0, help="after which the call ends; the next goes on")
     given = parser.parse_args()
@@ -195,6 +259,12 @@ def main() -> None:
     with threadpool_limits(1):
         if given.what == "nothing":
             nothing(bench, given.years or 1000, given.seconds)
+        elif given.what == "daily":
+            nothing(bench, given.years or 300, given.seconds, DAILY, "daily", 5)
+        elif given.what == "first":
+            first(bench, given.years or 100, given.seconds)
+        elif given.what == "year":
+            year(bench, given.years or 3, given.seconds)
         else:
             power(bench, given.years or 4, given.seconds)
     return None
@@ -202,13 +272,24 @@ def main() -> None:
 
 def page() -> None:
     """Tables on stdout, as they stand in benchmarks/check.md."""
-    years = list(kept("nothing").values())
     threshold = np.log(2 / OPTIONS.false_alarms)
     print("| changes from day to day | years | looks | alarms | largest E ever |\n|--:|--:|--:|--:|--:|")
-    for usual in sorted({y["usual"] for y in years}):
-        largest = np.array([y["largest"] for y in years if y["usual"] == usual])
-        alarms = int((largest >= threshold).sum())
-        print(f"| {usual:g} x usual | {len(largest)} | {len(largest) * len(LOOKS)} | {alarms} | {np.exp(largest.max()):.2g} |")
+    for name, looks in (("nothing", len(LOOKS)), ("daily", len(DAILY))):
+        years = list(kept(name).values())
+        for usual in sorted({y["usual"] for y in years}):
+            largest = np.array([y["largest"] for y in years if y["usual"] == usual])
+            alarms = int((largest >= threshold).sum())
+            print(f"| {usual:g} x usual | {len(largest)} | {len(largest) * looks} | {alarms} | {np.exp(largest.max()):.2g} |")
+    since = np.array(list(kept("first").values()))
+    if len(since):
+        above = int((since >= threshold).sum())
+        print(f"\n{len(since)} cells checked once after their calibration: {above} alarms, largest E {np.exp(since.max()):.2g}")
+    if rest := kept("year"):
+        print("\n| change | size | moves the balls by / µm | alarms within the year | after checks |\n|---|--:|--:|--:|---|")
+        for one in rest.values():
+            after = [a for a in one["after"] if a is not None]
+            when = ", ".join(map(str, sorted(after))) or "–"
+            print(f"| {one['name']} | {one['size']:g} | {1e3 * one['moved_mm']:.1f} | {len(after)} of {len(one['after'])} | {when} |")
     print("\n| change | size | moves the balls by / µm | alarms | after checks (median, 90 %) | named a week later |")
     print("|---|--:|--:|--:|--:|---|")
     for one in kept("power").values():

@@ -1,41 +1,69 @@
 """Concealed cells investigated blind through the array path: poses and moves to the verdict, against the fixed plan; false alarms of looks.
 
-    python benchmarks/investigate.py cells --count 20        # cells with an effect of the catalogue, and one of four with nothing
-    python benchmarks/investigate.py looks --count 20        # clean cells, a look after every eight poses: largest e-value of each
-    python benchmarks/investigate.py kills --count 20        # kill -9 after a random pose, then resumed: is all as undisturbed?
+    python benchmarks/investigate.py cells --count 200 --seed 1100      # four of ten of the catalogue, two outside, a pair, three clean
+    python benchmarks/investigate.py protocols --count 20 --seed 1100   # every ninth of them through the fakes of robot and scanner
+    python benchmarks/investigate.py looks --count 1000 --seed 1200     # clean cells, ten looks each: largest e-value of each
+    python benchmarks/investigate.py page --seed 1100                   # the tables of benchmarks/investigate.md
+    python benchmarks/investigate.py kills --count 20                   # kill -9 after a random pose, then resumed: is all as undisturbed?
 
-Nothing that is measured once is measured anew: a block adds its poses to those of the blocks before.
+Nothing that is measured once is measured anew: a block adds its poses to those of the blocks before. Every row is appended to a table in
+runs/investigate-benchmark, so that a call goes on where another ended.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
 import signal
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "adaptive"))
 import simulated_cell
 
 import mbcacq
+from mbcacq.calibration.held_out_poses import about_best_station
 from mbcacq.challenge.run import with_observable_locations
-from mbcacq.challenge.scenarios import NONE, Scenario, catalogued, draw
+from mbcacq.challenge.scenarios import NONE, OUTSIDE, TWO, Scenario, catalogued, draw
+from mbcacq.challenge.score import companions_of
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.strength import Gauge
-from mbcacq.design.adaptive.investigation import Budget, Decision, decisions
-from mbcacq.diagnosis.interim import weigh
+from mbcacq.design.adaptive.investigation import Budget, decisions, effort, sure
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.diagnosis.result import plain
+from mbcacq.effects.catalogue import declaration
+from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand, load
+from mbcacq.plan.expansion import expand_reachable
+from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
 
 PLAN = Path(__file__).parents[1] / "plans" / "seeing.yaml"
+VIEWS = 16  # of an artefact, of a bar four for each ball
+PLACES = (
+    ("n1", "mbc", [680, 60, 60], [10, 5, 0]),
+    ("n2", "mbc", [560, -260, 180], [-25, 0, 10]),
+    ("n3", "bar", [560, 125, 230], [0, 0, 0]),
+    ("n4", "bar", [600, 0, 180], [60, 0, 0]),
+)
+KEPT = Path("runs") / "investigate-benchmark"
 BLOCK = 8
+SIZES = (32, 64, 128)  # poses of the fixed plan after which it is looked at
+ALARM = float(np.log(100))
+UNSEEN = 9.0  # information of three standard deviations: what shows by less cannot be found
+COMPARED_EXACTLY = ("pose_id", "ball", "q", "xyz", "time_s", "direction")  # of two recordings, bit by bit
+PROTOCOLS = 9  # one cell of so many goes through the protocols as well, of every kind in turn
+COMPARED = 4  # one cell of so many is compared at new places as well: two diagnoses and two calibrations more
 
 
 class RecordedCell:
@@ -44,7 +72,13 @@ class RecordedCell:
     def __init__(self, scenario: Scenario, injected: list):
         self.scenario, self.injected, self.measured = scenario, injected, None
 
+    @property
+    def information(self) -> float:
+        """Squared length, in noises and beyond the geometry, of what the effects displace at the measured poses; 20 to 30 decide."""
+        return Gauge(self.plan, expand(self.plan)).gain(self.scenario, self.injected)
+
     def measure(self, grown: LoadedPlan) -> Observations:
+        self.plan = grown
         new, truth = observe(grown, expand(grown), self.scenario, self.injected)
         self.truth, old = truth, self.measured
         if old is not None:
@@ -61,89 +95,292 @@ class RecordedCell:
         return new
 
 
-def named(decision: Decision) -> set[str]:
-    """Names of the most probable set."""
-    return {label.split(" at ")[0] for label in decision.sets[0][0].split(" and ")} if decision.sets else set()
+class NewPlaces:
+    """Places where no station of the plan stands."""
+
+    def __init__(self):
+        plan = yaml12.load(PLAN.read_text())
+        plan["stations"] = [
+            {"id": name, "artefact": artefact, "pose_in_base": {"translation_mm": xyz, "abc_deg": abc}}
+            for name, artefact, xyz, abc in PLACES
+        ]
+        rng = np.random.default_rng(3)
+        views = [
+            {"tilt_deg": round(float(rng.uniform(3, 24)), 1), "azimuth_deg": round(float(rng.uniform(0, 360)), 1)} for _ in range(VIEWS)
+        ]
+        look = {"phase": "position", "do": "look", "views": views}
+        plan["steps"] = [
+            {"name": "artefact", "stations": [p[0] for p in PLACES if p[1] == "mbc"], **look},
+            {"name": "bar", "stations": [p[0] for p in PLACES if p[1] == "bar"], "balls": "each", **look, "views": views[::4]},
+        ]
+        self.loaded = load(PLAN, yaml12.dump(plan))
+        self.poses = expand_reachable(self.loaded)[0]
+
+    def error_mm(self, measured: Observations, scenario: Scenario, injected: list) -> float:
+        """Root mean square of the distances of centres there from where the cell that was diagnosed and calibrated from a recording
+        has them, stations at their best places. Noise of the measurement is in it."""
+        there, _ = observe(self.loaded, self.poses, scenario, injected)
+        geometry, found = mbcacq.calibrate(measured), diagnose(measured, folds=2)
+        cell = geometry.with_effects(found) if found.model else geometry
+        return float(np.sqrt(np.mean(about_best_station(there, cell)[0] ** 2)))
 
 
-def investigated(loaded: LoadedPlan, gauge: Gauge, scenario: Scenario) -> dict:
-    cell = RecordedCell(scenario, gauge.inject(scenario))
+def names_of(labels: str) -> set[str]:
+    """Names of a set of effects in words."""
+    return set() if labels == "no effect" else {label.split(" at ")[0] for label in labels.split(" and ") if " at " in label}
+
+
+def outcome(verdict: str, found: set[str], true: set[str]) -> str:
+    """What a verdict is worth: 'right', 'in part' (a pair of which one is named), 'open', 'missed', 'wrong name' or 'false alarm'."""
+    companions = {c for name in true for c in companions_of(name)}
+    outside = bool(true & set(OUTSIDE))
+    if not true:
+        return {"none": "right", "cannot_tell": "open"}.get(verdict, "false alarm")
+    if verdict in ("none", "cannot_tell"):
+        return "missed" if verdict == "none" else "open"
+    if verdict == "explained" and found - true - companions:
+        return "wrong name"
+    if outside:
+        return "right"
+    if verdict != "explained":
+        return "open"
+    return "right" if true <= found else "in part"
+
+
+def investigated(loaded: LoadedPlan, scenario: Scenario, injected: list) -> tuple[dict, Observations]:
+    """The row of a cell that investigates itself, and what it measured."""
+    cell = RecordedCell(scenario, injected)
     made = list(decisions(loaded, cell.measure, Budget(poses=96)))
     last, true = made[-1], [with_observable_locations(plain(e)) for e in cell.truth["effects"]]
-    names = {e["name"] for e in true}
-    decided = last.verdict in ("none", "explained") and not last.end.startswith("the budget")
-    right = decided and (named(last) == names if names else last.verdict == "none")
-    out = {
-        "kind": scenario.kind,
+    row = {
         "poses": last.poses,
         "moves": last.moves,
         "verdict": last.verdict,
         "found": last.sets[0][0],
         "end": last.end,
+        "truth": [f"{e['name']}:{'+'.join(e['where'])}" for e in true],
+        "outcome": outcome(last.verdict, names_of(last.sets[0][0]), {e["name"] for e in true}),
+        "largest_log_e_value": max(d.log_e_value for d in made),
+        "information": cell.information if true else 0.0,
+        "at_poses": [d.poses for d in made],
     }
-    return out | {
-        "right": right,
-        "wrong": last.verdict == "explained" and not named(last) & names,
-        "alarm": any(d.log_e_value > np.log(100) for d in made),
-    }
+    return row, cell.measured
 
 
-def looks(loaded: LoadedPlan, scenario: Scenario) -> float:
-    """Largest log e-value of a clean recording that grows."""
-    obs, _ = observe(loaded, expand(loaded), scenario, [])
-    rng = np.random.default_rng(scenario.seed)
-    order = rng.permutation(obs.n_poses)
-    largest = -np.inf
-    for n in range(24, min(obs.n_poses, 24 + 10 * BLOCK), BLOCK):
-        keep = np.zeros(obs.n_poses, dtype=bool)
-        keep[order[:n]] = True
-        largest = max(largest, weigh(obs.select(keep)).summary.log_e_value)
-    return float(largest)
+def fixed(loaded: LoadedPlan, obs: Observations, true: set[str], seed: int) -> dict:
+    """The plan's poses in random order, looked at after some numbers of them, stopped by the rule of an investigation."""
+    order = np.random.default_rng(seed).permutation(obs.n_poses)
+    for n in SIZES:
+        look = weigh(obs.select(first_of(order, n)))
+        if sure(look) or n == SIZES[-1]:
+            break
+    said = look.verdict if sure(look) else "cannot_tell"
+    return {"fixed_poses": n, "fixed_moves": effort(loaded, obs)[0], "fixed_outcome": outcome(said, names_found(look), true)}
 
 
-def resumed_after_kill(plan: Path, folder: Path, poses: int, whole: tuple[list[Decision], Observations]) -> dict:
-    """Whether an investigation that was killed after so many poses, and resumed, decided and measured what the undisturbed one did."""
-    killed = subprocess.run([sys.executable, simulated_cell.__file__, str(plan), str(folder), str(poses)], capture_output=True, check=False)
-    resumed = list(mbcacq.investigate(None, resume=folder, dry_run=True))
-    again, (decided, obs) = mbcacq.load_observations(folder), whole
-    same = [np.array_equal(getattr(again, name), getattr(obs, name)) for name in ("pose_id", "ball", "xyz", "time_s", "direction")]
-    return {
-        "killed_after": poses,
-        "killed": killed.returncode == -signal.SIGKILL,
-        "decisions": [(d.verdict, d.sets, d.steps, d.end) for d in resumed] == [(d.verdict, d.sets, d.steps, d.end) for d in decided],
-        "observations": all(same),
-    }
+def names_found(look: InterimEvidence) -> set[str]:
+    """Names of the set that would be reported."""
+    return {label.partition(":")[0] for label in look.reported.labels}
+
+
+def first_of(order: np.ndarray, n: int) -> np.ndarray:
+    """(P,) bool of the first n poses of an order."""
+    keep = np.zeros(len(order), dtype=bool)
+    keep[order[:n]] = True
+    return keep
+
+
+def cells(loaded: LoadedPlan, count: int, seed: int) -> None:
+    """Investigate the cells that are not in the table yet."""
+    gauge, table = Gauge(loaded, expand(loaded)), Table(f"cells-{seed}")
+    places = NewPlaces()
+    for scenario in draw(seed, count, mixed(count)):
+        if scenario.number in table.done:
+            continue
+        injected = gauge.inject(scenario)
+        row, measured = investigated(loaded, scenario, injected)
+        whole, _ = observe(loaded, expand(loaded), scenario, injected)
+        row |= {"kind": scenario.kind, "excess": scenario.excess}
+        row |= fixed(loaded, whole, set(scenario.names), scenario.seed) if scenario.names else {}
+        if scenario.number % COMPARED == 0:
+            subset = first_of(np.random.default_rng(scenario.seed).permutation(whole.n_poses), min(row["poses"], whole.n_poses))
+            row["error_mm"] = places.error_mm(measured, scenario, injected)
+            row["fixed_error_mm"] = places.error_mm(whole.select(subset), scenario, injected)
+        table.add(scenario.number, row)
+
+
+def protocols(loaded: LoadedPlan, count: int, seed: int) -> None:
+    """The same cells through the fakes of robot, scanner and thermometers: runner, checks, recordings and all."""
+    gauge, table = Gauge(loaded, expand(loaded)), Table(f"protocols-{seed}")
+    for scenario in draw(seed, PROTOCOLS * count, mixed(PROTOCOLS * count))[::PROTOCOLS]:
+        if scenario.number in table.done:
+            continue
+        with tempfile.TemporaryDirectory() as made:
+            plan = yaml12.load(PLAN.read_text())
+            plan["robot"]["model"] = str(PLAN.parent / plan["robot"]["model"])
+            plan["artefacts"] = [str(PLAN.parent / name) for name in plan["artefacts"]]
+            plan["fake"]["hidden"] = gauge.inject(scenario)
+            path = Path(made) / "plan.yaml"
+            path.write_text(yaml12.dump(plan))
+            began, used = time.monotonic(), processor_s()
+            made_of = mbcacq.investigate(path, Budget(poses=96), out=Path(made) / "run", dry_run=True, seed=scenario.seed)
+            last = list(made_of)[-1]
+        row = {"kind": scenario.kind, "poses": last.poses, "moves": last.moves, "verdict": last.verdict, "found": last.sets[0][0]}
+        row |= {"outcome": outcome(last.verdict, names_of(last.sets[0][0]), set(scenario.names)), "end": last.end}
+        table.add(scenario.number, row | {"seconds": time.monotonic() - began, "processor_s": processor_s() - used})
+
+
+def processor_s() -> float:
+    """Processor time of this process and of those that it started and that have ended."""
+    return sum(r.ru_utime + r.ru_stime for r in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
+
+
+def mixed(count: int) -> list[str]:
+    """Of ten cells four of the catalogue, two with an effect outside of it, one pair and three of nothing, each name equally often."""
+    inside, outside = cycle(catalogued()), cycle(OUTSIDE)
+    pattern = (inside, NONE, outside, inside, NONE, TWO, inside, outside, NONE, inside)
+    return [one if isinstance(one := pattern[k % len(pattern)], str) else next(one) for k in range(count)]
+
+
+class Table:
+    """Rows by number, one line each, in a file to which they are appended."""
+
+    def __init__(self, name: str):
+        KEPT.mkdir(parents=True, exist_ok=True)
+        self.path = KEPT / f"{name}.jsonl"
+        self.rows = [json.loads(line) for line in self.path.read_text().splitlines()] if self.path.exists() else []
+        self.done = {row["number"] for row in self.rows}
+
+    def add(self, number: int, row: dict) -> None:
+        self.rows.append({"number": number, **row})
+        self.done.add(number)
+        with self.path.open("a") as file:
+            print(json.dumps(self.rows[-1]), file=file, flush=True)
+
+
+def looks(loaded: LoadedPlan, count: int, seed: int) -> None:
+    """Largest log e-value of clean recordings that grow, ten looks each; restricted to what the plan shows, in random order."""
+    table, poses = Table(f"looks-{seed}"), expand(loaded)
+    for scenario in draw(seed, count, [NONE]):
+        if scenario.number in table.done:
+            continue
+        obs, _ = observe(loaded, poses, scenario, [])
+        order = np.random.default_rng(scenario.seed).permutation(obs.n_poses)
+        sizes = range(24, 24 + 10 * BLOCK, BLOCK)
+        table.add(scenario.number, {"log_e_values": [weigh(obs.select(first_of(order, n))).full.evidence.log_e_value for n in sizes]})
+
+
+class Undisturbed:
+    """An investigation of a simulated cell that nothing disturbs: its decisions, observations, calibration and seconds."""
+
+    def __init__(self, folder: Path):
+        self.plan = simulated_cell.simulated_plan(folder, "concealed.yaml")
+        began = time.monotonic()
+        self.decided = list(mbcacq.investigate(self.plan, simulated_cell.BUDGET, out=folder / "whole", dry_run=True))
+        self.seconds = time.monotonic() - began
+        self.observed = mbcacq.load_observations(folder / "whole")
+        self.calibrated = figures_of(self.observed)
+
+    def killed(self, folder: Path, poses: int | None, seconds: float) -> tuple[bool, int]:
+        """Kill -9 after so many poses, or after a time; whether it was in time, and how many poses were measured."""
+        script = [sys.executable, simulated_cell.__file__, str(self.plan), str(folder), str(poses or 10_000)]
+        with subprocess.Popen(script, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            try:
+                process.wait(seconds if poses is None else None)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        measured = mbcacq.load_observations(folder).n_poses if list(folder.glob("*.rrd")) else 0
+        return process.returncode == -signal.SIGKILL, measured
+
+    def resumed(self, folder: Path) -> dict:
+        """What a resumed investigation has in common with this one; to begin with, whether it can be resumed."""
+        resumed = list(mbcacq.investigate(None, resume=folder, dry_run=True))
+        again = mbcacq.load_observations(folder)
+        same = {name: np.array_equal(getattr(again, name), getattr(self.observed, name)) for name in COMPARED_EXACTLY}
+        return {
+            "decisions": [d.to_dict() for d in resumed] == [d.to_dict() for d in self.decided],
+            **same,
+            "calibration": figures_of(again) == self.calibrated,
+        }
+
+
+def figures_of(obs: Observations) -> str:
+    """All figures of the calibration of a recording, with every digit."""
+    return json.dumps(mbcacq.calibrate(obs).to_dict(), sort_keys=True)
 
 
 def kills(count: int, seed: int) -> None:
-    """Random moments, at the poses of the first block and of the visit."""
+    """Killed after a random number of poses, and, every second time, at a random moment."""
+    table, rng = Table(f"kills-{seed}"), np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as made:
-        plan = simulated_cell.simulated_plan(Path(made), "concealed.yaml")
-        decided = list(mbcacq.investigate(plan, simulated_cell.BUDGET, out=Path(made) / "whole", dry_run=True))
-        whole = decided, mbcacq.load_observations(Path(made) / "whole")
-        for k, poses in enumerate(np.random.default_rng(seed).integers(1, whole[1].n_poses + 1, count).tolist()):
-            print(json.dumps(resumed_after_kill(plan, Path(made) / f"killed{k}", poses, whole)), flush=True)
+        whole = Undisturbed(Path(made))
+        for k in range(count):
+            poses, share = int(rng.integers(1, whole.observed.n_poses + 1)), float(rng.uniform(0.2, 1.0))
+            if k in table.done:
+                continue
+            folder = Path(made) / f"killed{k}"
+            in_time, measured = whole.killed(folder, None if k % 2 else poses, share * whole.seconds)
+            row = {"by": "moment" if k % 2 else "poses", "killed": in_time, "measured": measured}
+            begun = (folder / INVESTIGATION_FILE).exists()  # else nothing was measured, and there is nothing to resume
+            table.add(k, row | (whole.resumed(folder) if begun else {"begun": False}))
+
+
+GROUPS = ("of the catalogue, at rest", "of the catalogue, in time", "two", "outside of the catalogue", "nothing")
+OUTCOMES = ("right", "in part", "open", "missed", "wrong name", "false alarm")
+
+
+def group_of(row: dict) -> str:
+    """Which kind of cell a row is of."""
+    kind = row["kind"]
+    if kind in (NONE, TWO) or kind in OUTSIDE:
+        return {NONE: GROUPS[4], TWO: GROUPS[2]}.get(kind, GROUPS[3])
+    return GROUPS[1] if declaration(kind).acts_in_time else GROUPS[0]
+
+
+def page(seed: int) -> None:
+    """Tables on stdout, as they stand in benchmarks/investigate.md."""
+    rows = Table(f"cells-{seed}").rows
+    print(f"| concealed | cells | {' | '.join(OUTCOMES)} | missed, shown by less than 9 | poses | moves |\n|---|{'--:|' * 10}")
+    for group in (*GROUPS, "all"):
+        some = [r for r in rows if group in ("all", group_of(r))]
+        if some:
+            counts = [sum(r["outcome"] == one for r in some) for one in OUTCOMES]
+            unseen = sum(r["outcome"] == "missed" and r["information"] < UNSEEN for r in some)
+            median = [f"{np.median([r[key] for r in some]):.0f}" for key in ("poses", "moves")]
+            print(f"| {group} | {len(some)} | {' | '.join(map(str, counts))} | {unseen} | {' | '.join(median)} |")
+    some = [r for r in rows if "fixed_outcome" in r]
+    right = np.array([r["poses"] if r["outcome"] == "right" else np.inf for r in some])
+    there = np.array([r["fixed_poses"] if r["fixed_outcome"] == "right" else np.inf for r in some])
+    print("\n| cells with an effect: decided right after at most | 24 | 32 | 48 | 64 | 96 | 128 |\n|---|--:|--:|--:|--:|--:|--:|")
+    for title, poses in (("investigated", right), ("the plan's poses in random order", there)):
+        print(f"| {title} | {' | '.join(str(int((poses <= n).sum())) for n in (24, 32, 48, 64, 96, 128))} |")
+    wrong = [sum(r[key] == "wrong name" for r in some) for key in ("outcome", "fixed_outcome")]
+    alarms = sum(r["largest_log_e_value"] > ALARM for r in rows if r["kind"] == NONE)
+    print(f"\nwrong names {wrong[0]}, of the plan {wrong[1]}, of {len(some)}; alarms {alarms} of {len(rows) - len(some)}")
+    error = np.array([(r["error_mm"], r["fixed_error_mm"]) for r in rows if "error_mm" in r]) * 1e3
+    if len(error):
+        ratio = error[:, 0] / error[:, 1]
+        spread = np.quantile(ratio, (0.1, 0.5, 0.9)).round(2)
+        print(f"at new places / um: {np.median(error, axis=0).round(1)}, ratio {spread}, {len(error)} cells")
+    kept = [r["log_e_values"] for r in Table(f"looks-{seed}").rows]
+    if kept:
+        largest = np.array(kept).max(axis=1)
+        print(f"{len(kept)} clean sequences of ten looks: {int((largest > ALARM).sum())} alarms, largest E {np.exp(largest.max()):.2g}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["cells", "looks", "kills"])
+    parser.add_argument("what", choices=["cells", "protocols", "looks", "kills", "page"])
     parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=42)
+    parser.add_argument("--seed", type=int, default=1100)
     given = parser.parse_args()
-    loaded = load(PLAN)
     if given.what == "kills":
-        kills(given.count, given.seed)
-        return
-    if given.what == "looks":
-        for scenario in draw(given.seed, given.count, [NONE]):
-            print(json.dumps({"seed": scenario.seed, "largest_log_e_value": looks(loaded, scenario)}), flush=True)
-        return
-    gauge = Gauge(loaded, expand(loaded))
-    kinds = list(catalogued())
-    mixed = [kind for k, name in enumerate(kinds) for kind in ([name, NONE] if k % 3 == 2 else [name])]
-    for scenario in draw(given.seed, given.count, mixed):
-        print(json.dumps(investigated(loaded, gauge, scenario)), flush=True)
+        return kills(given.count, given.seed)
+    if given.what == "page":
+        return page(given.seed)
+    with threadpool_limits(1):
+        {"cells": cells, "protocols": protocols, "looks": looks}[given.what](load(PLAN), given.count, given.seed)
+    return None
 
 
 if __name__ == "__main__":

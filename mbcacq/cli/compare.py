@@ -49,7 +49,7 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
         progress("reading the recording")
         rows = mbcacq.compare(data, held_out=not no_held_out, seed=seed, progress=progress)
     if as_json:
-        echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": [row.to_dict() for row in rows]}))
+        echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": rows.to_dict()["rows"]}))
         return
     from rich.table import Table
 

@@ -105,6 +105,8 @@ def supported_groups(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarr
     The factor of a group is the ratio of its densities at zero before and after (Dickey 1971): 1/2 log|C| + 1/2 m' C^-1 m with its
     posterior mean m and covariance C in units of its prior sigma.
     """
+    if not groups:
+        return set()
     S, b, slices = _conditioned(normal, prior, groups)
     alive = dict(zip(groups, slices, strict=True))
     while alive:

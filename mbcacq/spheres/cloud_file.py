@@ -84,8 +84,11 @@ def _ply(path: Path) -> dict[str, np.ndarray]:
         lines = [line for line in path.read_bytes()[header.size :].splitlines() if line.strip()]
         first = sum(element.count for element in before)
         rows = lines[first : first + vertex.count]
-        if len(lines) < sum(element.count for element in header.elements):
+        announced = sum(element.count for element in header.elements)
+        if len(lines) < announced:
             raise ConfigError(f"{path}: is cut off: its header announces {vertex.count} points and {len(rows)} lines follow; copy it anew")
+        if len(lines) > announced:
+            raise ConfigError(f"{path}: its header announces {announced} lines and {len(lines)} follow; export the cloud anew")
         return _text_columns(path, rows, [(p.name, np.dtype(p.type)) for p in vertex.properties])
     order = "<" if header.little else ">"
     dtype = _row_type(vertex, order)

@@ -10,11 +10,15 @@ import pytest
 
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
+from mbcacq.design.adaptive.backward_elimination import MeasuredInformation
 from mbcacq.design.adaptive.first_block import first_block
+from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.investigation import Budget, Decision, decisions
 from mbcacq.design.adaptive.next_plan import choose_next, next_plan_text
 from mbcacq.design.adaptive.options import AdaptiveOptions
 from mbcacq.design.adaptive.places import accepted_places, errors_at
+from mbcacq.design.adaptive.questions import SetComparison
+from mbcacq.design.adaptive.visit_choice import predicted
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere
 from mbcacq.model.observations import Observations
@@ -119,3 +123,44 @@ def test_what_can_do_less_than_the_limit_of_the_user_does_not_hide(looked):
     assert sum(hiding.values()) == pytest.approx(1.0 - looked.excluded)
     assert set(looked.hiding(limit_mm=1e9)) <= {e.label for e in looked.limited if errors_elsewhere(looked._there, e)[1] is None}
     assert set(looked.hiding(limit_mm=0.02)) <= set(hiding)
+
+
+def test_what_geometry_explains_tells_no_sets_apart_and_what_chance_made_does_not_come_again():
+    """Two fits that differ by the same change of geometry before and after predict the same; one that differed by what was noise in the
+    measured poses, and now stands for it, predicts differently wherever its effect acts."""
+    rng = np.random.default_rng(4)
+    Z, own = rng.normal(size=(30, 4, 5)), rng.normal(size=(30, 4, 1))
+    E = np.concatenate([Z @ rng.normal(size=(5, 1)), 3.0 * own, own], axis=2)  # geometry; an effect as fitted, and by its column
+    blocks = InformationBlocks(1e4 * Z, E)  # of a prior that is wide
+    measured = MeasuredInformation.nothing(5, 3).with_poses(blocks.select(np.arange(10)))
+    before, ahead = predicted(measured, blocks.select(np.arange(10, 30)), np.array([0, 1]))
+    after = before.with_poses(ahead)
+    assert before.squares[:2] == pytest.approx(0.0, abs=1e-9)
+    assert after.squares[0] == pytest.approx(0.0, abs=1e-6)
+    # If there is nothing, the effect's own coefficient, of prior one, follows the new poses only as far as the measured ones let it.
+    a, b = measured.gram[2, 2], after.gram[2, 2]
+    told = SetComparison(1, (2,), 0.5, 0.0, 0, 1).information(after.gram)
+    assert told == pytest.approx(9.0 * (b - a) * (1.0 + a) / (1.0 + b), rel=1e-6)
+
+
+def test_an_effect_that_may_be_chance_is_not_given_up_as_out_of_reach():
+    """24 poses of an arm with elastic A2 and A3: odds of about 30 : 1 against no effect, which is neither; six more decide."""
+    plan = first_block(load(Path(__file__).parents[2] / "plans" / "seeing.yaml"))
+    elastic = [{"name": "joint_compliance", "strength": 1.0048221688047394, "seed": 1258493682}]
+    look = weigh(observe(plan, expand(plan), Scenario(0, "joint_compliance", 730992690, (), 1, 1.0), elastic)[0])
+    assert look.verdict == "cannot_tell"
+    assert not look.full.evidence.significant
+    chosen = choose_next(look, plan, visits=1, poses=10)
+    assert not chosen.futile
+    assert len(chosen.poses) >= 6
+
+
+def test_a_station_that_creeps_is_found_where_three_poses_see_it():
+    """The first block visits p8 with three poses, while its tripod creeps."""
+    plan = first_block(load(Path(__file__).parents[2] / "plans" / "seeing.yaml"))
+    poses = expand(plan)
+    assert sum(p.station == "p8" for p in poses) == 3
+    creeping = [{"name": "station_drift", "station": "p8", "strength": 0.3, "seed": 5}]
+    look = weigh(observe(plan, poses, Scenario(0, "station_drift", 11, ("station_drift",), 5, 1.0), creeping)[0])
+    assert look.reported.labels == {"station_drift:stationp8"}
+    assert look.verdict == "explained"

@@ -1,9 +1,15 @@
 """What an arm does beyond its geometry is learnt by a calibration that knows nothing of it, and is right at places that took no part."""
 
+from pathlib import Path
+
 import pytest
 from erring_arms import LAWS, erring_arm, placed_wrong
 
 from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.design.adaptive.first_block import first_block
+from mbcacq.plan import expand, load
 
 GEOMETRY = CalibrationOptions(discrepancy=False)
 
@@ -34,3 +40,12 @@ def test_wheels_of_a_gear_are_learnt_each_by_its_own_periods(law):
     if "17" in law:
         assert {"q2order 17", "q3order 22"} <= groups
         assert len(groups) <= 6
+
+
+def test_few_poses_in_which_no_group_is_left_are_calibrated():
+    """The 24 poses that show most of one cell: own errors shrink to nothing there, and so do all that are tried after them."""
+    plan = first_block(load(Path(__file__).parents[2] / "plans" / "seeing.yaml"))
+    coupled = [{"name": "wrist_coupling", "strength": 0.0431422939131256, "seed": 1479368136}]
+    obs, _ = observe(plan, expand(plan), Scenario(16, "wrist_coupling", 521319236, ("wrist_coupling",), 1479368136, 0.354), coupled)
+    assert obs.n_poses == 24
+    assert calibrate(obs).rms_mm < 0.03

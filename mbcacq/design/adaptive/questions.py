@@ -1,7 +1,8 @@
 """What is open after a look at the evidence: sets of effects that are not told apart, effects that could still hide, accuracy asked for.
 
-If one set of effects is true, the log odds of it against another are expected to grow by half of D, the squared length of what the first
-one displaces beyond the geometry and beyond everything that the other one can do. An effect of usual size shows by the information I, the
+If one set of effects is true, the log odds of it against another are expected to grow by half of D, the squared length of that in which the
+predictions of the two for poses to come differ, beyond everything that geometry and the other set can still do about it. If there is in
+truth no effect, that is what a set owes to chance: it does not come again. An effect of usual size shows by the information I, the
 squared length of its displacement beyond the geometry: a decision takes 20 to 30 of either.
 """
 
@@ -39,11 +40,11 @@ class SetToTell:
 
 @dataclass(frozen=True, kw_only=True)
 class SetComparison:
-    """Two sets, one of which is true. truth: column of its displacement; model: columns of the other set, in prior sigmas; weight: how
-    probable it is to be true; known: log odds in its favour as they stand.
+    """Two sets, one of which is true. differs: column by which their displacements differ; model: columns of the other set, in prior
+    sigmas; weight: how probable the first is to be true; known: log odds in its favour as they stand.
     """
 
-    truth: int
+    differs: int
     model: tuple[int, ...]
     weight: float
     known: float
@@ -52,7 +53,7 @@ class SetComparison:
 
     def information(self, products: np.ndarray) -> np.ndarray:
         """D (...,) of products (..., K, K) of all columns beyond the geometry."""
-        own, across = products[..., self.truth, self.truth], products[..., self.truth, list(self.model)]
+        own, across = products[..., self.differs, self.differs], products[..., self.differs, list(self.model)]
         if not self.model:
             return own
         inner = products[..., list(self.model), :][..., list(self.model)] + np.eye(len(self.model))
@@ -97,6 +98,11 @@ class Questions:
             gained = 0.5 * np.maximum(comparison.information(products) - known, 0.0)
             total = total + comparison.weight * np.minimum(gained, needed(comparison))
         return total
+
+    @property
+    def differences(self) -> np.ndarray:
+        """Indices of the columns by which displacements of two sets differ."""
+        return np.unique([c.differs for c in self.comparisons]).astype(int)
 
     def information(self, products: np.ndarray) -> np.ndarray:
         """(comparisons,) D of each."""
@@ -159,22 +165,25 @@ def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell]
         return [], [], []
     logs = np.array([h.log_posterior for h in found])
     probability = np.exp(logs - np.logaddexp.reduce(logs))
-    sets, columns, truth, model, start = [], [], [], [], 0
+    sets, columns, model, moved, start = [], [], [], [], 0
     noise_mm = float(np.mean(look.full.noise.point))
     for h, p in zip(found, probability, strict=True):
-        moved, own = _of_set(h, linear)
+        displaced, own = _of_set(h, linear)
         own = _largest_combinations(own / noise_mm) * noise_mm
         sets.append(SetToTell(tuple(dict.fromkeys(m.label for m in h.members)), float(p), float(h.log_posterior - logs[0])))
-        columns += [moved[:, :, None], own]
-        truth.append(start)
-        model.append(tuple(range(start + 1, start + 1 + own.shape[2])))
-        start += 1 + own.shape[2]
+        moved.append(displaced)
+        columns.append(own)
+        model.append(tuple(range(start, start + own.shape[2])))
+        start += own.shape[2]
     comparisons = []
-    for a in range(len(found)):
-        for b in range(len(found)):
-            if a != b and 0 in (a, b):  # each against the most probable one
-                known = float(logs[a] - logs[b])
-                comparisons.append(SetComparison(truth=truth[a], model=model[b], weight=float(probability[a]), known=known, a=a, b=b))
+    for b in range(1, len(found)):  # each against the most probable one
+        columns.append((moved[0] - moved[b])[:, :, None])
+        for one, other in ((0, b), (b, 0)):
+            known = float(logs[one] - logs[other])
+            comparisons.append(
+                SetComparison(differs=start, model=model[other], weight=float(probability[one]), known=known, a=one, b=other)
+            )
+        start += 1
     return sets, comparisons, columns
 
 

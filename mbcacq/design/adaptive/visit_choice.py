@@ -92,8 +92,9 @@ class VisitChoice:
         keep = np.r_[kept, np.ones(linear.obs.n_centres - len(kept), dtype=bool)]
         blocks = InformationBlocks.of(linear, self.asked.columns, look.full.noise, keep)
         every = np.arange(len(blocks.Z))
-        self._before = MeasuredInformation.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(blocks.select(every[:count]))
-        self._ahead, self._pool, self._costs, self._options = blocks.select(every[count:]), list(pool), costs, options
+        measured = MeasuredInformation.nothing(blocks.Z.shape[2], blocks.E.shape[2]).with_poses(blocks.select(every[:count]))
+        self._before, self._ahead = predicted(measured, blocks.select(every[count:]), self.asked.differences)
+        self._pool, self._costs, self._options = list(pool), costs, options
         self._at, self._names = {s.id: s for s in stations}, np.array([p.station for p in pool])
         self._stations = list(dict.fromkeys(self._names.tolist()))
         self._g = linear.geometry.shape[2]
@@ -244,6 +245,20 @@ def _linearised(look: InterimEvidence, pool: Sequence[PlannedPose], stations: Se
     places = [state.T_base_station[old[s.id]] if s.id in standing else planned.get(s.id, np.eye(4)) for s in obs.cell.stations]
     state = replace(state, T_base_station=np.stack(places))
     return LinearProblem.of(continued(obs, state, pool), state)
+
+
+def predicted(
+    measured: MeasuredInformation, ahead: InformationBlocks, differences: np.ndarray
+) -> tuple[MeasuredInformation, InformationBlocks]:
+    """The same, with the columns (indices) by which two fits differ as the difference of what they predict for the poses ahead: each fit
+    has its own geometry, and both have what was measured behind them.
+    """
+    B, products, E = measured.B.copy(), measured.products.copy(), ahead.E.copy()
+    E[:, :, differences] -= ahead.Z @ np.linalg.solve(measured.N, B[:, differences])
+    B[:, differences] = 0.0
+    products[differences] = 0.0
+    products[:, differences] = 0.0
+    return MeasuredInformation(measured.N, B, products), InformationBlocks(ahead.Z, E)
 
 
 def _open_pairs(

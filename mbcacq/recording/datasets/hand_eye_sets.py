@@ -24,6 +24,7 @@ from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, Unders
 from mbcacq.recording.datasets.pose_columns import PoseHeadings, pose_groups
 
 MAX_BYTES = 1 << 26
+SAMPLES = (".yaml", ".yml", ".samples")  # of MoveIt; easy_handeye2 calls its files NAME.samples
 MATRIX_NAMES = tuple(f"r{i}{j}" for i in range(4) for j in range(4))
 ROBOT_FILE = re.compile(r"(rob|pos(e)?[_-]?\d|flange|tcp|gripper|hand|base)", re.IGNORECASE)
 TARGET_FILE = re.compile(r"(target|board|marker|object|cam|eye|pattern|calib|detection)", re.IGNORECASE)
@@ -47,7 +48,7 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         raise ConfigError("give one table, one file of samples, one folder, or two tables of poses (the flange's, then the target's)")
     if first.is_dir():
         return understood(_of_folder(first), options)
-    if first.suffix.lower() in (".yaml", ".yml"):
+    if first.suffix.lower() in SAMPLES:
         return _of_samples(first, options)
     return read_profiles(_table_of(first, options), options) or read_loose_table(first, options)
 

@@ -181,7 +181,7 @@ def _named_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int])
 
 
 def _axis(times: list) -> dict[str, Any]:
-    """Of dates, or of numbers."""
+    """The axis of dates, or of numbers."""
     return {"type": "date", "tickformat": "%Y-%m-%d", "nticks": 6} if times and isinstance(times[0], str) else {"rangemode": "tozero"}
 
 

@@ -1,0 +1,76 @@
+"""What an ordered plan shows with half of the poses: power of its first 64 against all 128 of another plan, over the catalogue.
+
+    python benchmarks/plan_order.py OLD.yaml NEW.yaml [--count 3] [--seed 300]
+
+Each effect of the catalogue is injected at several places, as strong as a test that knows it needs to find it nine times in ten with OLD's
+128 poses, times 2.5, which is what a search over the catalogue needs. Both plans record the same cell by the array path, and a look weighs
+all explanations. Rows go to runs/plan-order-benchmark, so that a call goes on where another ended; the last line counts them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from mbcacq.challenge.power import least_gain
+from threadpoolctl import threadpool_limits
+
+from mbcacq.challenge.run import Challenger
+from mbcacq.challenge.scenarios import Scenario, catalogued
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.challenge.strength import Gauge
+from mbcacq.diagnosis.interim import weigh
+from mbcacq.effects.catalogue import declaration
+
+KEPT = Path("runs") / "plan-order-benchmark"
+FIRST = 64
+MULTIPLE = 2.5
+
+
+def tried(old: Challenger, new: Challenger, first: Gauge, name: str, seed: int) -> dict:
+    """Information and what is found of one effect at one place, by both plans."""
+    scenario, one = Scenario(0, name, seed, (name,), seed + 1, 1.0), {"name": name, "strength": 1.0, "seed": seed + 1}
+    gain = max(old.gauge.gain(scenario, [one]), 1e-9)
+    strength = min(MULTIPLE * float(np.sqrt(least_gain(3) / gain)), 30.0)
+    injected = [{**one, "strength": strength}]
+    row = {"name": name, "seed": seed, "in_time": declaration(name).acts_in_time, "old": strength**2 * gain}
+    row["new"] = first.gain(scenario, injected)
+    for key, challenger, count in (("old", old, len(old.poses)), ("new", new, FIRST)):
+        obs, _ = observe(challenger.loaded, challenger.poses, scenario, injected)
+        look = weigh(obs.select(np.arange(obs.n_poses) < count))
+        labels = {label.partition(":")[0] for h in (look.reported, *look.alternatives) for label in h.labels}
+        row |= {f"{key}_found": look.full.evidence.significant and name in labels, f"{key}_log_e": look.full.evidence.log_e_value}
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("old", type=Path)
+    parser.add_argument("new", type=Path)
+    parser.add_argument("--count", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=300)
+    given = parser.parse_args()
+    KEPT.mkdir(parents=True, exist_ok=True)
+    table = KEPT / f"{given.old.stem}-{given.new.stem}-{given.seed}.jsonl"
+    rows = [json.loads(line) for line in table.read_text().splitlines()] if table.exists() else []
+    done = {(r["name"], r["seed"]) for r in rows}
+    with threadpool_limits(1):
+        old, new = Challenger.of(given.old), Challenger.of(given.new)
+        first = Gauge(new.loaded, new.poses[:FIRST])
+        for seed in range(given.seed, given.seed + 10 * given.count, 10):
+            for name in catalogued():
+                if (name, seed) not in done:
+                    rows.append(tried(old, new, first, name, seed))
+                    with table.open("a") as file:
+                        print(json.dumps(rows[-1]), file=file)
+    for title, some in (("at rest", [r for r in rows if not r["in_time"]]), ("in time", [r for r in rows if r["in_time"]])):
+        ratio = np.array([r["new"] / r["old"] for r in some])
+        found = [sum(r[f"{key}_found"] for r in some) for key in ("old", "new")]
+        quantiles = ", ".join(f"{q:.2f}" for q in np.quantile(ratio, (0.1, 0.5, 0.9)))
+        print(f"| {title} | {len(some)} | {found[0]} | {found[1]} | {quantiles} |")
+
+
+if __name__ == "__main__":
+    main()
