@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import WithJsonSchema
 
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.solver import Weights
 from mbcacq.model.observations import Observations
+
+Status = Annotated[str, WithJsonSchema({"enum": ["free", "prior", "marginal", "held"]})]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +28,7 @@ class Parameter:
     error: float
     unit: str
     std: float | None
-    status: str
+    status: Status
     reason: str = ""
     prior_std: float | None = None
     prior_mean: float = 0.0

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema
 
 from mbcacq.effects.functions import FUNCTIONS
 from mbcacq.errors import ConfigError
@@ -20,6 +20,10 @@ COMPONENTS = {"joint": 1, "frame": 6, "station": 6, "point": 3, "orientation": 3
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(r"^(?:q|qd|tau|direction_|movement_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$")
 _OF_FRAME = re.compile(r"^gravity_moment_([0-9]+)_[xyz]$")
+PLACE = (
+    "what is displaced: joint (rad), frame (local twist mm, rad; 0 behind the base, i behind link i), point (mm in the scanner frame), "
+    "ball (mm in the artefact frame), station (local twist), orientation (rad about the target's own axes)"
+)
 Three = tuple[float, float, float]
 
 
@@ -30,8 +34,8 @@ class _Open(BaseModel):
 
 
 class FunctionInFile(_Open):
-    of: str
-    kind: str
+    of: str = Field(description="name of a covariate")
+    kind: Annotated[str, WithJsonSchema({"enum": list(FUNCTIONS)})]
     numbers: list[float]
 
 
@@ -41,7 +45,7 @@ class ProductInFile(_Open):
 
 
 class PartInFile(_Open):
-    place: str
+    place: Annotated[str, WithJsonSchema({"enum": list(COMPONENTS)})] = Field(description=PLACE)
     index: int
     component: int
     columns: list[list[ProductInFile]]

@@ -21,6 +21,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.workflow.diagnose_recordings import provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
+from mbcacq.workflow.diagnosis_schema import generated_schema
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +42,10 @@ def content(plan, tmp_path_factory):
 def test_the_schema_is_one_and_the_command_prints_it():
     jsonschema.Draft202012Validator.check_schema(diagnosis_schema())
     assert json.loads(CliRunner().invoke(command).output) == diagnosis_schema()
+
+
+def test_the_schema_follows_from_the_types():
+    assert diagnosis_schema() == generated_schema(), "write it anew: PYTHONPATH=. python docs/_make/reference.py"
 
 
 def test_what_is_written_fits_the_schema(content):
