@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, TypeAdapter
-from pydantic.json_schema import GenerateJsonSchema
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionCheck
@@ -94,7 +94,7 @@ class _AsWritten(GenerateJsonSchema):
 def generated_schema() -> dict[str, Any]:
     """The schema (JSON Schema 2020-12) as Python lists and dictionaries."""
     kinds: list[Any] = [Diagnosis, BesideDiagnosis]
-    each = [(kind.__name__, "validation", TypeAdapter(kind)) for kind in kinds]
+    each: list[tuple[str, JsonSchemaMode, TypeAdapter[Any]]] = [(kind.__name__, "validation", TypeAdapter(kind)) for kind in kinds]
     found, shared = TypeAdapter.json_schemas(each, schema_generator=_AsWritten)
     parts = _terse(shared.pop("$defs"))
     of_poses, beside = (_resolved(_terse(found[kind.__name__, "validation"]), parts) for kind in kinds)
