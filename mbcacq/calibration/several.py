@@ -10,6 +10,7 @@ import numpy as np
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.maximum_likelihood import calibrate_with_effects, refuse_unusable
 from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.observation_fit import ObservationFit
@@ -68,8 +69,7 @@ def _together(problem: JointProblem, options: CalibrationOptions, effects: Effec
         found[:] = day_to_day(whole, effects.parametric)
         between = {d.parameter: d.between_std for d in found if d.between_std > 0}
         own = deviations(whole, between)
-        whole = _fitted(problem, replace(asked, terms=(*asked.terms, *own))) if own else whole
-        return replace(whole, covariance=whole.covariance + np.diag([between.get(name, 0.0) ** 2 for name in whole.names]))
+        return _fitted(problem, replace(asked, terms=(*asked.terms, *own))) if own else whole
 
     if effects is None:
         whole = fit(together, options)
@@ -80,6 +80,10 @@ def _together(problem: JointProblem, options: CalibrationOptions, effects: Effec
         whole = fitted_with_effects(together, options, effects, hold, fit)
     if found:
         assert effects is not None, "they differ from day to day"
+        between = {d.parameter: d.between_std for d in found if d.between_std > 0}
+        whole = replace(whole, covariance=whole.covariance + np.diag([between.get(name, 0.0) ** 2 for name in whole.names]))
+        if not hold and whole.effects is not None:
+            whole = replace(whole, effects=with_estimates(whole.effects, whole))
         whole = replace(whole, extra={**whole.extra, "day_to_day": [_day_to_day_content(d, effects) for d in found]})
     each = shares(whole, problem.parts, options)
     refuse_unusable(each[0])

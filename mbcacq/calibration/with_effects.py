@@ -205,6 +205,12 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
     return replace(result, effects=with_estimates(model, result))
 
 
+def terms_beyond(fitted: CalibratedCell, parametric: EffectModel) -> tuple[Term, ...]:
+    """The terms that a fit has beside its parametric effects, which come first: what differs from one recording to the next."""
+    terms, count = fitted.fit.options.terms, len(fitted.fit.coefficients) - len(parametric.terms)
+    return terms[len(terms) - count :]
+
+
 def some_poses(obs: Observations, most: int) -> np.ndarray:
     """(P,) bool of at most so many poses, evenly at random along their order."""
     chosen = np.zeros(obs.n_poses, bool)
@@ -215,8 +221,8 @@ def some_poses(obs: Observations, most: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Stage:
-    """An estimate with the groups that are left, by all or some of the poses. built: the terms of the parametric effects, then one for
-    each group; scale: (G,) size of each group in its prior size.
+    """An estimate with the groups that are left, by all or some of the poses. built: the terms of the parametric effects, those that the
+    fit has beside them, then one for each group; scale: (G,) size of each group in its prior size.
     """
 
     fitted: CalibratedCell
@@ -236,9 +242,11 @@ class _Stage:
         groups = unmodelled.terms
         start = Estimate(fitted.state, (*fitted.fit.coefficients, *(np.zeros(g.k) for g in groups)))
         obs, weights = fitted.fit.observations, fitted.fit.weights
+        further = terms_beyond(fitted, parametric)
         if not poses.all():
+            further = tuple(t.at_poses(poses, obs.pose) for t in further)
             obs, weights = obs.select(poses), Weights(weights.centre[poses[obs.pose]], weights.pose[poses])
-        built = (*parametric.at(obs), *unmodelled.at(obs))
+        built = (*parametric.at(obs), *further, *unmodelled.at(obs))
         return cls(
             fitted=fitted,
             options=options,
@@ -254,7 +262,8 @@ class _Stage:
         """The same sizes and estimate by all poses."""
         obs = self.fitted.fit.observations
         left = replace(unmodelled, terms=self.groups)
-        return replace(self, observations=obs, weights=self.fitted.fit.weights, built=(*parametric.at(obs), *left.at(obs)))
+        built = (*parametric.at(obs), *terms_beyond(self.fitted, parametric), *left.at(obs))
+        return replace(self, observations=obs, weights=self.fitted.fit.weights, built=built)
 
     @property
     def named(self) -> tuple[Term, ...]:

@@ -7,7 +7,7 @@ design matrix for a solver) follows from the few locations at which an effect ca
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,15 @@ class Term:
     @property
     def size(self) -> int:
         return len(self.names)
+
+    def at_poses(self, poses: np.ndarray, pose: np.ndarray) -> Term:
+        """The term at some poses (P,) bool of the recording; pose: (M,) of its centres."""
+        return replace(self, parts=at_poses(self.parts, poses, pose))
+
+
+def at_poses(parts: Sequence[Part], poses: np.ndarray, pose: np.ndarray) -> tuple[Part, ...]:
+    """Parts at some poses (P,) bool of a recording; pose: (M,) of its centres."""
+    return tuple(replace(p, basis=p.basis[poses if p.place in PER_POSE else poses[pose]]) for p in parts)
 
 
 def term(

@@ -16,8 +16,9 @@ from mbcacq.calibration.several import calibrate_together
 from mbcacq.calibration.transfer import check_transfer
 from mbcacq.cli.calibrate import command
 from mbcacq.diagnosis.output.kept_model import term_of
-from mbcacq.effects import catalogue
+from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
+from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import ConfigError
@@ -98,6 +99,23 @@ def test_what_differs_from_day_to_day_is_stated_with_it(plan, model):
     assert term.std[0] > 0.99 * np.hypot(entry["between_std"], entry["common_std"] * 0.5)
     assert abs(term.coefficients[0] - 3e-6) < 2 * term.std[0]
     assert all(0.8 < one.fit.chi2 / one.fit.dof < 1.2 for one in found)
+
+
+def test_what_is_unmodelled_beside_it_takes_nothing_of_that_variance(plan, model):
+    recordings = days(plan, [2e-6, 4e-6])
+    here = Covariates(recordings[0])
+    groups = [unmodelled.group(here, f"A{i}", f"q{i}") for i in (4, 6)]
+    both = replace(model, terms=(*model.terms, *(g for g in groups if g is not None)))
+
+    found = calibrate_together(recordings, OPTIONS, both)
+    (entry,) = found[0].extra["day_to_day"]
+    term = next(t for t in effects_of(found[0]) if t.name == "joint_compliance")
+
+    assert 0.7e-6 < entry["between_std"] < 3e-6
+    assert term.std[0] > 0.99 * entry["between_std"]
+    assert abs(term.coefficients[0] - 3e-6) < 2 * term.std[0]
+    index = found[0].names.index(term.names[0])
+    assert found[0].covariance[index, index] == pytest.approx(term.std[0] ** 2)
 
 
 def test_effects_that_are_held_stay_as_they_are(same, model):

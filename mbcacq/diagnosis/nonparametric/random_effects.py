@@ -15,7 +15,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.terms import PER_POSE, Part
+from mbcacq.estimation.terms import Part, at_poses
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,7 @@ class RandomEffect:
 
     def of_poses(self, poses: np.ndarray, pose: np.ndarray) -> RandomEffect:
         """At some poses (P,) bool of the recording; pose: (M,) of its centres."""
-        kept = (replace(p, basis=p.basis[poses if p.place in PER_POSE else poses[pose]]) for p in self.parts)
-        return replace(self, parts=tuple(kept))
+        return replace(self, parts=at_poses(self.parts, poses, pose))
 
     def of_unit_size(self, linear: LinearProblem) -> RandomEffect:
         """With the sigma by which it moves the centres by about a millimetre, or turns the target by a mrad, so that sizes compare."""
