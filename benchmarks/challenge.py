@@ -1,32 +1,43 @@
-"""Score table of the diagnosis: effects injected in simulated cells, diagnosed without knowledge of them. Writes benchmarks/challenge.md.
+"""Effects injected in simulated cells and diagnosed without knowledge of them: the score table, and formulas for those outside it.
 
-    OMP_NUM_THREADS=1 python benchmarks/challenge.py                   everything, in two processes (hours)
-    OMP_NUM_THREADS=1 python benchmarks/challenge.py --share 0.3       a third of it
-    OMP_NUM_THREADS=1 python benchmarks/challenge.py --only clean      one part
+    OMP_NUM_THREADS=1 python benchmarks/challenge.py score                   everything, in two processes (hours)
+    OMP_NUM_THREADS=1 python benchmarks/challenge.py score --share 0.3       a third of it
+    OMP_NUM_THREADS=1 python benchmarks/challenge.py score --only clean      one part
+    OMP_NUM_THREADS=1 python benchmarks/challenge.py formulas --write
+    OMP_NUM_THREADS=1 python benchmarks/challenge.py formulas --only hose_twist
 
-Every outcome is added to challenge.jsonl at once (kept beside the table only if wanted); what is there is not repeated.
+Each command says more with --help.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import re
 import subprocess
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import Any
 
+import bench
 import numpy as np
+from bench import HERE, PLANS, Kept, keeps, option, put, writes
+from detection_power import PowerCell, evidence_of, ninety_percent_point, search_multiple, try_cell, with_interval
 
 from mbcacq.challenge import simulated_cells
-from mbcacq.challenge.power import PowerCell, ninety_percent_point, search_multiple, with_interval
-from mbcacq.challenge.run import _begin, _take
+from mbcacq.challenge.run import Challenger, _begin, _take
 from mbcacq.challenge.scenarios import Scenario, draw, kinds
 from mbcacq.challenge.score import Score
+from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.table import markdown, row, summary
-
-HERE = Path(__file__).resolve().parent
-PLAN = HERE.parent / "plans" / "seeing.yaml"
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.effects.catalogue import with_added
+from mbcacq.model.observations import Observations
+from mbcacq.workflow.effect_draft import write_draft
 
 # part: title, seed, effects, how many, share of outliers, missing columns
 PARTS = {
@@ -37,6 +48,8 @@ PARTS = {
     "missing": ("No times, temperatures, senses of motion", 6100, "catalogue,none", 42, 0.0, ("time_s", "temperature", "direction")),
     "two": ("Two effects at once", 6200, "two", 32, 0.0, ()),
 }
+
+
 POWER = ("joint_compliance", "joint_scale", "backlash", "gear_transmission_error", "mount_shift", "ball_shift")
 MULTIPLES = (0.8, 1.0, 1.2, 1.4, 1.7)
 LEAST = (10.0, 5.0, 3.0, 2.0, 1.5, 1.0)  # e-values
@@ -49,53 +62,60 @@ of that at which a test that knew the noise as well would find nine in ten. Then
 normal), the ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows
 nothing, with 2 % or 0.5 % false alarms, shared by all places of all effects and there by orders and moments (median of the
 cells).""".splitlines()
+
+
 RATES = (0.02, 0.005)  # false alarms of the best search
 E_VALUE_TEXT = """
 False alarms and power by the same recordings, were the least e-value another one: the clean cells above it, and the multiple of the
 strength for the informed test at which nine in ten effects are reported (below that in use: are in the most probable set).""".splitlines()
-TABLE, END = "<!-- table -->\n", "<!-- end -->\n"  # what is outside stays as it was written
 
 
-def measure(part: str, share: float, jobs: int, kept: list[dict], file: Path) -> None:
+def measure_part(part: str, share: float, jobs: int, kept: Kept) -> None:
     _, seed, effects, count, outliers, missing = PARTS[part]
-    done = {r["number"] for r in kept if r["part"] == part}
+    done = {r["number"] for r in kept.rows if r["part"] == part}
     names = kinds(effects, missing)
     wanted = max(int(round(share * count)), 1)
     todo = [e for e in draw(seed, wanted, names, outliers, missing) if e.number not in done]
-    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
+    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLANS / "seeing.yaml", False, None)) as pool:
         for outcome in pool.map(_take, todo):
-            add(kept, file, {"part": part, "number": outcome.scenario.number, "seconds": outcome.seconds, "score": outcome.score.to_dict()})
+            kept.add(
+                {
+                    "part": part,
+                    "number": outcome.scenario.number,
+                    "seconds": outcome.seconds,
+                    "score": outcome.score.to_dict(),
+                    "code": CODE,
+                }
+            )
 
 
-def measure_power(share: float, jobs: int, kept: list[dict], file: Path) -> None:
-    done = {(r["effect"], r["cell"]) for r in kept if r["part"] == "power"}
+def measure_power(share: float, jobs: int, kept: Kept) -> None:
+    done = {(r["effect"], r["cell"]) for r in kept.rows if r["part"] == "power"}
     cells = [91000 + 17 * i for i in range(max(int(round(share * CELLS)), 1))]
     todo = [(name, cell) for cell in cells for name in POWER if (name, cell) not in done]
-    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
+    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLANS / "seeing.yaml", False, None)) as pool:
         for (name, cell), one in zip(todo, pool.map(_power, todo), strict=True):
-            add(kept, file, {"part": "power", "effect": name, "cell": cell, **asdict(one)})
+            kept.add({"part": "power", "effect": name, "cell": cell, **asdict(one), "code": CODE})
 
 
 def _power(job: tuple[str, int]) -> PowerCell:
     from mbcacq.challenge import run
-    from mbcacq.challenge.power import try_cell
 
     return try_cell(run._challenger, *job, MULTIPLES)
 
 
-def measure_e_values(share: float, jobs: int, kept: list[dict], file: Path) -> None:
+def measure_e_values(share: float, jobs: int, kept: Kept) -> None:
     """Rates of the clean cells."""
     _, seed, effects, count, *_ = PARTS["clean"]
-    done = {r["number"] for r in kept if r["part"] == "e-values"}
+    done = {r["number"] for r in kept.rows if r["part"] == "e-values"}
     todo = [s for s in draw(seed, max(int(round(share * count)), 1), kinds(effects)) if s.number not in done]
-    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLAN, False, None)) as pool:
+    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLANS / "seeing.yaml", False, None)) as pool:
         for scenario, value in zip(todo, pool.map(_log_e_value, todo), strict=True):
-            add(kept, file, {"part": "e-values", "number": scenario.number, "log_e_value": value})
+            kept.add({"part": "e-values", "number": scenario.number, "log_e_value": value, "code": CODE})
 
 
 def _log_e_value(scenario: Scenario) -> float:
     from mbcacq.challenge import run
-    from mbcacq.challenge.power import evidence_of
 
     return evidence_of(simulated_cells.observe(run._challenger.loaded, run._challenger.poses, scenario, [])[0]).log_e_value
 
@@ -109,14 +129,7 @@ def code() -> str:
 CODE = code()
 
 
-def add(kept: list[dict], file: Path, record: dict) -> None:
-    record = {**record, "code": CODE}
-    kept.append(record)
-    with file.open("a", encoding="utf-8") as out:
-        out.write(json.dumps(record) + "\n")
-
-
-def report(kept: list[dict]) -> str:
+def score_page(kept: list[dict]) -> str:
     lines = list[str]()
     for part, (title, seed, effects, *_rest) in PARTS.items():
         mine = [r for r in kept if r["part"] == part]
@@ -131,13 +144,6 @@ def report(kept: list[dict]) -> str:
         lines += bounds(part, scores)
         lines += failures(mine, scores)
     return "\n".join(lines + power_lines(kept))
-
-
-def write_table(page: Path, table: str) -> None:
-    """Put the table into a page, or begin one."""
-    text = page.read_text(encoding="utf-8") if page.exists() else f"# Challenges\n\n{TABLE}{END}"
-    before, _, after = text.partition(TABLE)
-    page.write_text(f"{before}{TABLE}\n{table}\n{END}{after.partition(END)[2]}", encoding="utf-8")
 
 
 def bounds(part: str, scores: list[Score]) -> list[str]:
@@ -222,23 +228,204 @@ def against(found: np.ndarray, known: np.ndarray) -> str:
 OTHERS = {"power": measure_power, "e-values": measure_e_values}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--share", type=float, default=1.0, help="of the full number of challenges")
-    parser.add_argument("--only", nargs="*", choices=[*PARTS, *OTHERS], default=[*PARTS, *OTHERS])
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--keep", type=Path, default=Path("challenge.jsonl"), help="outcomes so far; go on with them")
-    parser.add_argument("--out", type=Path, default=HERE / "challenge.md")
-    options = parser.parse_args()
-    kept = [json.loads(line) for line in options.keep.read_text(encoding="utf-8").splitlines()] if options.keep.exists() else []
-    for part in options.only:
-        if part in OTHERS:
-            OTHERS[part](options.share, options.jobs, kept, options.keep)
-        else:
-            measure(part, options.share, options.jobs, kept, options.keep)
-        write_table(options.out, report(kept))
-    print(row("all", [Score(**r["score"]) for r in kept if "score" in r]))
+def score(given: argparse.Namespace) -> None:
+    """Score table of the diagnosis: effects injected in simulated cells, diagnosed without knowledge of them.
+
+    Hours in two processes; --share 0.3 takes a third of it.
+    """
+    kept = Kept(given.kept)
+    for part in given.only:
+        OTHERS.get(part, partial(measure_part, part))(given.share, given.jobs, kept)
+        put(given.out, f"\n{score_page(kept.rows)}")
+    print(row("all", [Score(**r["score"]) for r in kept.rows if "score" in r]))
+
+
+EXCESS = 3.0  # by which the effect raises chi2 per degree of freedom: plainly there, and no larger than others of an arm
+SEEDS = (61001, 61002)
+INTRODUCTION = [
+    """# Formulas for effects outside the catalogue
+
+Made by `python benchmarks/challenge.py formulas --write` on the poses of `plans/seeing.yaml` (128 poses, the fast path of
+`mbcacq challenge`).
+Each effect is concealed by the fake cell, which computes it by its physics, so strong that it raises chi2 per degree of freedom by 3
+once geometry has absorbed what it can; the catalogue has none of these. `mbcacq diagnose --propose` sees the recording alone."""
+]
+
+
+# Kinds whose form (tanh, exp of a travel) no sum of terms of the dictionary is: a formula of them is right where all its terms are
+# functions of the true covariates.
+OF_COVARIATES = {"axis_wobble": "q", "cable_drag": "q", "link_bending": "gravity", "loose_anchor": "gravity", "short_memory": "direction"}
+
+
+def right_terms(kind: str, truth: dict[str, Any], terms: tuple[str, ...]) -> bool:
+    """Whether a formula is the true one, or, of those forms, of the true covariates alone."""
+    if kind not in OF_COVARIATES:
+        return terms in accepted(kind, truth)
+    factors = [re.sub(r"^linear |^\d+(?=q)|\^\d$", "", factor) for term in terms for factor in term.split("*")]
+    if OF_COVARIATES[kind] == "gravity":  # of which the fake states no joint
+        return all(factor.startswith("gravity") for factor in factors)
+    return all(factor in truth["depends_on"] for factor in factors)
+
+
+def accepted(kind: str, truth: dict[str, Any]) -> list[tuple[str, ...]]:
+    """What the injected effect is a function of, as ``Proposal.terms`` writes it. The centre of a ball that is seen through a tilting depth
+    moves along the field as well, by time alone.
+    """
+    main = true_term(kind, truth)
+    return [(main,), tuple(sorted((main, "time")))] if kind == "tilting_camera" else [(main,)]
+
+
+def true_term(kind: str, truth: dict[str, Any]) -> str:
+    """Its main term."""
+    on = truth.get("depends_on", [""])
+    if kind in OF_COVARIATES:
+        return f"of {'+'.join(on)}"
+    return {
+        "floor_heave": "air_C",
+        "fringe_ripple": f"wave {on[0]}",
+        "hose_twist": "*".join(sorted(on)),
+        "warm_gearbox": f"{on[0]}*robot_C",
+        "uneven_ring": f"{truth.get('lobes')}q1",
+        "cable_at_mount": f"2{on[0]}",
+        "tilting_camera": f"time*{on[-1]}",
+        "progressive_gear": f"{on[0]}^3",
+        "sinking_pedestal": "time",
+    }[kind]
+
+
+KINDS = (
+    "floor_heave",
+    "fringe_ripple",
+    "hose_twist",
+    "warm_gearbox",
+    "uneven_ring",
+    "cable_at_mount",
+    "tilting_camera",
+    "progressive_gear",
+    "sinking_pedestal",
+    *OF_COVARIATES,
+)
+
+
+def proposed(challenger: Challenger, kind: str, seed: int) -> dict[str, Any]:
+    """One cell: concealed, recorded, diagnosed with formulas."""
+    scenario = Scenario(0, kind, seed, (kind,), seed + 7, EXCESS)
+    injected = challenger.gauge.inject(scenario)
+    observations, stated = observe(challenger.loaded, challenger.poses, scenario, injected)
+    truth = stated["effects"][0]
+    start = perf_counter()
+    found = diagnose(observations, workers=1, formulas=True)
+    seconds = perf_counter() - start
+    right = [right_terms(kind, truth, p.terms) and right_place(found, p.where, truth) for p in found.proposals[:3]]
+    rank = right.index(True) + 1 if any(right) else None
+    return {
+        "kind": kind,
+        "seed": seed,
+        "strength": injected[0]["strength"],
+        "where": truth["where"],
+        "terms": true_term(kind, truth),
+        "verdict": found.verdict,
+        "effects": [f"{e.name} at {'+'.join(e.where)}" for e in found.effects],
+        "rank": rank,
+        "with_draft": with_draft(observations, found),
+        "proposals": [
+            {
+                "formula": p.formula,
+                "terms": list(p.terms),
+                "where": list(p.where),
+                "odds": p.odds,
+                "log_bayes_factor": p.log_bayes_factor,
+                "before": p.held_out_before_chi2_dof,
+                "after": p.held_out_chi2_dof,
+                "smooth": p.smooth_chi2_dof,
+                "found_in": p.found_in,
+                "parts": p.parts,
+            }
+            for p in found.proposals
+        ],
+        "seconds": seconds,
+    }
+
+
+def with_draft(observations: Observations, found: Diagnosis) -> str:
+    """Verdict and effects of the same recording once the draft of the best formula is in the catalogue."""
+    if not found.proposals:
+        return ""
+    with TemporaryDirectory() as folder:
+        draft = write_draft(found.proposals, Path(folder) / "draft")
+        with with_added(draft[1:]):
+            again = diagnose(observations, workers=1, folds=2)
+    names = {file.stem.removeprefix("mbcacq_effect_") for file in draft[1:]}
+    return f"{again.verdict}: {', '.join('the draft' if e.name in names else e.name for e in again.effects)}"
+
+
+def right_place(found: Diagnosis, where: tuple[str, ...], truth: dict[str, Any]) -> bool:
+    """Whether a formula acts where the effect does, or where these data cannot tell it from."""
+    alike = {w for e in (*found.effects, *found.mismatch) for w in e.equivalent if set(truth["where"]) & {w, *_places(e)}}
+    return bool(set(where) & (set(truth["where"]) | alike))
+
+
+def _places(entry: Any) -> tuple[str, ...]:
+    return entry.where if hasattr(entry, "where") else (entry.at,)
+
+
+def formulas_page(rows: list[dict[str, Any]]) -> str:
+    """The page."""
+    right = sum(r["rank"] is not None for r in rows)
+    first = sum(r["rank"] == 1 for r in rows)
+    lines = [
+        *INTRODUCTION,
+        f"""
+The true formula (its covariates and functions, at its location or one that acts alike; of {", ".join(OF_COVARIATES)}, whose forms
+are not in the dictionary, its covariates alone) is first in {first} of {len(rows)} cells, and
+among the first three in **{right} of {len(rows)}**.
+""",
+    ]
+    heads = ("effect", "cell", "true", "rank", "verdict", "best formula", "held-out chi2/dof: before, with it, smooth model")
+    heads = (*heads, "again in", "with the draft in the catalogue", "s")
+    lines += [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
+    for r in rows:
+        best = r["proposals"][0] if r["proposals"] else None
+        shown = best["formula"].replace("|", "&#124;") if best else "none"
+        scores = f"{best['before']:.2f}, {best['after']:.2f}, {best['smooth']:.2f} | {best['found_in']}/{best['parts']}" if best else "|"
+        true = f"{r['terms']} at {'+'.join(r['where'])}"
+        lines.append(
+            f"| {r['kind']} | {r['seed']} | {true} | {r['rank'] or '-'} | {r['verdict']} | {shown} | {scores} | {r['with_draft']} "
+            f"| {r['seconds']:.0f} |"
+        )
+    return "\n".join([*lines, ""])
+
+
+def formulas(given: argparse.Namespace) -> None:
+    """Formulas proposed for effects outside the catalogue, in computed cells: fourteen kinds, two cells each (some ten minutes)."""
+    kept = Kept(given.kept)
+    done = {(r["kind"], r["seed"]) for r in kept.rows}
+    challenger = Challenger.of(PLANS / "seeing.yaml")
+    for seed in SEEDS[: given.seeds]:
+        for kind in given.only or KINDS:
+            if (kind, seed) in done:
+                continue
+            found = proposed(challenger, kind, seed)
+            kept.add(found)
+            print(f"{kind} {seed}: rank {found['rank']}, {found['verdict']}, {found['seconds']:.0f} s", flush=True)
+            for p in found["proposals"]:
+                print(f"   {p['formula']}  odds {p['odds']:.3g}, {p['before']:.2f} -> {p['after']:.2f}", flush=True)
+    if given.write:
+        order = {kind: j for j, kind in enumerate(KINDS)}
+        page = formulas_page(sorted(kept.rows, key=lambda r: (order[r["kind"]], r["seed"])))
+        (HERE / "formulas.md").write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    SHARE = option("--share", type=float, default=1.0, help="of the full number of challenges")
+    PARTS_ASKED = option("--only", nargs="*", choices=[*PARTS, *OTHERS], default=[*PARTS, *OTHERS])
+    JOBS, OUT = option("--jobs", type=int, default=2), option("--out", type=Path, default=HERE / "challenge.md")
+    KINDS_ASKED = option("--only", action="append", choices=KINDS, help="these kinds alone")
+    CELLS_ASKED = option("--seeds", type=int, default=len(SEEDS), help="cells of each kind")
+    bench.main(
+        __doc__,
+        {
+            "score": (score, [SHARE, PARTS_ASKED, JOBS, OUT, keeps("challenge.jsonl")]),
+            "formulas": (formulas, [KINDS_ASKED, CELLS_ASKED, keeps("formulas.jsonl"), writes("benchmarks/formulas.md")]),
+        },
+    )

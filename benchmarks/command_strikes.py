@@ -4,7 +4,7 @@
 
 Each command replaces what it wrote from other data. Its writes, synchronisations and renames below the folder are recorded once
 (``system_call_faults.c``), those of programs that it starts too, and replayed up to each moment: as the system has them (SIGKILL there),
-and as a disk may hold them (a power cut: only what was synchronised, or unsynchronised blocks and names by chance; see power_cut.py).
+and as a disk may hold them (a power cut: only what was synchronised, or unsynchronised blocks and names by chance; interrupted_runs.py).
 Beside the replay the command is really run and killed at files that it opens, renames or removes, and with a disk that is full from its
 n-th write on. Then the next command's first step (``finish_set``) is taken and every file is compared. Linux, gcc.
 """
@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from disturbed_run import preload
-from power_cut import Disk, Record, records
+from interrupted_runs import Disk, Record, records
 from strike_commands import Case, Work, cases, make_inputs, make_run
 
 PAGE = Path(__file__).with_suffix(".md")

@@ -1,7 +1,7 @@
 """Runs of a small plan in processes of their own, disturbed by ``system_call_faults.c``: how each ended, and what it left behind.
 
-Shared by ``system_calls.py``, ``power_cut.py`` and ``soak.py``. The program under test is forked from one that has everything imported; the
-fake cell is another process and is never disturbed.
+Shared by ``disturbed_runs.py``, ``interrupted_runs.py`` and ``command_strikes.py``. The program under test is forked from one that has
+everything imported; the fake cell is another process and is never disturbed.
 """
 
 from __future__ import annotations

@@ -12,33 +12,30 @@ of the judging, a rigid motion of everything aside. Data: observation sets, each
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
+import bench  # noqa: F401  # the simulated cells of the tests
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "calibration"))
-from cells import iiwa, kr10, measure, scanner_cell  # noqa: E402
-from erring_arms import JOINT, LAWS, NOISE, erring_arm, placed_wrong  # noqa: E402
-from mbcacq_fakes.cell import computed_run  # noqa: E402
+from cells import iiwa, kr10, measure, scanner_cell
+from erring_arms import JOINT, LAWS, NOISE, erring_arm, placed_wrong
+from mbcacq_fakes.cell import computed_run
 
 from mbcacq import load_observations
 from mbcacq.calibration import CalibrationOptions, calibrate
-from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error  # noqa: E402
-from mbcacq.calibration.uncertainty import point_columns, to_base  # noqa: E402
-from mbcacq.errors import CalibrationError, MbcacqError  # noqa: E402
-from mbcacq.estimation import parameters  # noqa: E402
-from mbcacq.estimation.linearization import Lineariser  # noqa: E402
-from mbcacq.estimation.options import Noise  # noqa: E402
-from mbcacq.estimation.parameters import Estimate  # noqa: E402
-from mbcacq.estimation.phases import select_phases  # noqa: E402
-from mbcacq.estimation.solver import Weights, solve  # noqa: E402
-from mbcacq.geometry import se3  # noqa: E402
-from mbcacq.model.observations import Observations  # noqa: E402
-from mbcacq.plan import expand, load  # noqa: E402
-from mbcacq.workflow.acquire import solver_cell  # noqa: E402
+from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
+from mbcacq.errors import CalibrationError, MbcacqError
+from mbcacq.estimation import parameters
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.solver import Weights, solve
+from mbcacq.geometry import se3
+from mbcacq.model.observations import Observations
+from mbcacq.plan import expand, load
+from mbcacq.workflow.acquire import solver_cell
 
 ALONE = CalibrationOptions(kinematics=False)
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
@@ -50,6 +47,13 @@ def ordinary_errors(chain, rng, mm=0.15, deg=0.03):
     errors[parallel, 1], errors[~parallel, 4], errors[-1] = 0, 0, 0
     errors[0, :2] = 0
     return errors
+
+
+def hand_eye_error(found, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twist (6,) mm and rad between a calibrated hand-eye and the true one, and its stated covariance (6, 6)."""
+    off = se3.inverse(found.state.T_flange_scanner) @ true
+    index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
+    return np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])]), found.covariance[np.ix_(index, index)]
 
 
 def hand_eye(arms: int) -> None:
@@ -65,12 +69,9 @@ def hand_eye(arms: int) -> None:
                 except AssertionError:
                     continue  # a place that this arm cannot look at from all sides
                 found = calibrate(cell.observations, ALONE)
-                off = se3.inverse(found.state.T_flange_scanner) @ cell.truth.T_flange_scanner
-                d = np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])
-                index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
-                C = found.covariance[np.ix_(index, index)]
+                d, C = hand_eye_error(found, cell.truth.T_flange_scanner)
                 rows.append(np.concatenate([d, d / np.sqrt(np.diag(C)), [d @ np.linalg.solve(C, d) / 6]]))
-                rejected, seen = rejected + len(found.rejected), seen + cell.observations.n_poses
+                rejected, seen = rejected + len(found.fit.rejected), seen + cell.observations.n_poses
                 warned += "warnings" in found.extra
             table = np.array(rows)
             size = ", ".join(f"{1e3 * s:.1f}" for s in np.sqrt(np.mean(table[:, :3] ** 2, axis=0)))
@@ -97,9 +98,8 @@ def shipped_plan(name: str, seeds: int) -> None:
         numbers, phase = np.array([p.number for p in poses]), np.array([p.phase for p in poses])
         obs = Observations(solver_cell(loaded), numbers, got.station, got.q, got.pose, got.ball, got.xyz, phase=phase)
         found = calibrate(obs, ALONE)
-        off = se3.inverse(found.state.T_flange_scanner) @ measurable_hand_eye(loaded.cell.robot.chain, got.truth)
-        index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
-        z.append(np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])]) / np.sqrt(np.diag(found.covariance)[index]))
+        d, C = hand_eye_error(found, measurable_hand_eye(loaded.cell.robot.chain, got.truth))
+        z.append(d / np.sqrt(np.diag(C)))
     size = np.abs(z)
     print(f"plans/{name}.yaml, {seeds} seeds: {np.mean(size <= 3):.1%} of the six within 3 sigma, at most {size.max():.1f}", flush=True)
 
@@ -149,11 +149,9 @@ def strikes(count: int) -> None:
             if said:
                 tally["right" if word in said else "wrong" if any(w in said for w in words.values()) else "unnamed"] += 1
                 continue
-            tally["rejected" if found.rejected else "nothing"] += 1
-            off = se3.inverse(found.state.T_flange_scanner) @ truth.T_flange_scanner
-            d = np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])
-            index = [found.names.index(f"hand_eye.{c}") for c in TWIST]
-            tally["silent"] += bool(np.any(np.abs(d) > 3 * np.sqrt(np.diag(found.covariance)[index])))
+            tally["rejected" if found.fit.rejected else "nothing"] += 1
+            d, C = hand_eye_error(found, truth.T_flange_scanner)
+            tally["silent"] += bool(np.any(np.abs(d) > 3 * np.sqrt(np.diag(C))))
         shown = (tally[key] for key in ("refused", "right", "unnamed", "wrong", "rejected", "nothing", "silent"))
         print(f"| {kind} | {' | '.join(f'{n} of {count}' for n in shown)} |", flush=True)
 
@@ -170,22 +168,22 @@ def arms(cells: int) -> None:
             found = calibrate(learn)
             taken = (time.process_time() - between) / (between - begin)
             groups = len(found.effects.terms) if found.effects else 0
-            rows.append((placed_wrong(alone, new, truth), placed_wrong(found, new, truth), 1e3 * found.rms_mm, groups, taken))
+            rows.append((placed_wrong(alone, new, truth), placed_wrong(found, new, truth), 1e3 * found.fit.rms_mm, groups, taken))
         m = np.mean(rows, axis=0)
         print(f"| {name} | {m[0]:.0f} | {m[1]:.0f} | {m[2]:.1f} | {m[3]:.1f} | {m[4]:.1f} |", flush=True)
 
 
 def workspace_errors(found, truth, postures: int = 100) -> tuple[np.ndarray, np.ndarray]:
     """Errors (K,) mm of the coordinates of points all over the workspace, a rigid motion of everything aside; and their stated sigma."""
-    obs, rng = found.observations, np.random.default_rng(5)
+    obs, rng = found.fit.observations, np.random.default_rng(5)
     low, high = found.state.chain.drawn_between(obs.cell.robot.limits)
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
     xyz = np.tile(obs.xyz.mean(axis=0), (postures, 1))
-    points = to_base(found, q, xyz)
+    points = found.to_base(q, xyz)
     off = points - se3.apply(truth.chain.frames(q)[:, -1] @ truth.T_flange_scanner, xyz)
     rigid = np.concatenate([np.tile(np.eye(3), (postures, 1, 1)), -1e-3 * se3.skew(points)], axis=2).reshape(-1, 6)
     rest = np.eye(3 * postures) - rigid @ np.linalg.pinv(rigid)
-    A = rest @ point_columns(found, q, xyz).reshape(3 * postures, -1)
+    A = rest @ found.point_columns(q, xyz).reshape(3 * postures, -1)
     return rest @ off.ravel(), np.sqrt(np.einsum("kg,gh,kh->k", A, found.covariance, A))
 
 

@@ -18,25 +18,23 @@ import tempfile
 import time
 from pathlib import Path
 
+import bench  # noqa: F401  # before the simulated cells of the tests
+import cells
 import numpy as np
+from bench import HERE, MBCACQ
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "tests" / "calibration"))
-import cells  # noqa: E402
+from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.options import ArmPrior
+from mbcacq.fleet.arm_prior import population, read_priors
+from mbcacq.fleet.control_chart import arm_types, outliers
+from mbcacq.fleet.evaluation import FleetTask, evaluate_recording
+from mbcacq.fleet.recordings import find_recordings
+from mbcacq.fleet.store import FleetStore, read_table, stored_result
+from mbcacq.geometry import se3
+from mbcacq.model.observations import Observations
+from mbcacq.recording import write_observation_set
 
-from mbcacq.calibration import CalibrationOptions, calibrate  # noqa: E402
-from mbcacq.estimation.forward_model import CellState  # noqa: E402
-from mbcacq.estimation.options import ArmPrior  # noqa: E402
-from mbcacq.fleet.arm_prior import population, read_priors  # noqa: E402
-from mbcacq.fleet.control_chart import arm_types, outliers  # noqa: E402
-from mbcacq.fleet.evaluation import FleetTask, evaluate_recording  # noqa: E402
-from mbcacq.fleet.recordings import find_recordings  # noqa: E402
-from mbcacq.fleet.store import FleetStore, read_table, stored_result  # noqa: E402
-from mbcacq.geometry import se3  # noqa: E402
-from mbcacq.model.observations import Observations  # noqa: E402
-from mbcacq.recording import write_observation_set  # noqa: E402
-
-MBCACQ = Path(sys.executable).parent / "mbcacq"
 NOISE, JOINT = (0.005, 0.005, 0.009), 8e-6
 SPREAD = 0.3
 DRIFTING, CRASHED, ODD, CORRUPTED = 3, 17, 18, (8, 4)

@@ -1,7 +1,7 @@
 """How fast a Gocator's 2-megapixel surface becomes points in mm, against a loop in C that does the same in one pass.
 
-Usage: python benchmarks/gocator_decode.py [repetitions] [--before FILE] [--write]. Prints two tables; --write puts them into
-benchmarks/gocator_decode.md. FILE is another version of mbcacq_gocator/points.py to compare with. Needs gcc.
+Usage: python benchmarks/gocator_decode.py [repetitions] [--write]. Prints two tables; --write puts them into
+benchmarks/gocator_decode.md. Needs gcc.
 
 The C loop (gocator_decode.c) makes the same arrays (points, pixel, intensity) into new memory, as the driver does, and into memory that is
 kept. The second table is the whole way of a frame: a process replays a recorded data set over the loopback, the receiving side decodes it.
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import ctypes
-import importlib.util
 import multiprocessing
 import platform
 import socket
@@ -166,14 +165,13 @@ def with_numpy(case: Case) -> object:
         conversion.compiled = compiled_loop
 
 
-def decoding(library: ctypes.CDLL, repetitions: int, before: ModuleType | None) -> Iterator[str]:
-    yield "| surface | ours | C, new memory | ours / C | C, kept memory | C, NaN | ours, numpy only |" + (" before |" if before else "")
-    yield "|---|---|---|---|---|---|---|" + ("---|" if before else "")
+def decoding(library: ctypes.CDLL, repetitions: int) -> Iterator[str]:
+    yield "| surface | ours | C, new memory | ours / C | C, kept memory | C, NaN | ours, numpy only |"
+    yield "|---|---|---|---|---|---|---|"
     for case in cases():
         in_c = InC(library, case)
         agree(case, in_c)
         actions = [partial(ours, points, case), in_c.into_new, in_c.into_kept, in_c.with_nan, partial(with_numpy, case)]
-        actions += [partial(ours, before, case)] if before else []
         own, new, *others = medians(actions, repetitions)
         yield f"| {case.name} | {own:.2f} | {new:.2f} | {own / new:.2f} |" + "".join(f" {t:.2f} |" for t in others)
 
@@ -233,28 +231,16 @@ def whole_way(library: ctypes.CDLL, repetitions: int) -> Iterator[str]:
         yield f"| {case.name} | {size / 1e6:.1f} | {own:.2f} | {in_c_ms:.2f} | {own / in_c_ms:.2f} | {received:.2f} |"
 
 
-def loaded(path: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("points_before", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look themselves up there
-    spec.loader.exec_module(module)
-    return module
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("repetitions", type=int, nargs="?", default=41)
-    parser.add_argument("--before", metavar="FILE", help="another version of points.py")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
-    before = loaded(given.before) if given.before else None
     if conversion.compiled() is None:
         sys.exit("the driver's loop is not compiled: python -m mbcacq_gocator.build_loop")
     with tempfile.TemporaryDirectory() as folder:
         library = compiled(Path(folder))
-        tables = ["\n".join(decoding(library, given.repetitions, before)), "\n".join(whole_way(library, given.repetitions))]
+        tables = ["\n".join(decoding(library, given.repetitions)), "\n".join(whole_way(library, given.repetitions))]
     text = f"""# Gocator decode
 
 {SHAPE[0]} x {SHAPE[1]} pixels; median processor time in ms of {given.repetitions} turns, numpy {np.__version__}, {platform.machine()}.

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kill_and_resume import plan_file
+from interrupted_runs import plan_file
 
 ROOT = Path(__file__).parents[1]
 JOINTS = "0,-90,90,0,30,0"

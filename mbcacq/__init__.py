@@ -32,7 +32,6 @@ TYPE_CHECKING = False  # type checkers take it for True; importing typing takes 
 if TYPE_CHECKING:
     from mbcacq.calibration.calibrated_cell import CalibratedCell
     from mbcacq.calibration.compare_methods import Comparison
-    from mbcacq.calibration.result import Calibration
     from mbcacq.calibration.verification import Verification
     from mbcacq.design.adaptive.investigation import Budget
     from mbcacq.design.new_plan import NewPlanOptions
@@ -63,7 +62,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Budget",
     "CalibratedCell",
-    "Calibration",
     "CalibrationOptions",
     "InterimCheck",
     "CheckSettings",
@@ -109,7 +107,6 @@ __all__ = [
 _MODULES = {
     "calibration.calibrated_cell": ("CalibratedCell",),
     "calibration.compare_methods": ("Comparison",),
-    "calibration.result": ("Calibration",),
     "calibration.verification": ("Verification",),
     "design.new_plan": ("NewPlanOptions",),
     "estimation.options": ("CalibrationOptions",),

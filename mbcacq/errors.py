@@ -5,7 +5,13 @@ An error message is one sentence: what happened, where, and what to do about it.
 
 from __future__ import annotations
 
+import shlex
 from enum import IntEnum
+
+
+def command_line(*words: object) -> str:
+    """A command of ours that can be pasted: words with spaces in them are quoted, empty ones left out."""
+    return shlex.join(["mbcacq", *(str(word) for word in words if str(word))])
 
 
 class ExitCode(IntEnum):

@@ -1,4 +1,4 @@
-"""Threads of numerical libraries do not help here: the suite runs one process a core. And no test is about how busy the machine is."""
+"""Threads of numerical libraries do not help here: several processes run the suite. And no test is about how busy the machine is."""
 
 import os
 import signal

@@ -40,6 +40,10 @@ class ManualPositioner:
     def connect(self) -> None:
         """Raises ConfigError where nobody can be asked."""
         self._stopped.clear()
+        self.refuse_unattended()
+
+    def refuse_unattended(self) -> None:
+        """Raises ConfigError where nobody can be asked; opens nothing."""
         if not self._options.assume_yes and not _interactive():
             raise ConfigError(
                 "the manual positioner must ask an operator, but standard input is not a terminal; "

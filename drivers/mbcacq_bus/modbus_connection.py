@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from mbcacq.devices import HOST
 from mbcacq_bus.options import BusOptions
 from mbcacq_bus.registers import Register
 
@@ -23,7 +24,7 @@ class Connection(BusOptions):
     idle_poll_s: a connection that nobody has used for so long is read once, since many controllers close an idle one; 0 for never.
     """
 
-    host: str | None = None
+    host: str | None = Field(default=None, pattern=HOST)
     port: int = Field(default=502, ge=1, le=65535)
     serial: str | None = None
     baudrate: int = 19200

@@ -24,7 +24,7 @@ _UNTOLD = (0, 0, 0, 0)
 _MAX_SENSORS = 1000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FoundSensor:
     """A sensor's answer. ``properties`` are its own words: PartNumber, ModelNumber, ModelDisplayName, Family, OpMode...
 
@@ -105,7 +105,19 @@ def _parse_old(data: bytes) -> FoundSensor:
     prefix = int.from_bytes(mask, "big").bit_count()
     if (length, kind, status, signature) != (_OLD.size, _REPLY + _GET_ADDRESS, 1, _SIGNATURE) or serial >= 2**32:
         raise ProtocolError(f"a datagram of {len(data)} bytes is no Gocator's discovery reply")
-    return FoundSensor(serial, _UNTOLD, socket.inet_ntoa(ip), prefix, socket.inet_ntoa(gateway), bool(dhcp), 0.0, *_OLD_PORTS)
+    control, health, data_port = _OLD_PORTS
+    return FoundSensor(
+        serial=serial,
+        firmware=_UNTOLD,
+        address=socket.inet_ntoa(ip),
+        prefix_length=prefix,
+        gateway=socket.inet_ntoa(gateway),
+        dhcp=bool(dhcp),
+        uptime_s=0.0,
+        control_port=control,
+        health_port=health,
+        data_port=data_port,
+    )
 
 
 def _properties(data: bytes, at: int) -> dict[str, str]:

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from mbcacq.devices import ConfigError
+from mbcacq.devices import ConfigError, is_host
 
 MODES = ("snapshot", "trigger")
 BRACKETS = ("merge", "best")
 _MAX_BRACKET, _MAX_PASSWORD = 16, 63
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GocatorOptions:
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. job_file: a file to
     store on the sensor as ``job`` (default: its own name) first. timeout_s: longest wait for a scan. reply_limit_s: caps the
@@ -101,6 +101,8 @@ def _text(name: str, given: Mapping[str, Any], key: str) -> None:
     if not isinstance(given.get(key, ""), str):
         kind = {"job": "the name of a job stored on the sensor", "job_file": "the path of a job file"}.get(key, "an address")
         raise ConfigError(f"scanner '{name}': {key} must be {kind}, not {given[key]!r}")
+    if key in ("address", "broadcast") and given.get(key, "").strip() and not is_host(given[key].strip()):
+        raise ConfigError(f"scanner '{name}': option {key} must be a host name or an IP address, such as 192.168.1.10, not {given[key]!r}")
 
 
 def _one_of(name: str, given: Mapping[str, Any], key: str, choices: tuple[str, ...]) -> None:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from mbcacq.devices import ConfigError
+from mbcacq.devices import HOST, ConfigError
 
 
 class OpcUaOptions(BaseModel):
@@ -23,7 +23,7 @@ class OpcUaOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
-    address: str = Field(min_length=1)
+    address: str = Field(min_length=1, pattern=HOST)
     port: int = Field(default=4840, ge=1, le=65535)
     path: str = ""
     user: str | None = None

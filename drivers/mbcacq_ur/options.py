@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from mbcacq.devices import ConfigError
+from mbcacq.devices import HOST, ConfigError
 
 AXES = 6
 
@@ -20,7 +20,7 @@ class UrOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    address: str = Field(min_length=1)
+    address: str = Field(min_length=1, pattern=HOST)
     port: int = Field(default=30004, ge=1, le=65535)
     frequency_hz: float = Field(default=125.0, ge=1, le=500)
     connect_timeout_s: float = Field(default=5.0, gt=0)

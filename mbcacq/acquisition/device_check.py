@@ -42,10 +42,20 @@ def refuse_impossible_devices(loaded: LoadedPlan) -> None:
         raise ConfigError(str(found))
 
 
+def refuse_unattended(loaded: LoadedPlan, assume_yes: bool = False) -> None:
+    """Raises ConfigError where a device must ask a person who is not there (``refuse_unattended`` of its driver says so): before the arm is
+    allowed to move, and before anything is opened. assume_yes: a person who moves the artefacts is not asked."""
+    for role, make in device_makers(loaded).items():
+        if role == "positioner" and assume_yes:
+            continue
+        if (refuse := getattr(make(), "refuse_unattended", None)) is not None:
+            refuse()
+
+
 def _finding(loaded: LoadedPlan, role: str, sentence: str) -> PlanFinding:
     section: tuple[str | int, ...] = ("sensors", int(role.split()[1]) - 1) if role.startswith("sensor ") else (role,)
     keys = [where for where in loaded.lines if where[: len(section)] == section]
     options = [where for where in keys if "options" in where and re.search(rf"\b{re.escape(str(where[-1]))}\b", sentence)]
     driver = (*section, "driver")
     at = options[0] if options else driver if driver in loaded.lines else section
-    return PlanFinding("error", "device", "", f"{loaded.path}:{loaded.lines.get(at, 1)}", sentence)
+    return PlanFinding(level="error", code="device", step="", place=f"{loaded.path}:{loaded.lines.get(at, 1)}", sentence=sentence)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GateOptions:
     """Limits of one run. Lengths in mm, angles in rad. ``sigmas`` are multiples of a standard uncertainty."""
 

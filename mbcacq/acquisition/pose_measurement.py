@@ -76,17 +76,17 @@ class PoseMeasurement:
         self.bus.emit(
             events.PoseDone,
             *about,
-            q,
-            self.mover.direction.copy(),
-            reached.time_s,
-            mean.ball,
-            mean.xyz,
-            mean.n_points,
-            mean.rms_mm,
-            mean.scatter_mm,
-            len(found),
-            current,
-            sensors,
+            q=q,
+            direction=self.mover.direction.copy(),
+            robot_time_s=reached.time_s,
+            ball=mean.ball,
+            xyz=mean.xyz,
+            n_points=mean.n_points,
+            rms_mm=mean.rms_mm,
+            scatter_mm=mean.scatter_mm,
+            n_exposures=len(found),
+            current=current,
+            sensors=sensors,
         )
         return True
 

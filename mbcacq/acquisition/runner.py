@@ -95,16 +95,16 @@ class Runner:
         left = [(pose, path) for pose, path in zip(self.poses, self.paths, strict=True) if pose.number not in self.done]
         self.bus.emit(
             events.RunStarted,
-            plan.name,
-            datetime.now(UTC).isoformat(timespec="seconds"),
-            self.loaded.text,
-            self.cell_yaml,
-            len(self.poses),
-            self.versions,
-            {pose.number: np.array([*path, pose.q]) for pose, path in left},
-            str(self.loaded.path.parent / plan.robot.urdf) if plan.robot.urdf else "",
-            self.simulated,
-            self.plan_files,
+            name=plan.name,
+            started=datetime.now(UTC).isoformat(timespec="seconds"),
+            plan_yaml=self.loaded.text,
+            cell_yaml=self.cell_yaml,
+            n_poses=len(self.poses),
+            versions=self.versions,
+            route={pose.number: np.array([*path, pose.q]) for pose, path in left},
+            urdf=str(self.loaded.path.parent / plan.robot.urdf) if plan.robot.urdf else "",
+            simulated=self.simulated,
+            plan_files=self.plan_files,
         )
 
     def _describe(self) -> None:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.calibration.calibration_fit import CalibrationFit
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.uncertainty import without_rigid_motion
 from mbcacq.estimation.identifiability import base_columns, typical_points
 
 
@@ -29,25 +30,16 @@ class AccuracyMap:
         }
 
 
-def accuracy_map(calibration: CalibrationFit, cell_mm: float = 250.0, postures: int = 4000, seed: int = 1) -> AccuracyMap:
+def accuracy_map(calibrated: CalibratedCell, cell_mm: float = 250.0, postures: int = 4000, seed: int = 1) -> AccuracyMap:
     """Sample postures within the joint limits, and collect the uncertainty of the point in the middle of what the scanner sees."""
-    obs = calibration.observations
+    obs = calibrated.fit.observations
     rng = np.random.default_rng(seed)
     low, high = np.clip(obs.cell.robot.limits, -np.pi, np.pi).T
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
-    columns, points = base_columns(calibration.layout, calibration.state, q, typical_points(obs)[:1])
-    columns = columns - _rigid_part(columns, points)
-    variance = np.einsum("pig,gh,pih->p", columns, calibration.covariance, columns, optimize=True)
+    columns, points = base_columns(calibrated.layout, calibrated.state, q, typical_points(obs)[:1])
+    columns = without_rigid_motion(columns, points)
+    variance = np.einsum("pig,gh,pih->p", columns, calibrated.covariance, columns, optimize=True)
     place = np.floor(points / cell_mm).astype(int)
     cells, group, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
     sigma = np.sqrt(np.bincount(group.ravel(), variance) / count)
     return AccuracyMap((cells + 0.5) * cell_mm, sigma, count, cell_mm)
-
-
-def _rigid_part(columns: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The rigid motion of all points together that explains each column best (the base is wherever the stations put it)."""
-    from mbcacq.geometry import se3
-
-    rigid = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -se3.skew(points * 1e-3)], axis=2).reshape(-1, 6)
-    flat = columns.reshape(-1, columns.shape[2])
-    return (rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0]).reshape(columns.shape)

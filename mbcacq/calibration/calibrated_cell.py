@@ -1,40 +1,125 @@
-"""A calibrated cell read back from result.json: state, covariance and noise, without the observations they came from."""
+"""The calibrated cell: what was found out about arm, hand-eye, stations, artefacts and effects, how well it is known, and what follows."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from mbcacq.calibration import result_io
-from mbcacq.calibration.cell_methods import CalibratedCellMethods
+from mbcacq.calibration import notebook, result_io, verification
+from mbcacq.calibration.length_budget import EndVariance, length_budget
+from mbcacq.calibration.observability import arm_indices
+from mbcacq.calibration.observation_fit import ObservationFit, Parameter
+from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.sealed_json import sealed_text, unsealed
+from mbcacq.calibration.uncertainty import fill_effect_columns, measuring_terms, single_points, without_rigid_motion
+from mbcacq.calibration.verification import Limits, Verification, judge, verification_poses
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
+from mbcacq.estimation import identifiability
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.geometry import se3
+from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import damage, read_json
 from mbcacq.model.observations import Observations
 
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
-@dataclass(frozen=True, repr=False)
-class CalibratedCell(CalibratedCellMethods):
-    """What ``mbcacq.calibration.calibrated.Calibrated`` describes. stations: the ids of ``state.T_base_station`` (S, 4, 4); ball_ids:
-    those of ``state.balls`` (K, 3) mm. content: the whole of result.json, as it was read. effects: as terms of the cell, or None."""
+
+class HasModel(Protocol):
+    """A diagnosis: what it found, as a model of effects."""
+
+    @property
+    def model(self) -> EffectModel | None: ...
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class CalibratedCell:
+    """A calibrated cell, whether it was just computed or read from result.json. Lengths mm, angles rad.
+
+    Attributes
+    ----------
+    robot : str
+        Name of the arm.
+    nominal : Chain
+        The arm as described.
+    limits : ndarray or None
+        (n, 2) rad, smallest and largest angle of each axis; None where the result does not have them.
+    state : CellState
+        The arm with its errors, T_flange_scanner (4, 4), T_base_station (S, 4, 4), balls (K, 3) mm.
+    preliminary : CellState
+        Nominal arm, hand-eye fitted alone.
+    stations, ball_ids : tuple
+        Ids of the S stations and the K balls.
+    layout : ParameterLayout
+        Names and freedom of the parameters.
+    covariance : ndarray
+        (g, g) of the free parameters in the order of ``names``; those of the hand-eye are a local twist (scanner frame).
+    noise : Noise
+        Of a centre and of the joints.
+    effects : EffectModel or None
+        What the arm does beyond its geometry, free or held: parametric, unmodelled, and the smooth discrepancy of the joints.
+    simulated : bool
+        Whether a fake cell or a model made the data, and no real arm was measured.
+    extra : mapping
+        What else result.json holds, such as warnings. All of its content, where the cell was read from it.
+    own_fit : ObservationFit or None
+        The observations that it was calibrated from; None where it was read from result.json. See ``fit``.
+    calibrate_again : callable or None
+        Calibrates observations under options with a model of effects, as this cell was calibrated.
+    """
 
     robot: str
+    nominal: Chain
+    limits: np.ndarray | None
     state: CellState
     preliminary: CellState
+    stations: tuple[str, ...]
+    ball_ids: tuple[int, ...]
     layout: ParameterLayout
     covariance: np.ndarray
     noise: Noise
-    stations: tuple[str, ...]
-    ball_ids: tuple[int, ...]
-    content: dict[str, Any] = field(default_factory=dict)
     effects: EffectModel | None = None
+    simulated: bool = False
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    own_fit: ObservationFit | None = None
+    calibrate_again: Callable[..., CalibratedCell] | None = None
+
+    @classmethod
+    def fitted(
+        cls,
+        *,
+        fit: ObservationFit,
+        state: CellState,
+        preliminary: CellState,
+        layout: ParameterLayout,
+        covariance: np.ndarray,
+        noise: Noise,
+        extra: Mapping[str, Any] | None = None,
+    ) -> CalibratedCell:
+        """The cell of these observations with what a fit found of it."""
+        cell = fit.observations.cell
+        return cls(
+            robot=cell.robot.name,
+            nominal=cell.robot.chain,
+            limits=cell.robot.limits,
+            state=state,
+            preliminary=preliminary,
+            stations=tuple(s.id for s in cell.stations),
+            ball_ids=cell.ball_ids,
+            layout=layout,
+            covariance=covariance,
+            noise=noise,
+            simulated=cell.simulated,
+            extra=extra or {},
+            own_fit=fit,
+        )
 
     @classmethod
     def from_dict(cls, content: dict[str, Any], source: str = "the calibration result") -> CalibratedCell:
@@ -46,23 +131,24 @@ class CalibratedCell(CalibratedCellMethods):
             layout = result_io.layout_from_dict(content)
             covariance = np.array(content["covariance"], dtype=float).reshape(layout.size, layout.size)
             noise = result_io.noise_from_dict(content["noise"])
-            robot = str(content["robot"]["name"])
+            robot, limits = str(content["robot"]["name"]), content["robot"].get("limits")
+            limits = None if limits is None else np.array(limits, dtype=float).reshape(nominal.n, 2)
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"{source} is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
-        first = CellState(nominal, T, state.T_base_station, state.balls)
-        stations = tuple(str(s["id"]) for s in content["stations"])
-        effects = result_io.effects_of(content)
         return cls(
             robot=robot,
+            nominal=nominal,
+            limits=limits,
             state=state,
-            preliminary=first,
+            preliminary=CellState(nominal, T, state.T_base_station, state.balls),
+            stations=tuple(str(s["id"]) for s in content["stations"]),
+            ball_ids=tuple(b["id"] for b in content["balls"]),
             layout=layout,
             covariance=covariance,
             noise=noise,
-            stations=stations,
-            ball_ids=tuple(b["id"] for b in content["balls"]),
-            content=content,
-            effects=effects,
+            effects=result_io.effects_of(content),
+            simulated=bool(content.get("simulated")),
+            extra=content,
         )
 
     @classmethod
@@ -75,12 +161,47 @@ class CalibratedCell(CalibratedCellMethods):
         return cls.from_dict(result_io.read_result(Path(source), any_of_them=any_of_them), str(source))
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of result.json."""
-        return self.content
+        """The content of result.json, format 'mbcacq-result/1'; see ``mbcacq.calibration.result_io``."""
+        if self.own_fit is None:
+            return dict(self.extra)
+        fit, cell = self.own_fit, self.own_fit.observations.cell
+        places = self.station_places
+        return {
+            "format": result_io.FORMAT,
+            "method": fit.options.method,
+            "measurement": cell.measurement,
+            **({"simulated": True} if self.simulated else {}),
+            "robot": result_io.robot_content(cell.robot, self.state.chain),
+            "T_flange_scanner": self.state.T_flange_scanner.tolist(),
+            "stations": [
+                result_io.station_content(s, places[s.id], fit.station_covariance[i]) for i, s in enumerate(cell.stations) if s.id in places
+            ],
+            "balls": [{"id": b, "centre_mm": self.state.balls[i].tolist()} for i, b in enumerate(self.ball_ids)],
+            "preliminary": {"T_flange_scanner": self.preliminary.T_flange_scanner.tolist()},
+            "parameters": [p.to_dict() for p in self.parameters],
+            "names": list(self.names),
+            "covariance": self.covariance.tolist(),
+            "noise": result_io.noise_content(self.noise, cell, oriented=fit.residual.shape[1] == 6),
+            "fit": result_io.fit_content(fit) | {"expected_accuracy_mm": self.expected_accuracy()},
+            "observability": self.observability,
+            **result_io.scale_content(fit, self.noise),
+            "held": self.layout.held,
+            **result_io.doubts_content(fit),
+            **({"effects": self.effects.to_dict()} if self.effects else {}),
+            **self.extra,
+        }
 
     def to_json(self) -> str:
         """``to_dict`` as JSON text, with its checksum."""
-        return sealed_text(self.content)
+        return sealed_text(self.to_dict())
+
+    @property
+    def fit(self) -> ObservationFit:
+        """The observations that it was calibrated from, with residuals and weights. Raises ConfigError where the cell was read from
+        result.json, which does not hold them."""
+        if self.own_fit is None:
+            raise ConfigError("this calibrated cell was read from its result, which holds no observations; calibrate the recording again")
+        return self.own_fit
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,17 +209,170 @@ class CalibratedCell(CalibratedCellMethods):
         return self.layout.names
 
     @property
+    def errors(self) -> np.ndarray:
+        """(n, 5) identified MD-H errors."""
+        return self.state.chain.rows - self.nominal.rows
+
+    @property
     def station_places(self) -> dict[str, np.ndarray]:
-        """T_base_station (4, 4) by id, of the stations that took part."""
-        return dict(zip(self.stations, self.state.T_base_station, strict=True))
+        """T_base_station (4, 4) by id, of the stations that took part; ``state`` has a first guess, or nothing, for the others."""
+        used = range(len(self.stations)) if self.own_fit is None else self.own_fit.used_stations
+        return {self.stations[s]: self.state.T_base_station[s] for s in used}
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """Every parameter, blocks in order; of the balls only the free ones."""
+        if self.own_fit is None:
+            return [Parameter(**{key: p[key] for key in Parameter.__annotations__ if key in p}) for p in self.extra["parameters"]]
+        return result_io.parameters_of(self.own_fit, self.layout, self.state, self.covariance)
+
+    @property
+    def observability(self) -> dict[str, float]:
+        """Indices O1..O5 of the kinematic and hand-eye parameters, balls, stations and effects being free as they were."""
+        return arm_indices(self.layout, self.covariance, self.fit.used_poses)
+
+    def frames(self, q: np.ndarray) -> np.ndarray:
+        """(P, n+1, 4, 4) frames of the arm, with its effects, at joint angles q (P, n) rad as the controller reports them."""
+        return self.effects.frames(self.state.chain, q) if self.effects else self.state.chain.frames(q)
+
+    def to_base(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """Scanner points xyz (P, 3) mm seen from postures q (P, n) rad, in the base frame (P, 3) mm."""
+        return se3.apply(self.frames(q)[:, -1] @ self.state.T_flange_scanner, self.corrected_points(q, xyz))
+
+    def corrected_points(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """Scanner points xyz (P, 3) mm without what effects of the scanner add to them. The bias is taken at the measured point: it changes
+        by a millionth of itself over its own size.
+        """
+        moved = self.effects.displacements(single_points(self.effects, q, xyz)) if self.effects else None
+        return xyz if moved is None or moved.point is None else xyz - moved.point
+
+    def point_columns(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """Derivative (P, 3, g) of the base position of xyz (P, 3) mm, seen from q (P, n) rad, by the free parameters, effects included."""
+        A = identifiability.base_columns(self.layout, self.state, q, xyz[:, None])[0]
+        if self.effects:
+            fill_effect_columns(A, self.names, self.state, self.effects, q, xyz)
+        return A
+
+    def point_covariance(self, q: np.ndarray, xyz: np.ndarray, *, measuring: bool = False) -> np.ndarray:
+        """(P, 3, 3) mm^2 covariance in the base of scanner points xyz (P, 3) mm seen from postures q (P, n) rad, by the calibrated
+        parameters; with ``measuring`` also by the scanner's noise and the joints' repeatability of one measurement. The base is where the
+        held parameters (theta_1, d_1) put it."""
+        A = self.point_columns(q, xyz)
+        covariance = A @ self.covariance @ np.swapaxes(A, 1, 2)
+        return covariance + self.measuring_covariance(q, xyz) if measuring else covariance
+
+    def measuring_covariance(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """(P, 3, 3) mm^2 in the base: scanner noise and joint repeatability of one measurement."""
+        seen, moved = measuring_terms(self.state, self.noise, q, xyz)
+        return seen + moved
+
+    def distance_columns(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (P, 3) from points a (P, 3) mm seen from qa (P, n) rad to b seen from qb, and derivatives (P, g) of their distance by
+        the free parameters."""
+        pa, pb = self.to_base(qa, a), self.to_base(qb, b)
+        u = (pb - pa) / np.linalg.norm(pb - pa, axis=1, keepdims=True)
+        return u, np.einsum("pi,pig->pg", u, self.point_columns(qb, b) - self.point_columns(qa, a))
+
+    def distance_uncertainty(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """(P,) mm standard uncertainty, by the calibrated parameters, of the distance between points a (P, 3) mm seen from qa and b from
+        qb; the noise of measuring the ends is not in it."""
+        row = self.distance_columns(qa, a, qb, b)[1]
+        return np.sqrt(np.einsum("pg,gh,ph->p", row, self.covariance, row))
+
+    def expected_accuracy(self, postures: int = 300, seed: int = 1) -> float:
+        """rms (mm) over postures within the joint limits of the uncertainty of a measured point, effects included, a rigid motion of
+        everything aside. Raises ConfigError as ``fit``."""
+        obs = self.fit.observations
+        if not self.effects:
+            information = identifiability.workspace_information(obs, self.state, self.layout, postures, seed)
+            return float(np.sqrt(max(np.sum(information * self.covariance), 0.0)))
+        seen = identifiability.typical_points(obs)
+        low, high = self.state.chain.drawn_between(obs.cell.robot.limits)
+        drawn = np.random.default_rng(seed).uniform(low, high, size=(postures, obs.cell.robot.n))
+        q, xyz = np.repeat(drawn, len(seen), axis=0), np.tile(seen, (postures, 1))
+        A = without_rigid_motion(self.point_columns(q, xyz), self.to_base(q, xyz)).reshape(3 * len(q), -1)
+        return float(np.sqrt(max(np.sum((A @ self.covariance) * A), 0.0) / len(q)))
 
     def took_part(self, observations: Observations) -> bool | None:
-        """False where none of these stations belongs to the calibration; else None: result.json does not list poses."""
+        """Whether any of these poses took part in the calibration. A cell that was read from result.json does not list its poses: False
+        where none of these stations is its own, else None."""
+        if self.own_fit is not None:
+            return self.own_fit.holds(observations)
         measured = {observations.cell.stations[s].id for s in np.unique(observations.station)}
         return None if measured & set(self.stations) else False
 
+    def verify(self, observations: Observations, *, limit_mm: float | None = None) -> Verification:
+        """Sphere spacing errors of a recording, at its verification poses; where no phases are recorded, of all two-ball artefacts.
+
+        Each has the uncertainty that is expected of it, and that by which it is held against the limit. Raises ConfigError where the
+        recording is of another arm.
+        """
+        obs = verification_poses(observations)
+        refuse_other_arm("the result is of", self.robot, self.nominal, obs.cell.robot, "the recording")
+        pairs = verification.measured_pairs(obs, self.preliminary, self.state, self.effects)
+        if not pairs:
+            return self._judged(observations, Verification(places=(), limit_mm=limit_mm))
+        (qa, a, na), (qb, b, nb) = (verification.stacked([p.ends[k] for p in pairs]) for k in (0, 1))
+        u, row = self.distance_columns(qa, a, qb, b)
+        ends = [self._end_variance(u, q, xyz, count) for q, xyz, count in ((qa, a, na), (qb, b, nb))]
+        measuring = sum((seen + moved) / count for seen, moved, count in ends)
+        expected = np.sqrt(np.einsum("pg,gh,ph->p", row, self.covariance, row) + measuring)
+        budgets = [
+            length_budget(obs, p.station, p.balls, [EndVariance(*(float(value[i]) for value in end)) for end in ends])
+            for i, p in enumerate(pairs)
+        ]
+        mean = row.mean(axis=0)
+        common = float(np.sqrt(mean @ self.covariance @ mean)) if len(pairs) > 1 else None
+        found = verification.verification_of(obs, pairs, budgets, limit_mm, expected.tolist())
+        return self._judged(observations, replace(found, common_mm=common))
+
+    def _end_variance(self, u: np.ndarray, q: np.ndarray, xyz: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Variances (P,) mm^2 along u (P, 3) of one measurement by the scanner and by the joints, and the numbers averaged over."""
+        seen, moved = (np.einsum("pi,pij,pj->p", u, C, u) for C in measuring_terms(self.state, self.noise, q, xyz))
+        return seen, moved, count
+
+    def _judged(self, observations: Observations, found: Verification) -> Verification:
+        took_part = self.took_part(verification_poses(observations))
+        found = replace(found, independent=None if took_part is None else not took_part)
+        figures = judge(observations, self.state, self.effects, Limits(sphere_spacing_error_mm=found.limit_mm), found)
+        return replace(found, figures=tuple(f.to_dict() for f in figures))
+
+    def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> CalibratedCell:
+        """The same recording calibrated with effects as terms of the cell. found: a model of effects, or a diagnosis that holds one.
+        hold: keep their coefficients as they are. Raises ConfigError where there are none, or they are of another arm.
+        """
+        model = found if isinstance(found, EffectModel) else found.model
+        if not model:
+            raise ConfigError("this diagnosis found no effects that a calibration could take")
+        if self.calibrate_again is None:
+            raise ConfigError("this calibration does not know how it was made; call mbcacq.calibrate with effects")
+        return self.calibrate_again(self.fit.observations, self.fit.options, model, hold=hold)
+
     def __repr__(self) -> str:
-        return f"CalibratedCell({self.robot}: {len(self.names)} parameters, {len(self.stations)} stations)"
+        if self.own_fit is None:
+            return f"CalibratedCell({self.robot}: {len(self.names)} parameters, {len(self.stations)} stations)"
+        return (
+            f"CalibratedCell({self.robot}: {int(self.own_fit.used.sum())} centres, residual {self.own_fit.rms_mm:.4f} mm rms, "
+            f"{len(self.names)} parameters, rank {self.own_fit.rank})"
+        )
+
+    def plot(self) -> go.Figure:
+        """The errors of the arm's parameters that were identified, each with its U (k = 2), as a Plotly figure."""
+        content = self.to_dict()
+        return notebook.parameter_figure(f"{content['robot']['name']}: errors against the data sheet", content["parameters"])
 
     def _repr_html_(self) -> str:
-        return result_io.html(self.content)
+        return result_io.html(self.to_dict()) + notebook.paragraph(repr(self))
+
+
+def verify(
+    observations: Observations, calibrated: CalibratedCell | CellState, *, before: CellState | None = None, limit_mm: float | None = None
+) -> Verification:
+    """Sphere spacing errors of a recording; see ``CalibratedCell.verify``. A ``CellState`` alone is compared with ``before`` (default: the
+    same), and has no expected uncertainty."""
+    if isinstance(calibrated, CalibratedCell):
+        return calibrated.verify(observations, limit_mm=limit_mm)
+    obs = verification_poses(observations)
+    pairs = verification.measured_pairs(obs, before or calibrated, calibrated)
+    budgets = [length_budget(obs, p.station, p.balls) for p in pairs]
+    return verification.verification_of(obs, pairs, budgets, limit_mm)

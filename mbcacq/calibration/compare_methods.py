@@ -10,10 +10,9 @@ from typing import Any, overload
 import numpy as np
 
 from mbcacq.calibration import notebook
-from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.calibrated_cell import CalibratedCell, verify
 from mbcacq.calibration.held_out_poses import about_best_station, prediction_error
 from mbcacq.calibration.methods import COMPARED_METHODS
-from mbcacq.calibration.verification import verify
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
@@ -26,7 +25,7 @@ FOLDS = 5
 SAME_POSTURE = np.radians(0.1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ComparisonRow:
     """One method. fit_mm: 3D rms about the best station poses, on the poses fitted; bar_mean_mm, bar_max_mm: sphere spacing error at the
     verification poses; held_out_mm: 3D rms on held-out stations (or, with one or two stations, poses); why: why there is no result;
@@ -107,19 +106,19 @@ def compare(
     names = list(COMPARED_METHODS) if methods is None else list(methods)
     rows = []
     for number, name in enumerate(names, 1):
-        progress(f"{name}: method {number} of {len(names)}")
+        progress(f"{name} (method {number}/{len(names)})")  # no count: some take a hundred times as long as others
         rows.append(_row(name, COMPARED_METHODS[name], obs, observations, held_out, seed))
     return Comparison(tuple(rows))
 
 
 def _row(
-    name: str, fit: Callable[[Observations], CellState | Calibrated], obs: Observations, whole: Observations, held_out: bool, seed: int
+    name: str, fit: Callable[[Observations], CellState | CalibratedCell], obs: Observations, whole: Observations, held_out: bool, seed: int
 ) -> ComparisonRow:
     begin = time.perf_counter()
     try:
         cell = fit(obs)
     except CalibrationError as error:
-        return ComparisonRow(name, why=str(error))
+        return ComparisonRow(method=name, why=str(error))
     seconds = time.perf_counter() - begin
     d, _ = about_best_station(obs, cell)
     bar = verify(whole, cell)
@@ -129,8 +128,15 @@ def _row(
         held_out_mm = _held_out(fit, obs, seed) if held_out else None
     except CalibrationError as error:
         why = str(error)
-    bars = (None, None) if errors is None else (float(errors.mean()), float(errors.max()))
-    return ComparisonRow(name, _rms(d), *bars, held_out_mm, seconds, why_not_held_out=why)
+    return ComparisonRow(
+        method=name,
+        fit_mm=_rms(d),
+        bar_mean_mm=None if errors is None else float(errors.mean()),
+        bar_max_mm=None if errors is None else float(errors.max()),
+        held_out_mm=held_out_mm,
+        time_s=seconds,
+        why_not_held_out=why,
+    )
 
 
 def posture_range(obs: Observations) -> float:
@@ -138,7 +144,7 @@ def posture_range(obs: Observations) -> float:
     return max(float(np.ptp(obs.q[obs.station == s], axis=0).max()) for s in np.unique(obs.station))
 
 
-def _held_out(fit: Callable[[Observations], CellState | Calibrated], obs: Observations, seed: int) -> float:
+def _held_out(fit: Callable[[Observations], CellState | CalibratedCell], obs: Observations, seed: int) -> float:
     """Stations in FOLDS groups, each left out once; with fewer than three stations, random poses. Raises CalibrationError where the rest
     does not determine the method's unknowns."""
     rng = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import Adjustment, thin
@@ -63,7 +63,9 @@ class HeldOutComparison:
         )
 
 
-def compared_on_held_out(obs: Observations, own: str, fits: Mapping[str, Callable[[Observations], Calibrated]]) -> HeldOutComparison | None:
+def compared_on_held_out(
+    obs: Observations, own: str, fits: Mapping[str, Callable[[Observations], CalibratedCell]]
+) -> HeldOutComparison | None:
     """Calibrations compared on blocks of poses that take no part in them.
 
     Parameters
@@ -138,7 +140,7 @@ def _blocks(obs: Observations) -> tuple[list[np.ndarray], bool]:
     return [np.isin(obs.station, group) for group in np.array_split(stations, BLOCKS)], True
 
 
-def _distances(held: Observations, cell: Calibrated, by_station: bool) -> np.ndarray:
+def _distances(held: Observations, cell: CalibratedCell, by_station: bool) -> np.ndarray:
     return about_best_station(held, cell)[0] if by_station else prediction_error(held, cell)
 
 

@@ -24,7 +24,7 @@ from mbcacq.model.cell import Cell
 from mbcacq.model.observations import Observations
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ContradictionOptions:
     """What is allowed, and by which factor it must be exceeded. The factors are three times and more what 120 simulated recordings of
     ordinary arms show at most (scanner 1.10, joints 0.86, links 1.5 with errors of 0.15 mm and 0.03 deg)."""

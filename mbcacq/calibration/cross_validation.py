@@ -22,7 +22,7 @@ SPLITS = ("station", "random", "block")
 GROSS = 10.0  # times the median: such distances are counted apart
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HeldOut:
     """split: how; fits: number of fits; poses, centres: held out in total.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.verification import points_in_base
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
@@ -61,14 +61,14 @@ def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
     return test & ~unknown
 
 
-def prediction_error(obs: Observations, cell: CellState | Calibrated) -> np.ndarray:
+def prediction_error(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
     state, options = _as_it_is(obs, cell)
     _, residual = Lineariser(obs, parameters.build(obs, options), options).residual(parameters.Estimate(state))
     return np.linalg.norm(residual[:, :3], axis=1)
 
 
-def about_best_station(obs: Observations, cell: CellState | Calibrated) -> tuple[np.ndarray, int]:
+def about_best_station(obs: Observations, cell: CellState | CalibratedCell) -> tuple[np.ndarray, int]:
     """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
     state, options = _as_it_is(obs, cell)
     placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
@@ -79,7 +79,7 @@ def about_best_station(obs: Observations, cell: CellState | Calibrated) -> tuple
     return np.linalg.norm(solution.linear.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
 
 
-def ball_spread(obs: Observations, cell: CellState | Calibrated) -> np.ndarray:
+def ball_spread(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of each ball, brought into the base, from the mean place of that ball at that station."""
     if obs.cell.measurement == TARGET_IN_BASE:
         return about_best_station(obs, cell)[0]
@@ -89,7 +89,7 @@ def ball_spread(obs: Observations, cell: CellState | Calibrated) -> np.ndarray:
     return np.linalg.norm(base - mean[group], axis=1)
 
 
-def _as_it_is(obs: Observations, cell: CellState | Calibrated) -> tuple[CellState, CalibrationOptions]:
+def _as_it_is(obs: Observations, cell: CellState | CalibratedCell) -> tuple[CellState, CalibrationOptions]:
     """A cell's state, and options under which nothing but the stations is free and its effects displace the recording."""
     state, effects = (cell, None) if isinstance(cell, CellState) else (cell.state, cell.effects)
     displaced = tuple(zip(effects.at(obs), effects.coefficients, strict=True)) if effects else ()

@@ -1,4 +1,5 @@
-"""Reading the result of several recordings of one arm, format 'mbcacq-joint-result/1': one result for each recording.
+"""The result of several recordings of one arm, format 'mbcacq-joint-result/1': one result for each recording, all with the same arm and
+effects.
 
 One of them is named by its number behind the file: ``result.json#2`` is the cell of the second recording.
 """
@@ -6,6 +7,7 @@ One of them is named by its number behind the file: ``result.json#2`` is the cel
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,14 @@ from mbcacq.model.json_text import damage
 
 FORMAT = "mbcacq-joint-result/1"
 ONE_FORMAT = "mbcacq-result/1"  # of one recording
+
+
+def joint_content(results: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[str, Any]:
+    """JSON content of the results of several recordings of these names. 'day_to_day': for each coefficient of the effects on the arm its
+    values in the recordings, what they have in common and the standard deviation between them; it stands once, not in each result."""
+    day_to_day = [one.pop("day_to_day", []) for one in results][0]
+    recordings = [{"name": name, "result": one} for name, one in zip(names, results, strict=True)]
+    return {"format": FORMAT, "recordings": recordings, "day_to_day": day_to_day}
 
 
 def split_number(path: Path) -> tuple[Path, int | None]:

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.calibration.calibrated import Calibrated
-from mbcacq.calibration.uncertainty import frames
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.geometry import se3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TargetOptions:
     """How joint angles are searched."""
 
@@ -37,7 +36,7 @@ class JointTargets:
     reasons: tuple[str, ...]
 
 
-def joint_targets(cell: Calibrated, goals: np.ndarray, start: np.ndarray, limits: np.ndarray | None = None) -> JointTargets:
+def joint_targets(cell: CalibratedCell, goals: np.ndarray, start: np.ndarray, limits: np.ndarray | None = None) -> JointTargets:
     """Joint angles at which the flange of the calibrated arm stands at ``goals`` (P, 4, 4) mm in the base.
 
     start: (P, n) rad, from which the solution of the same branch follows. limits: (n, 2) rad that are kept. Effects count as the model has
@@ -49,7 +48,7 @@ def joint_targets(cell: Calibrated, goals: np.ndarray, start: np.ndarray, limits
     weight = np.array([1.0] * 3 + [OPTIONS.lever_mm] * 3)
     best, lowest = q.copy(), np.full(len(q), np.inf)
     for _ in range(OPTIONS.rounds):
-        F = frames(cell, q)
+        F = cell.frames(q)
         twist = error_twist(F[:, -1], goals)
         size = np.linalg.norm(twist * weight, axis=1)
         better = size < lowest
@@ -67,7 +66,7 @@ def joint_targets(cell: Calibrated, goals: np.ndarray, start: np.ndarray, limits
         largest = np.abs(step).max(axis=1, keepdims=True)
         step = step * np.minimum(1.0, OPTIONS.largest_step / np.maximum(largest, 1e-12))
         q = np.clip(q + step, low, high)
-    left = error_twist(frames(cell, best)[:, -1], goals)
+    left = error_twist(cell.frames(best)[:, -1], goals)
     error_mm, error_rad = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
     reached = (error_mm < OPTIONS.reached_mm) & (error_rad < OPTIONS.reached_rad)
     at_limit = (best <= low + 1e-9) | (best >= high - 1e-9)

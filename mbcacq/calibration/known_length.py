@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.scan_scale import known_length_sigma
 from mbcacq.geometry import se3
@@ -21,12 +21,12 @@ LEAST_STEP = 1e-5  # relative; below, rounding would show
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def with_length_uncertainty(result: Calibration, refitted: Callable[[Observations], CellState]) -> Calibration:
+def with_length_uncertainty(result: CalibratedCell, refitted: Callable[[Observations], CellState]) -> CalibratedCell:
     """The result with the covariances of the hand-eye transform and the stations enlarged; as it is without a known length.
 
     refitted: the state of the cell from observations, under the same options.
     """
-    obs = result.observations
+    obs = result.fit.observations
     sigma = known_length_sigma(obs)
     if sigma is None:
         return result
@@ -38,11 +38,12 @@ def with_length_uncertainty(result: Calibration, refitted: Callable[[Observation
     for name, value in zip((f"hand_eye.{part}" for part in TWIST), twist, strict=True):
         if name in result.names:
             by_scale[result.names.index(name)] = value
-    stations = result.station_covariance.copy()
+    stations = result.fit.station_covariance.copy()
     for s in np.flatnonzero(np.einsum("sii->s", stations) > 0):
         moved = _twist(result.state.T_base_station[s], larger.T_base_station[s]) * sigma / step
         stations[s] += np.outer(moved, moved)
-    return replace(result, covariance=result.covariance + np.outer(by_scale, by_scale), station_covariance=stations)
+    fit = replace(result.fit, station_covariance=stations)
+    return replace(result, covariance=result.covariance + np.outer(by_scale, by_scale), own_fit=fit)
 
 
 def _twist(before: np.ndarray, after: np.ndarray) -> np.ndarray:

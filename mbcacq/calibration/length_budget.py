@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbcacq.calibration.calibrated import Calibrated
-from mbcacq.calibration.uncertainty import measuring_terms, to_base
 from mbcacq.model.cell import Artefact
 from mbcacq.model.observations import Observations
 
@@ -89,13 +87,16 @@ def thermal_mm(artefact: Artefact, length_mm: float, temperature: Temperature) -
     return 1e-6 * abs(ppm) * length_mm * temperature.deviation_K(artefact.reference_temperature_C)
 
 
-def length_budget(
-    obs: Observations,
-    station: int,
-    balls: tuple[int, int],
-    ends: Sequence[tuple[np.ndarray, np.ndarray, int]],
-    calibration: Calibrated | None,
-) -> LengthBudget:
+class EndVariance(NamedTuple):
+    """How well one end of a length is measured: variances (mm^2), along the length, of one measurement by the scanner and by the joints,
+    and the number of poses averaged over."""
+
+    scanner: float
+    joints: float
+    count: float
+
+
+def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends: Sequence[EndVariance] = ()) -> LengthBudget:
     """The budget of the length between two balls of a station.
 
     Parameters
@@ -107,21 +108,13 @@ def length_budget(
     balls
         Ids of the two balls.
     ends
-        For each ball: joint angles (1, n) rad, centre (1, 3) mm in the scanner frame, and number of poses averaged over.
-    calibration
-        Gives the noise; None: probing and repeatability are not known and count as zero.
+        For each ball; without them probing and repeatability are not known and count as zero.
     """
     artefact = obs.cell.artefact(obs.cell.stations[station].artefact)
     a, b = (artefact.centres[artefact.ball_ids.index(ball)] for ball in balls)
     length = float(np.linalg.norm(a - b))
-    probing = repeatability = 0.0
-    if calibration is not None:
-        pa, pb = (to_base(calibration, q, xyz) for q, xyz, _ in ends)
-        u = ((pb - pa) / np.linalg.norm(pb - pa))[0]
-        for q, xyz, count in ends:
-            seen, moved = measuring_terms(calibration, q, xyz)
-            probing += float(u @ seen[0] @ u) / count
-            repeatability += repeated_variance(obs, float(u @ moved[0] @ u)) / count
+    probing = sum(end.scanner / end.count for end in ends)
+    repeatability = sum(repeated_variance(obs, end.joints) / end.count for end in ends)
     return LengthBudget(
         length,
         float(np.sqrt(2) * artefact.uncertainty_mm),

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mbcacq.calibration.adjusted_cell import adjusted_cell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.causes import misdescribed
 from mbcacq.calibration.competing_methods import compared_on_held_out, plain_least_squares
 from mbcacq.calibration.contradiction import contradiction, fault_while_recording, refuse_contradiction, stated_chi2_dof
@@ -15,9 +17,7 @@ from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.influence import InfluenceOptions, joint_factor, joint_noise_check, joint_noise_sentence
 from mbcacq.calibration.known_length import with_length_uncertainty
 from mbcacq.calibration.nominal_arm import with_nominal_arm
-from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
-from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.calibration.with_discrepancy import with_discrepancy
 from mbcacq.calibration.with_effects import refitted
 from mbcacq.effects.effect_model import EffectModel
@@ -30,7 +30,7 @@ from mbcacq.model.joint_resolution import rounding_sentence
 from mbcacq.model.observations import Observations
 
 
-def calibrate(observations: Observations, options: CalibrationOptions | None = None) -> Calibration:
+def calibrate(observations: Observations, options: CalibrationOptions | None = None) -> CalibratedCell:
     """Identify the cell from a recording.
 
     Raises CalibrationError naming what the poses leave undetermined, ConfigError for options that do not fit.
@@ -39,7 +39,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     try:
         with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
             said = _with_rounding_said(_with_copies_said(_calibrate(observations, options), observations))
-            return replace(said, fit=calibrate)
+            return replace(said, calibrate_again=calibrate_with_effects)
     except ContradictionError as error:
         cause = misdescribed(observations)
         raise (CalibrationError(f"{error}; {cause}") if cause else error) from None
@@ -52,12 +52,12 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
 
 def calibrate_with_effects(
     observations: Observations, options: CalibrationOptions | None, model: EffectModel, *, hold: bool = False
-) -> Calibration:
+) -> CalibratedCell:
     """The cell with effects; see ``mbcacq.calibration.with_effects.refitted``."""
-    return refitted(observations, options, model, calibrate, hold=hold)
+    return replace(refitted(observations, options, model, calibrate, hold=hold), calibrate_again=calibrate_with_effects)
 
 
-def _with_copies_said(result: Calibration, observations: Observations) -> Calibration:
+def _with_copies_said(result: CalibratedCell, observations: Observations) -> CalibratedCell:
     twice = observations.pose_id[copies(observations)]
     if not len(twice):
         return result
@@ -67,19 +67,19 @@ def _with_copies_said(result: Calibration, observations: Observations) -> Calibr
     )
 
 
-def _with_rounding_said(result: Calibration) -> Calibration:
-    step = result.cell.joint_step
+def _with_rounding_said(result: CalibratedCell) -> CalibratedCell:
+    step = result.fit.observations.cell.joint_step
     return _warned(result, rounding_sentence(step)) if step else result
 
 
-def _calibrate(observations: Observations, options: CalibrationOptions) -> Calibration:
+def _calibrate(observations: Observations, options: CalibrationOptions) -> CalibratedCell:
     refuse_unknown_arm(observations, options)
     if options.method == "paper":
         from mbcacq.calibration.staged import calibrate_paper
 
         result = calibrate_paper(observations, options)
-        refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), result.observations, options)
-        refuse_runaway(result.state.chain, result.observations.cell.robot.chain, options)
+        refuse_unusable(result)
+        refuse_runaway(result.state.chain, result.nominal, options)
         return result
     obs = without_copies(select_phases(observations, options))
     refuse_insufficient(obs, options)
@@ -87,16 +87,16 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     if options.kinematics:
         fitted = with_random_links(fitted, options)
         return _arm_and_hand_eye(obs, options, fitted)
-    result = _collected(obs, options, fitted)
+    result = _collected(options, fitted)
     result = _hand_eye_alone(result, fitted) if options.discrepancy else result
     lenient = replace(options, refuse=False)
     return with_length_uncertainty(result, lambda other: adjust_recording(other, lenient).state)
 
 
-def _collected(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
+def _collected(options: CalibrationOptions, fitted: Adjustment) -> CalibratedCell:
     """The result of an adjustment, with its chi square under the stated noise."""
-    result = Calibration.adjusted(obs, options, fitted)
-    stated = stated_chi2_dof(fitted, result.dof)
+    result = adjusted_cell(options, fitted)
+    stated = stated_chi2_dof(fitted, result.fit.dof)
     return result if stated is None else replace(result, extra={**result.extra, "stated_chi2_dof": stated})
 
 
@@ -111,26 +111,27 @@ def _adjusted(obs: Observations, options: CalibrationOptions) -> Adjustment:
         raise (CalibrationError(f"{fault} (as it is, {error})") if fault else error) from None
 
 
-def _hand_eye_alone(result: Calibration, fitted: Adjustment) -> Calibration:
+def _hand_eye_alone(result: CalibratedCell, fitted: Adjustment) -> CalibratedCell:
     """With the nominal arm as it is; refused, or with a warning, where the recording contradicts its description."""
-    found = contradiction(fitted, result.options)
+    fit = result.fit
+    found = contradiction(fitted, fit.options)
     if found is not None:
-        refuse_contradiction(found, result.observations, result.options)
-        said = {"contradiction": found.to_dict(), "warnings": [found.sentence(result.cell)]}
+        refuse_contradiction(found, fit.observations, fit.options)
+        said = {"contradiction": found.to_dict(), "warnings": [found.sentence(fit.observations.cell)]}
         result = replace(result, extra={**result.extra, **said})
     result = with_nominal_arm(result, fitted.lineariser)
     refuse_unusable(result)
     return result
 
 
-def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> Calibration:
+def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> CalibratedCell:
     """With smooth errors of the joints where the evidence asks for them; a simpler one where it predicts better; and a warning where the
     joints' noise is beyond the data sheet."""
-    refuse_unusable(_collected(obs, options, fitted))
+    refuse_unusable(_collected(options, fitted))
     fault = fault_while_recording(fitted) if options.discrepancy else ""
     # What happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
     if not options.discrepancy or options.terms or fault:
-        result = _collected(obs, options, fitted)
+        result = _collected(options, fitted)
     else:
         result, fitted = _with_discrepancy(obs, options, fitted)
         if joint_factor(fitted.noise, obs.cell) > InfluenceOptions.noise_factor:
@@ -142,19 +143,20 @@ def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Ad
     return _warned(result, f"Something changed while the recording was made: {fault}", first=True)
 
 
-def _with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> tuple[Calibration, Adjustment]:
+def _with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> tuple[CalibratedCell, Adjustment]:
     """The calibration with smooth errors of the joints; as it is alone where the evidence does not ask for them."""
     found = with_discrepancy(obs, options, alone)
     if found is None:
-        return _collected(obs, options, alone), alone
-    result = _collected(obs, found.options, found.adjustment)
+        return _collected(options, alone), alone
+    result = _collected(found.options, found.adjustment)
     extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
-    return replace(result, options=options, effects=with_estimates(found.model, result), extra=extra), found.adjustment
+    found_cell = replace(result, effects=with_estimates(found.model, result), extra=extra)
+    return _under(found_cell, options), found.adjustment
 
 
 def _unless_it_loses(
-    obs: Observations, options: CalibrationOptions, result: Calibration, fitted: Adjustment
-) -> tuple[Calibration, Adjustment]:
+    obs: Observations, options: CalibrationOptions, result: CalibratedCell, fitted: Adjustment
+) -> tuple[CalibratedCell, Adjustment]:
     """The calibration, or the competing method that predicts held-out poses better."""
     own, lenient = "the weighted adjustment", replace(options, refuse=False)
 
@@ -165,10 +167,10 @@ def _unless_it_loses(
             shared[id(some)] = with_random_links(adjust_recording(some, lenient), lenient)
         return shared[id(some)]
 
-    fits: dict[str, Callable[[Observations], tuple[Calibration, Adjustment]]] = {
+    fits: dict[str, Callable[[Observations], tuple[CalibratedCell, Adjustment]]] = {
         own: lambda some: _with_discrepancy(some, lenient, linked(some)),
-        "the adjustment without smooth errors": lambda some: _by(some, lenient, linked(some)),
-        "plain least squares": lambda some: _by(some, lenient, plain_least_squares(linked(some))),
+        "the adjustment without smooth errors": lambda some: _by(lenient, linked(some)),
+        "plain least squares": lambda some: _by(lenient, plain_least_squares(linked(some))),
         "the nominal arm": lambda some: _of_nominal_arm(some, lenient),
     }
     found = compared_on_held_out(obs, own, {name: lambda some, fit=fit: fit(some)[0] for name, fit in fits.items()})
@@ -176,31 +178,36 @@ def _unless_it_loses(
         return result, fitted
     if found.chosen != own:
         result, fitted = fits[found.chosen](obs)
-        result = _warned(replace(result, options=replace(result.options, refuse=options.refuse)), found.sentence(own))
+        result = _warned(_under(result, replace(result.fit.options, refuse=options.refuse)), found.sentence(own))
     return replace(result, extra={**result.extra, "competing_methods": found.to_dict()}), fitted
 
 
-def _by(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> tuple[Calibration, Adjustment]:
-    return _collected(obs, options, fitted), fitted
+def _by(options: CalibrationOptions, fitted: Adjustment) -> tuple[CalibratedCell, Adjustment]:
+    return _collected(options, fitted), fitted
 
 
-def _of_nominal_arm(obs: Observations, options: CalibrationOptions) -> tuple[Calibration, Adjustment]:
+def _under(result: CalibratedCell, options: CalibrationOptions) -> CalibratedCell:
+    """The result as one of these options."""
+    return replace(result, own_fit=replace(result.fit, options=options))
+
+
+def _of_nominal_arm(obs: Observations, options: CalibrationOptions) -> tuple[CalibratedCell, Adjustment]:
     options = replace(options, kinematics=False)
     fitted = adjust_recording(obs, options)
-    return with_nominal_arm(_collected(obs, options, fitted), fitted.lineariser), fitted
+    return with_nominal_arm(_collected(options, fitted), fitted.lineariser), fitted
 
 
-def _warned(result: Calibration, sentence: str, first: bool = False) -> Calibration:
+def _warned(result: CalibratedCell, sentence: str, first: bool = False) -> CalibratedCell:
     before = result.extra.get("warnings", ())
     return replace(result, extra={**result.extra, "warnings": [sentence, *before] if first else [*before, sentence]})
 
 
-def refuse_unusable(result: Calibration) -> None:
+def refuse_unusable(result: CalibratedCell) -> None:
     """Raise CalibrationError where everything is determined, but so poorly that the result would be of no use."""
-    refuse_poor(result.layout, result.covariance, expected_accuracy(result, postures=100), result.observations, result.options)
+    refuse_poor(result.layout, result.covariance, result.expected_accuracy(postures=100), result.fit.observations, result.fit.options)
 
 
-def _with_joint_noise_check(result: Calibration, fitted: Adjustment) -> Calibration:
+def _with_joint_noise_check(result: CalibratedCell, fitted: Adjustment) -> CalibratedCell:
     found = joint_noise_check(fitted.lineariser, fitted.solution, fitted.noise, result.covariance)
     if found is None:
         return result

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.hand_eye_equations import LEAST_TURN, MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import CalibrationError
@@ -134,7 +134,7 @@ def distances_only(obs: Observations) -> CellState:
     return with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
 
 
-def maximum_likelihood(obs: Observations) -> Calibrated:
+def maximum_likelihood(obs: Observations) -> CalibratedCell:
     """Everything at once by maximum likelihood."""
     return calibrate(obs)
 
@@ -144,7 +144,7 @@ def geometry_alone(obs: Observations) -> CellState:
     return calibrate(obs, CalibrationOptions(discrepancy=False, random_links=False)).state
 
 
-COMPARED_METHODS: dict[str, Callable[[Observations], CellState | Calibrated]] = {
+COMPARED_METHODS: dict[str, Callable[[Observations], CellState | CalibratedCell]] = {
     "nominal": nominal,
     **{f"AX=XB {name}": by_motions(name) for name in MOTION_METHODS},
     **{f"AX=ZB {name}": by_poses(name) for name in POSE_METHODS},

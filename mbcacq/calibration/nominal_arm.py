@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
@@ -20,7 +20,7 @@ from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 
 
-def with_nominal_arm(result: Calibration, lineariser: Lineariser) -> Calibration:
+def with_nominal_arm(result: CalibratedCell, lineariser: Lineariser) -> CalibratedCell:
     """The result with the nominal arm in place of its most probable one.
 
     The covariance C of the parameters' errors about their estimate becomes C + u u' with u the estimated link errors that are left out: the
@@ -29,7 +29,7 @@ def with_nominal_arm(result: Calibration, lineariser: Lineariser) -> Calibration
 
     Parameters
     ----------
-    result : Calibration
+    result : CalibratedCell
         With link errors as random effects (``CalibrationOptions(kinematics=False)``).
     lineariser : Lineariser
         Lineariser of the same recording and layout.
@@ -37,22 +37,23 @@ def with_nominal_arm(result: Calibration, lineariser: Lineariser) -> Calibration
     left_out = np.zeros(result.layout.size)
     chain = result.layout.blocks[0]
     left_out[: int(chain.free.sum())] = result.errors.reshape(-1)[chain.free]
-    state = _replaced(replace(result.state, chain=result.cell.robot.chain), lineariser, result)
-    _, residual = lineariser.residual(Estimate(state, result.coefficients))
-    return replace(result, state=state, covariance=result.covariance + np.outer(left_out, left_out), residual=residual)
+    state = _replaced(replace(result.state, chain=result.nominal), lineariser, result)
+    _, residual = lineariser.residual(Estimate(state, result.fit.coefficients))
+    covariance = result.covariance + np.outer(left_out, left_out)
+    return replace(result, state=state, covariance=covariance, own_fit=replace(result.fit, residual=residual))
 
 
-def _replaced(state: CellState, lineariser: Lineariser, result: Calibration) -> CellState:
+def _replaced(state: CellState, lineariser: Lineariser, result: CalibratedCell) -> CellState:
     """The state with the places of the artefacts as the nominal arm sees them. The place of an instrument is a result itself, and stays."""
-    if result.cell.measurement != ARTEFACT_IN_SCANNER:
+    if lineariser.obs.cell.measurement != ARTEFACT_IN_SCANNER:
         return state
     hold = tuple(f"{name}.{c}" for name in _mounts(result) for c in HAND_EYE)
     options = CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=hold, displaced=lineariser.options.displaced)
     layout = parameters.build(lineariser.obs, options)
-    noise = Noise(np.ones(3), np.full(result.cell.robot.n, 1e-12), 1e-2)
-    return solve(Lineariser(lineariser.obs, layout, options), Estimate(state), noise, result.weights).estimate.state
+    noise = Noise(np.ones(3), np.full(result.nominal.n, 1e-12), 1e-2)
+    return solve(Lineariser(lineariser.obs, layout, options), Estimate(state), noise, result.fit.weights).estimate.state
 
 
-def _mounts(result: Calibration) -> list[str]:
+def _mounts(result: CalibratedCell) -> list[str]:
     """Names of the hand-eye transforms: one, or one for each of several recordings."""
     return list(dict.fromkeys(name.rsplit(".", 1)[0] for name in result.layout.blocks[1].names))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.calibration.calibration_fit import CalibrationFit
+from mbcacq.estimation.parameters import ParameterLayout
 
 
 def indices(information: np.ndarray, scale: np.ndarray, count: int) -> dict[str, float]:
@@ -30,14 +30,12 @@ def indices(information: np.ndarray, scale: np.ndarray, count: int) -> dict[str,
     }
 
 
-def of_calibration(calibration: CalibrationFit) -> dict[str, float]:
-    """O1..O5 of the kinematic and hand-eye parameters of a calibration, balls, stations and effects being free as they were."""
-    layout = calibration.layout
+def arm_indices(layout: ParameterLayout, covariance: np.ndarray, poses: int) -> dict[str, float]:
+    """O1..O5 of the kinematic and hand-eye parameters, from so many poses, by the covariance (g, g) of all free parameters: the others are
+    free as they were."""
     arm = int(layout.blocks[0].free.sum() + layout.blocks[1].free.sum())
     scale = layout.gather("scale")[:arm]
-    covariance = calibration.covariance[:arm, :arm] / scale / scale[:, None]
+    covariance = covariance[:arm, :arm] / scale / scale[:, None]
     if np.linalg.matrix_rank(covariance, hermitian=True) < arm:
         return {f"O{i}": 0.0 for i in range(1, 6)}
-    information = np.linalg.inv(covariance)
-    poses = len(np.unique(calibration.observations.pose[calibration.used]))
-    return indices(information, np.ones(arm), poses)
+    return indices(np.linalg.inv(covariance), np.ones(arm), poses)

@@ -40,7 +40,7 @@ class MissedBy:
         return cls(float(np.sqrt(np.mean(mm**2))), float(np.median(mm)), float(mm.max()))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ArmImprovement:
     """What corrected targets changed, at poses of one recording. before, after: over the poses that count; noise_mm: rms that the scanner
     and the joints' repeatability alone would leave; poses: how many count; new: whether none of these places took part in the
@@ -80,7 +80,9 @@ class ArmImprovement:
         """What ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
         several = {key: tuple(content[key]) for key in ("pose", "before_mm", "after_mm")}
         before, after = (MissedBy(**content[key]) for key in ("before", "after"))
-        return cls(before, after, float(content["noise_mm"]), int(content["poses"]), content["new"], **several)
+        return cls(
+            before=before, after=after, noise_mm=float(content["noise_mm"]), poses=int(content["poses"]), new=content["new"], **several
+        )
 
 
 def arm_improvement(

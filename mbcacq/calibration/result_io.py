@@ -1,4 +1,4 @@
-"""result.json, format 'mbcacq-result/1': written from a calibration, and enough of it read back to use the calibrated cell.
+"""The parts of result.json, format 'mbcacq-result/1': as they are written, and enough of them read back to use the calibrated cell.
 
 Lengths mm, angles rad; transforms are 4 x 4 row lists T_outer_inner; the covariance is of the free parameters in the order of 'names', the
 hand-eye entries being a local twist (scanner frame) behind T_flange_scanner.
@@ -13,12 +13,10 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration import notebook
-from mbcacq.calibration.calibration_fit import CalibrationFit
 from mbcacq.calibration.joint_file import result_of_one, split_number
-from mbcacq.calibration.observability import of_calibration
+from mbcacq.calibration.observation_fit import ObservationFit, Parameter
 from mbcacq.calibration.result_schema import check_result
 from mbcacq.calibration.same_arm import refuse_other_arm
-from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import parameters
@@ -27,75 +25,124 @@ from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.scan_scale import scale_in_words, scan_scale
 from mbcacq.estimation.variance_components import first_noise
+from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.geometry.flange_poses import FlangePoses
-from mbcacq.model.cell import Cell
+from mbcacq.model.cell import Cell, RobotModel, Station
 from mbcacq.model.json_text import damage, read_json
 from mbcacq.quantities import K, pair, symbol, uncertainty
 
 FORMAT = "mbcacq-result/1"
 
 
-def to_dict(c: CalibrationFit) -> dict[str, Any]:
-    """JSON content of a calibration."""
-    cell, state, nominal = c.cell, c.state, c.cell.robot.chain
-    places = c.station_places
+def robot_content(robot: RobotModel, chain: Chain) -> dict[str, Any]:
+    """JSON content of an arm with its calibrated chain."""
+    nominal = robot.chain
     return {
-        "format": FORMAT,
-        "method": c.options.method,
-        "measurement": cell.measurement,
-        **({"simulated": True} if cell.simulated else {}),
-        "robot": {
-            "name": cell.robot.name,
-            **({"flange_poses": True} if cell.robot.of_flange_poses else {}),
-            "sign": nominal.sign.tolist(),
-            "limits": cell.robot.limits.tolist(),
-            "nominal": {p: getattr(nominal, p).tolist() for p in PARAMETERS},
-            "calibrated": {p: getattr(state.chain, p).tolist() for p in PARAMETERS},
-            "errors": {p: c.errors[:, i].tolist() for i, p in enumerate(PARAMETERS)},
-        },
-        "T_flange_scanner": state.T_flange_scanner.tolist(),
-        "stations": [
-            {
-                "id": s.id,
-                "artefact": s.artefact,
-                "T_base_station": places[s.id].tolist(),
-                "std": np.sqrt(np.diag(c.station_covariance[i])).tolist(),
-            }
-            for i, s in enumerate(cell.stations)
-            if s.id in places
-        ],
-        "balls": [{"id": b, "centre_mm": state.balls[i].tolist()} for i, b in enumerate(cell.ball_ids)],
-        "preliminary": {"T_flange_scanner": c.preliminary.T_flange_scanner.tolist()},
-        "parameters": [p.to_dict() for p in c.parameters],
-        "names": list(c.names),
-        "covariance": c.covariance.tolist(),
-        "noise": {
-            "scanner_mm": c.noise.point.tolist(),
-            "joint_rad": c.noise.joint.tolist(),
-            **({"turn_rad": c.noise.turn} if c.residual.shape[1] == 6 else {}),
-            **({"check_factor": (c.noise.point / first_noise(cell).point).tolist()} if cell.noise_mm is not None else {}),
-        },
-        "fit": {
-            "poses": c.used_poses,
-            "centres": int(c.used.sum()),
-            "rms_mm": c.rms_mm,
-            "chi2": c.chi2,
-            "dof": c.dof,
-            "chi2_dof": c.chi2 / c.dof if c.dof > 0 else None,
-            "rank": c.rank,
-            "iterations": c.iterations,
-            "expected_accuracy_mm": expected_accuracy(c),
-        },
-        "observability": of_calibration(c),
-        "scan_scale": _scan_scale(c),
-        **({"scale": words} if (words := scale_in_words(c.observations)) else {}),
-        "held": c.held,
-        "correlated": [{"parameters": [a, b], "correlation": r} for a, b, r in c.correlated],
-        "rejected": [{"pose": r.pose, **({} if r.ball is None else {"ball": r.ball}), "distance_mm": r.distance_mm} for r in c.rejected],
-        **({"effects": c.effects.to_dict()} if c.effects else {}),
-        **c.extra,
+        "name": robot.name,
+        **({"flange_poses": True} if robot.of_flange_poses else {}),
+        "sign": nominal.sign.tolist(),
+        "limits": robot.limits.tolist(),
+        "nominal": {p: getattr(nominal, p).tolist() for p in PARAMETERS},
+        "calibrated": {p: getattr(chain, p).tolist() for p in PARAMETERS},
+        "errors": {p: (chain.rows - nominal.rows)[:, i].tolist() for i, p in enumerate(PARAMETERS)},
     }
+
+
+def station_content(station: Station, T_base_station: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
+    """JSON content of a station. covariance: (6, 6) of its local twist."""
+    std = np.sqrt(np.diag(covariance)).tolist()
+    return {"id": station.id, "artefact": station.artefact, "T_base_station": T_base_station.tolist(), "std": std}
+
+
+def noise_content(noise: Noise, cell: Cell, *, oriented: bool) -> dict[str, Any]:
+    """JSON content of the noise; ``oriented`` where orientations were measured."""
+    return {
+        "scanner_mm": noise.point.tolist(),
+        "joint_rad": noise.joint.tolist(),
+        **({"turn_rad": noise.turn} if oriented else {}),
+        **({"check_factor": (noise.point / first_noise(cell).point).tolist()} if cell.noise_mm is not None else {}),
+    }
+
+
+def fit_content(fit: ObservationFit) -> dict[str, Any]:
+    """JSON content of the figures of a fit."""
+    return {
+        "poses": fit.used_poses,
+        "centres": int(fit.used.sum()),
+        "rms_mm": fit.rms_mm,
+        "chi2": fit.chi2,
+        "dof": fit.dof,
+        "chi2_dof": fit.chi2 / fit.dof if fit.dof > 0 else None,
+        "rank": fit.rank,
+        "iterations": fit.iterations,
+    }
+
+
+def scale_content(fit: ObservationFit, noise: Noise) -> dict[str, Any]:
+    """JSON content on the scale of the scans."""
+    found, words = scan_scale(fit.observations, fit.used, noise.point), scale_in_words(fit.observations)
+    return {"scan_scale": None if found is None else found.to_dict(), **({"scale": words} if words else {})}
+
+
+def doubts_content(fit: ObservationFit) -> dict[str, Any]:
+    """JSON content of correlated parameters and rejected measurements."""
+    return {
+        "correlated": [{"parameters": [a, b], "correlation": r} for a, b, r in fit.correlated],
+        "rejected": [{"pose": r.pose, **({} if r.ball is None else {"ball": r.ball}), "distance_mm": r.distance_mm} for r in fit.rejected],
+    }
+
+
+def parameters_of(fit: ObservationFit, layout: ParameterLayout, state: CellState, covariance: np.ndarray) -> list[Parameter]:
+    """Every parameter of a fit, blocks in order; of the balls only the free ones."""
+    cell, T = fit.observations.cell, state.T_flange_scanner
+    turn = se3.rotation_log((se3.inverse(cell.T_flange_scanner) @ T)[:3, :3])
+    mount, moved = np.concatenate([T[:3, 3], turn]), np.concatenate([T[:3, 3] - cell.T_flange_scanner[:3, 3], turn])
+    values = [state.chain.rows.reshape(-1), mount, state.balls.reshape(-1), *fit.coefficients]
+    arm, balls = state.chain.rows - cell.robot.chain.rows, state.balls - cell.ball_centres
+    errors = [arm.reshape(-1), moved, balls.reshape(-1), *fit.coefficients]
+    std = iter(_standard_deviations(layout.names, T, covariance))
+    return [
+        Parameter(
+            name=name,
+            value=float(value[i]),
+            error=float(error[i]),
+            unit=block.units[i],
+            std=next(std) if block.free[i] else None,
+            status=_status(block, i, fit.options.kinematics),
+            reason=block.why.get(name, ""),
+            **_prior(block, i, fit.options.kinematics),
+        )
+        for block, value, error in zip(layout.blocks, values, errors, strict=True)
+        for i, name in enumerate(block.names)
+        if block.free[i] or name in block.why
+    ]
+
+
+def _standard_deviations(names: Sequence[str], T_flange_scanner: np.ndarray, covariance: np.ndarray) -> list[float]:
+    """Standard deviations of the free parameters; the hand-eye translation along the flange's axes."""
+    C = covariance.copy()
+    hand_eye = [names.index(f"hand_eye.{c}") for c in "xyz" if f"hand_eye.{c}" in names]
+    if len(hand_eye) == 3:
+        R = T_flange_scanner[:3, :3]
+        block = np.ix_(hand_eye, hand_eye)
+        C[block] = R @ C[block] @ R.T
+    return np.sqrt(np.diag(C)).tolist()
+
+
+def _status(block: parameters.ParameterBlock, i: int, identified: bool) -> str:
+    if not block.free[i]:
+        return "held"
+    if block.name == "chain" and block.group is not None and not identified:
+        return "marginal"
+    return "prior" if np.isfinite(block.sigma[i]) else "free"
+
+
+def _prior(block: parameters.ParameterBlock, i: int, identified: bool) -> dict[str, float]:
+    """Standard deviation and mean of the prior of a parameter's error, where one was used."""
+    if _status(block, i, identified) != "prior":
+        return {}
+    return {"prior_std": float(block.sigma[i]), "prior_mean": 0.0 if block.centre is None else float(block.centre[i])}
 
 
 def effects_of(result: Mapping[str, Any]) -> EffectModel | None:
@@ -204,8 +251,3 @@ def transform(rows: Any) -> np.ndarray:
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise ValueError("a transform is not 4 x 4")
     return T
-
-
-def _scan_scale(c: CalibrationFit) -> dict[str, Any] | None:
-    found = scan_scale(c.observations, c.used, c.noise.point)
-    return None if found is None else found.to_dict()

@@ -49,6 +49,8 @@ class ResultParameter(Open):
     std: float | None
     status: Literal["free", "prior", "marginal", "held"]
     reason: str = ""
+    prior_std: float | None = Field(None, description="of the prior of the error, where one was used")
+    prior_mean: float = 0.0
 
 
 class ResultNoise(Open):

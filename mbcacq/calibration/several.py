@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.maximum_likelihood import calibrate, refuse_unusable
+from mbcacq.calibration.adjusted_cell import adjusted_cell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.maximum_likelihood import calibrate_with_effects, refuse_unusable
 from mbcacq.calibration.nominal_arm import with_nominal_arm
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.observation_fit import ObservationFit
 from mbcacq.calibration.with_effects import fitted_with_effects, refuse_effects_of_other_arm
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect import ON_THE_ARM
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import learnt_ranges
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.adjustment import Adjustment, adjust
 from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.meta_analysis import random_effect
+from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import HAND_EYE, Estimate, ParameterLayout, build
 from mbcacq.estimation.random_links import with_random_links
@@ -27,41 +30,16 @@ from mbcacq.estimation.solver import Weights, system
 from mbcacq.estimation.terms import PER_POSE, Term
 from mbcacq.model.observations import Observations
 
-ON_THE_ARM = ("A", "link", "base")  # locations of effects that recordings of one arm share
-
-
-@dataclass(frozen=True)
-class DayToDay:
-    """One coefficient of an effect in several recordings. name, where: of the effect; values, std: (R,), of each recording by itself, with
-    the geometry of all; common, common_std: what they have in common; between_std: standard deviation between recordings (restricted
-    maximum likelihood); p_value: of these values under no difference.
-    """
-
-    name: str
-    where: tuple[str, ...]
-    coefficient: str
-    unit: str
-    values: tuple[float, ...]
-    std: tuple[float, ...]
-    common: float
-    common_std: float
-    between_std: float
-    p_value: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content."""
-        return asdict(self) | {key: list(getattr(self, key)) for key in ("where", "values", "std")}
-
 
 def calibrate_together(
     recordings: Sequence[Observations], options: CalibrationOptions | None = None, effects: EffectModel | None = None, *, hold: bool = False
-) -> tuple[Calibration, ...]:
+) -> tuple[CalibratedCell, ...]:
     """One calibration for each recording: all have the same arm and effects, with the covariance that all recordings together give them.
 
     Base, tool, stations, artefacts and noise are each recording's own. effects: terms of the arm, refitted to all recordings or, with
     ``hold``, kept. A coefficient that differs between the recordings by more than they explain is a random effect: the common value is
     reported, its variance is that of the common value and that between recordings together, as it holds on another day; 'day_to_day' of
-    ``extra`` has a ``DayToDay`` for each coefficient.
+    ``extra`` has the values of each coefficient in every recording.
 
     Raises ConfigError where the recordings are not of one arm, CalibrationError where one contradicts its cell.
     """
@@ -78,17 +56,17 @@ def calibrate_together(
         raise CalibrationError(f"the recordings contradict each other so much that no arm fits them ({error})") from error
 
 
-def _together(problem: JointProblem, options: CalibrationOptions, effects: EffectModel | None, hold: bool) -> tuple[Calibration, ...]:
+def _together(problem: JointProblem, options: CalibrationOptions, effects: EffectModel | None, hold: bool) -> tuple[CalibratedCell, ...]:
     together, several = problem.observations, len(problem.parts) > 1
-    found: list[DayToDay] = []
+    found: list[BetweenRecordings] = []
 
-    def fit(obs: Observations, asked: CalibrationOptions) -> Calibration:
+    def fit(obs: Observations, asked: CalibrationOptions) -> CalibratedCell:
         """All recordings with the terms of some options, whose coefficients may differ from day to day."""
         whole = _fitted(problem, asked)
         if effects is None or not asked.terms or not several:
             return whole
         found[:] = day_to_day(whole, effects.parametric)
-        between = {d.coefficient: d.between_std for d in found if d.between_std > 0}
+        between = {d.parameter: d.between_std for d in found if d.between_std > 0}
         own = deviations(whole, between)
         whole = _fitted(problem, replace(asked, terms=(*asked.terms, *own))) if own else whole
         return replace(whole, covariance=whole.covariance + np.diag([between.get(name, 0.0) ** 2 for name in whole.names]))
@@ -101,35 +79,37 @@ def _together(problem: JointProblem, options: CalibrationOptions, effects: Effec
             effects = replace(effects, terms=tuple(replace(t, ranges=learnt_ranges(here, t.parts)) for t in effects.terms))
         whole = fitted_with_effects(together, options, effects, hold, fit)
     if found:
-        whole = replace(whole, extra={**whole.extra, "day_to_day": [d.to_dict() for d in found]})
+        assert effects is not None, "they differ from day to day"
+        whole = replace(whole, extra={**whole.extra, "day_to_day": [_day_to_day_content(d, effects) for d in found]})
     each = shares(whole, problem.parts, options)
     refuse_unusable(each[0])
     return each
 
 
-def _fitted(problem: JointProblem, options: CalibrationOptions) -> Calibration:
+def _fitted(problem: JointProblem, options: CalibrationOptions) -> CalibratedCell:
     obs = problem.observations
     options = replace(options, start=problem.start)
     fitted = adjust(obs, options)
     fitted = with_random_links(fitted, options) if options.kinematics else fitted
-    result = Calibration.adjusted(obs, options, fitted)
+    result = adjusted_cell(options, fitted)
     return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
 
 
-def day_to_day(whole: Calibration, model: EffectModel) -> list[DayToDay]:
+def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[BetweenRecordings]:
     """Each coefficient of the effects on the arm in every recording by itself, with the geometry of all, at a calibration of all."""
-    assert whole.observations.recording is not None, "asked of several recordings only"
-    known = {name: (t, t.units[j]) for t in model.terms if _differs(t) for j, name in enumerate(t.names)}
+    obs = whole.fit.observations
+    assert obs.recording is not None, "asked of several recordings only"
+    known = {name: t for t in model.terms if _differs(t) for name in t.names}
     if not known:
         return []
     built, start = [], []
-    for t, values in zip(whole.options.terms, whole.coefficients, strict=True):
+    for t, values in zip(whole.fit.options.terms, whole.fit.coefficients, strict=True):
         wanted = [j for j, name in enumerate(t.names) if name in known]
-        built += [_of_each_recording(whole.observations, t, j, np.inf) for j in wanted] if wanted else [t]
-        start += [np.full(whole.observations.n_recordings, values[j]) for j in wanted] if wanted else [values]
-    options = replace(whole.options, terms=tuple(built))
-    layout = _as_held(build(whole.observations, options), whole)
-    at = system(Lineariser(whole.observations, layout, options), Estimate(whole.state, tuple(start)), whole.noise, whole.weights)
+        built += [_of_each_recording(obs, t, j, np.inf) for j in wanted] if wanted else [t]
+        start += [np.full(obs.n_recordings, values[j]) for j in wanted] if wanted else [values]
+    options = replace(whole.fit.options, terms=tuple(built))
+    layout = _as_held(build(obs, options), whole)
+    at = system(Lineariser(obs, layout, options), Estimate(whole.state, tuple(start)), whole.noise, whole.fit.weights)
     scale = layout.gather("scale")
     H = scale[:, None] * at.normal.information * scale
     covariance = scale[:, None] * np.linalg.inv(H + 1e-14 * np.diag(H).max() * np.eye(len(H))) * scale
@@ -141,18 +121,32 @@ def day_to_day(whole: Calibration, model: EffectModel) -> list[DayToDay]:
         if name in known:
             index = [position[one] for one in t.names]
             values, std = values + step[index], np.sqrt(np.diag(covariance)[index])
-            effect, unit = known[name]
-            found = random_effect(values, std)
-            each = tuple(values.tolist()), tuple(std.tolist())
-            out.append(DayToDay(effect.name, effect.where, name, unit, *each, **asdict(found)))
+            out.append(BetweenRecordings.of(known[name].name, known[name].where, name, values, std))
     return out
 
 
-def deviations(whole: Calibration, between: dict[str, float]) -> list[Term]:
+def _day_to_day_content(one: BetweenRecordings, effects: EffectModel) -> dict[str, Any]:
+    """JSON content of a coefficient of these effects in several recordings."""
+    unit = next(t.units[t.names.index(one.parameter)] for t in effects.terms if one.parameter in t.names)
+    return {
+        "name": one.name,
+        "where": list(one.where),
+        "coefficient": one.parameter,
+        "unit": unit,
+        "values": list(one.values),
+        "std": list(one.stds),
+        "common": one.common,
+        "common_std": one.common_std,
+        "between_std": one.between_std,
+        "p_value": one.p_value,
+    }
+
+
+def deviations(whole: CalibratedCell, between: dict[str, float]) -> list[Term]:
     """What each recording adds to the common value of coefficients that differ by a standard deviation ``between``, by name."""
     return [
-        replace(_of_each_recording(whole.observations, t, j, between[name]), name=f"{name} of each recording")
-        for t in whole.options.terms
+        replace(_of_each_recording(whole.fit.observations, t, j, between[name]), name=f"{name} of each recording")
+        for t in whole.fit.options.terms
         for j, name in enumerate(t.names)
         if name in between
     ]
@@ -172,20 +166,20 @@ def _of_each_recording(obs: Observations, t: Term, j: int, sigma: float) -> Term
     return Term(t.names[j], parts, names, (t.units[j],) * count, np.full(count, sigma))
 
 
-def _as_held(layout: ParameterLayout, whole: Calibration) -> ParameterLayout:
+def _as_held(layout: ParameterLayout, whole: CalibratedCell) -> ParameterLayout:
     """The layout with what a calibration holds held."""
-    for name, why in whole.held.items():
+    for name, why in whole.layout.held.items():
         layout = layout if name in layout.held else layout.hold(name, why)
     return layout
 
 
-def shares(whole: Calibration, parts: Sequence[Adjustment], options: CalibrationOptions) -> tuple[Calibration, ...]:
+def shares(whole: CalibratedCell, parts: Sequence[Adjustment], options: CalibrationOptions) -> tuple[CalibratedCell, ...]:
     """The share of each recording in a calibration of all. parts: each recording by itself, as it was fitted alone."""
-    return tuple(replace(_share(whole, parts, r, options), fit=calibrate) for r in range(len(parts)))
+    return tuple(replace(_share(whole, parts, r, options), calibrate_again=calibrate_with_effects) for r in range(len(parts)))
 
 
-def _share(whole: Calibration, parts: Sequence[Adjustment], r: int, options: CalibrationOptions) -> Calibration:
-    together, part = whole.observations, parts[r]
+def _share(whole: CalibratedCell, parts: Sequence[Adjustment], r: int, options: CalibrationOptions) -> CalibratedCell:
+    together, part = whole.fit.observations, parts[r]
     obs = part.lineariser.obs
     poses = np.flatnonzero(together.recording == r)
     centres = np.isin(together.pose, poses)
@@ -199,31 +193,35 @@ def _share(whole: Calibration, parts: Sequence[Adjustment], r: int, options: Cal
     )
     kept = () if whole.effects is None else tuple(t.names for t in whole.effects.terms)
     layout, index, coefficients = _own_layout(whole, build(obs, replace(options, hold=())), r, balls, kept)
-    weights = Weights(whole.weights.centre[centres], whole.weights.pose[poses])
+    weights = Weights(whole.fit.weights.centre[centres], whole.fit.weights.pose[poses])
     used = (weights.centre > 0) & (weights.pose[obs.pose] > 0)
     rank = layout.size - int(layout.blocks[0].free.sum()) - sum(len(names) for names in kept)
-    rank += int(np.sum(np.linalg.matrix_rank(whole.station_covariance[stations])))
-    whitened = whole.whitened[centres]
-    return replace(
-        whole,
+    rank += int(np.sum(np.linalg.matrix_rank(whole.fit.station_covariance[stations])))
+    whitened = whole.fit.whitened[centres]
+    fit = ObservationFit(
         observations=obs,
         options=options,
-        layout=layout,
-        state=state,
-        preliminary=part.preliminary,
         coefficients=coefficients,
-        covariance=whole.covariance[np.ix_(index, index)],
-        station_covariance=whole.station_covariance[stations],
-        noise=_own_noise(whole.noise, together, int(poses[0])),
+        station_covariance=whole.fit.station_covariance[stations],
         weights=weights,
-        residual=whole.residual[centres],
+        residual=whole.fit.residual[centres],
         whitened=whitened,
         chi2=float(np.sum(whitened**2)),
         dof=max(int(used.sum()) * whitened.shape[1] - rank, 0),
         rank=rank,
-        rejected=(),
-        correlated=(),
+        iterations=whole.fit.iterations,
+        undetermined=whole.fit.undetermined,
     )
+    share = CalibratedCell.fitted(
+        fit=fit,
+        state=state,
+        preliminary=part.preliminary,
+        layout=layout,
+        covariance=whole.covariance[np.ix_(index, index)],
+        noise=_own_noise(whole.noise, together, int(poses[0])),
+        extra=whole.extra,
+    )
+    return replace(share, effects=whole.effects)
 
 
 def _own_noise(noise: Noise, together: Observations, pose: int) -> Noise:
@@ -234,7 +232,7 @@ def _own_noise(noise: Noise, together: Observations, pose: int) -> Noise:
 
 
 def _own_layout(
-    whole: Calibration, own: ParameterLayout, r: int, balls: slice, kept: Sequence[tuple[str, ...]]
+    whole: CalibratedCell, own: ParameterLayout, r: int, balls: slice, kept: Sequence[tuple[str, ...]]
 ) -> tuple[ParameterLayout, np.ndarray, tuple[np.ndarray, ...]]:
     """The parameters of recording ``r`` as they were free with all, their (g,) indices there, and the coefficients of the effects kept."""
     blocks = whole.layout.blocks
@@ -256,7 +254,7 @@ def _own_layout(
         if b.names in kept:
             out.append(b)
             mine.append(np.arange(start[n], start[n + 1]))
-            coefficients.append(whole.coefficients[n - 3])
+            coefficients.append(whole.fit.coefficients[n - 3])
     assert arm.names == blocks[0].names, "the recordings are of one arm"
     chosen = np.concatenate(mine)
     return ParameterLayout(tuple(out)), position[chosen[free[chosen]]], tuple(coefficients)

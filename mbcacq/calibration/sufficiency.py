@@ -16,6 +16,7 @@ from mbcacq.estimation.phases import select_phases
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import K, uncertainty
 
 POOR_MM, POOR_ALONE_MM = 1.0, 0.1  # of a point in the workspace; an arm of this class is as good as the first without calibration
 RUNAWAY_MM, RUNAWAY_RAD = 5.0, np.radians(1.0)  # ten times the errors of an arm as it is delivered
@@ -135,7 +136,7 @@ def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs:
         else "add stations at other places and poses with larger tilt"
     )
     raise CalibrationError(
-        f"these poses would leave a point in the workspace uncertain by {expected_mm:.2f} mm (1 sigma), worst "
+        f"these poses would leave a point in the workspace uncertain by U = {uncertainty(K * expected_mm)} mm (k = 2), worst "
         f"determined are {named}; {advice}, or identify the hand-eye transform alone"
     )
 

@@ -6,19 +6,20 @@ nothing at all where its places are known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.calibrated import Calibrated
+from mbcacq.calibration.adjusted_cell import adjusted_cell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.calibration.result import Calibration
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
+from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
@@ -27,6 +28,7 @@ from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import fixed, micrometres
 
 PLACES = ("fitted", "known")
 GROSS = 20.0  # medians, from which a centre is an outlier where nothing is fitted
@@ -65,7 +67,7 @@ class NormalisedError:
     share_below_3: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Transfer:
     """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
     recording itself leaves, the best that geometry alone can do there; None where it cannot be had. normalised_error: None with known
@@ -109,30 +111,30 @@ class Transfer:
         """The figures in plain sentences."""
         how = "base, tool and stations fitted" if self.place == "fitted" else "nothing fitted"
         out = [
-            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', '.4f', ' mm')}.",
-            f"  chi2 per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', '.2f')}",
+            f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', micrometres)}.",
+            f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
         out += [
-            f"  {e.name} at {', '.join(e.where)}: without it {e.without_mm:.4f} mm ({e.gain:+.0%} of the geometry's mean square)"
+            f"  {e.name} at {', '.join(e.where)}: without it {micrometres(e.without_mm)} ({e.gain:+.0%} of the geometry's mean square)"
             for e in self.effects
         ]
         if n := self.normalised_error:
             out.append(f"  error over stated uncertainty: {n.rms:.2f} rms, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
-    def _compared(self, figure: str, digits: str, unit: str = "") -> str:
+    def _compared(self, figure: str, shown: Callable[[float], str]) -> str:
         """One figure of the geometry, of the effects where there are any, and of a geometry fitted there."""
         learnt, effects = getattr(self.geometry_alone, figure), getattr(self.with_effects, figure)
-        text = f"{learnt:{digits}}{unit} with the learnt geometry"
+        text = f"{shown(learnt)} with the learnt geometry"
         if self.with_effects != self.geometry_alone:
-            text += f" alone, {effects:{digits}}{unit} with its effects"
+            text += f" alone, {shown(effects)} with its effects"
         if self.own_geometry:
-            text += f"; {getattr(self.own_geometry, figure):{digits}}{unit} with a geometry fitted there"
+            text += f"; {shown(getattr(self.own_geometry, figure))} with a geometry fitted there"
         return text
 
 
 def check_transfer(
-    observations: Observations, cell: Calibrated, alone: Chain | None = None, *, place: str = "fitted", recording: str = ""
+    observations: Observations, cell: CalibratedCell, alone: Chain | None = None, *, place: str = "fitted", recording: str = ""
 ) -> Transfer:
     """Try a calibrated cell on a recording. alone: the arm that geometry alone gave on the recording learnt from; by default the
     cell's own without its effects. With known places, poses at stations that the calibrated cell does not have are left out.
@@ -142,7 +144,7 @@ def check_transfer(
     """
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
-    refuse_other_arm("the result is of", cell.robot, cell.preliminary.chain, observations.cell.robot, recording or "the recording")
+    refuse_other_arm("the result is of", cell.robot, cell.nominal, observations.cell.robot, recording or "the recording")
     observations = select_phases(observations, CalibrationOptions(phases=_all_phases(observations)))
     left_out: tuple[str, ...] = ()
     if place == "known":
@@ -152,7 +154,7 @@ def check_transfer(
         model = EffectModel(observations.cell.robot)
     tried = _Trial(observations, cell, place)
     best = tried.fit(cell.state.chain, model)
-    used = best.used
+    used = best.fit.used
     whole = tried.figures(best, used)
     plain = tried.figures(tried.fit(alone or cell.state.chain, None), used) if model else whole
     gains = []
@@ -178,7 +180,7 @@ def check_transfer(
     )
 
 
-def at_known_stations(obs: Observations, cell: Calibrated) -> tuple[Observations, tuple[str, ...]]:
+def at_known_stations(obs: Observations, cell: CalibratedCell) -> tuple[Observations, tuple[str, ...]]:
     """The poses at stations whose places a calibrated cell has, and a sentence that names the other stations, if there are any.
 
     Raises ConfigError where there is no pose at a known station.
@@ -201,32 +203,14 @@ def at_known_stations(obs: Observations, cell: Calibrated) -> tuple[Observations
 
 
 @dataclass(frozen=True)
-class _PlacedFit:
-    """What is asked of a fit of a recording's own places; see ``mbcacq.calibration.calibration_fit.CalibrationFit``. rank: of all that was
-    fitted."""
-
-    observations: Observations
-    options: CalibrationOptions
-    layout: parameters.ParameterLayout
-    state: CellState
-    residual: np.ndarray
-    used: np.ndarray
-    rank: int = 0
-
-    @classmethod
-    def of(cls, c: Calibration) -> _PlacedFit:
-        return cls(c.observations, c.options, c.layout, c.state, c.residual, c.used, c.rank)
-
-
-@dataclass(frozen=True)
 class _Trial:
     """Fits of what belongs to a recording alone."""
 
     obs: Observations
-    cell: Calibrated
+    cell: CalibratedCell
     place: str
 
-    def fit(self, chain: Chain, model: EffectModel | None) -> _PlacedFit:
+    def fit(self, chain: Chain, model: EffectModel | None) -> CalibratedCell:
         """Base, tool and stations for a given arm with given effects; with known places, everything as in the calibrated cell."""
         displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
         obs = with_arm(self.obs, chain)
@@ -234,17 +218,21 @@ class _Trial:
             kinematics=False, discrepancy=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs)
         )
         if self.place == "fitted":
-            return _PlacedFit.of(calibrate(obs, options))
+            return calibrate(obs, options)
         known = self._known(obs)
         hold = tuple(f"hand_eye.{c}" for c in parameters.HAND_EYE)
         cell = known.cell
         placed = np.array([np.eye(4) if s.T_base_station is None else s.T_base_station for s in cell.stations])
         start = CellState(chain, cell.T_flange_scanner, placed, cell.ball_centres.copy())
         options = replace(options, hold=hold)
-        layout = parameters.build(known, options)
-        _, residual = Lineariser(known, layout, options).residual(Estimate(start))
-        distance = np.linalg.norm(residual[:, :3], axis=1)
-        return _PlacedFit(known, options, layout, start, residual, distance <= GROSS * np.median(distance))
+        lineariser = Lineariser(known, parameters.build(known, options), options)
+        every = Weights(np.ones(known.n_centres), np.ones(known.n_poses))
+        at = system(lineariser, Estimate(start), self.cell.noise, every)
+        distance = np.linalg.norm(at.linear.residual[:, :3], axis=1)
+        weights = replace(every, centre=(distance <= GROSS * np.median(distance)).astype(float))
+        return adjusted_cell(
+            options, Adjustment(lineariser=lineariser, solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[])
+        )
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them."""
@@ -252,12 +240,14 @@ class _Trial:
         found = tuple(replace(s, T_base_station=places[s.id], sigma_mm=1e-6) if s.id in places else s for s in obs.cell.stations)
         return replace(obs, cell=replace(obs.cell, stations=found, T_flange_scanner=self.cell.state.T_flange_scanner))
 
-    def figures(self, fitted: _PlacedFit, used: np.ndarray) -> TransferFigures:
-        distance = np.linalg.norm(fitted.residual[used, :3], axis=1)
-        lineariser = Lineariser(fitted.observations, fitted.layout, fitted.options)
-        weights = Weights(used.astype(float), np.ones(fitted.observations.n_poses))
+    def figures(self, fitted: CalibratedCell, used: np.ndarray) -> TransferFigures:
+        """The figures of the centres used (M,). With known places nothing was fitted, so that no degree of freedom is lost."""
+        fit, rank = fitted.fit, fitted.fit.rank if self.place == "fitted" else 0
+        distance = np.linalg.norm(fit.residual[used, :3], axis=1)
+        lineariser = Lineariser(fit.observations, fitted.layout, fit.options)
+        weights = Weights(used.astype(float), np.ones(fit.observations.n_poses))
         whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
-        chi2 = float(np.sum(whitened**2) / max(whitened.size - fitted.rank, 1))
+        chi2 = float(np.sum(whitened**2) / max(whitened.size - rank, 1))
         return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
@@ -268,14 +258,14 @@ class _Trial:
             own = calibrate(self.obs, CalibrationOptions(refuse=False, discrepancy=False, random_links=False, phases=_all_phases(self.obs)))
         except CalibrationError:
             return None
-        return self.figures(_PlacedFit.of(own), used)
+        return self.figures(own, used)
 
 
-def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, used: np.ndarray) -> NormalisedError:
+def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: EffectModel, used: np.ndarray) -> NormalisedError:
     """The residual of each centre over its stated uncertainty: covariance of the learnt arm and effects and the variance of effects that
     differ between recordings, of which the fitted places absorb a part, and the noise of measuring.
     """
-    obs = fitted.observations
+    obs, residual = fitted.fit.observations, fitted.fit.residual
     rng = np.random.default_rng(0)
     poses = np.sort(rng.permutation(obs.n_poses)[:MOST_JUDGED])
     keep = np.zeros(obs.n_poses, bool)
@@ -291,7 +281,7 @@ def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, u
         layout = _freed(layout, name)
     lineariser = Lineariser(some, layout, options)
     linear = lineariser(Estimate(fitted.state, (*model.coefficients, *(np.zeros(t.size) for t in differing))))
-    width = fitted.residual.shape[1]
+    width = residual.shape[1]
     X = lineariser.rows.unpad(linear.X)[:, :3].reshape(-1, linear.X.shape[2])
     names = layout.names
     learnt = {name: j for j, name in enumerate(cell.layout.names)}
@@ -312,7 +302,7 @@ def normalised_error(fitted: _PlacedFit, cell: Calibrated, model: EffectModel, u
     covariance += joint @ np.swapaxes(joint, 1, 2)
     covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
     assert width >= 3
-    r = fitted.residual[rows, :3]
+    r = residual[rows, :3]
     error = np.sqrt(np.einsum("mi,mij,mj->m", r, np.linalg.inv(covariance), r) / 3)[used[rows]]
     return NormalisedError(float(np.sqrt(np.mean(error**2))), float(np.quantile(error, 0.95)), float(np.mean(error < 3)))
 

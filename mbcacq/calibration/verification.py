@@ -12,15 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from mbcacq.calibration import notebook
-from mbcacq.calibration.calibrated import Calibrated
-from mbcacq.calibration.length_budget import budget_content, length_budget
-from mbcacq.calibration.same_arm import refuse_other_arm
-from mbcacq.calibration.uncertainty import common_distance_uncertainty, distance_uncertainty
+from mbcacq.calibration.length_budget import LengthBudget, budget_content
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
@@ -28,11 +25,13 @@ from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, measured, signed, uncertainty
 
-# (station, ball id) -> q (1, n), xyz (1, 3) and number of poses
-Ends = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray, int]]
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+End = tuple[np.ndarray, np.ndarray, int]  # of a length: q (1, n) rad, xyz (1, 3) mm in the scanner frame, number of poses averaged over
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VerifiedPair:
     """One pair of balls at one station. errors in mm, measured minus certified; expected_mm: standard uncertainty of ``after_mm`` that the
     calibration leaves, noise included; judging_mm: standard uncertainty of measuring the error, by which it is held against a limit."""
@@ -51,7 +50,7 @@ class VerifiedPair:
         return beyond_expected(self.after_mm, self.expected_mm)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Verification:
     """Sphere spacing errors at every station, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
     independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``, as dicts. common_mm:
@@ -97,10 +96,12 @@ class Verification:
     def from_dict(cls, content: Mapping[str, Any] | None) -> Verification:
         """The verification that ``to_dict`` wrote; without pairs where it was None."""
         if content is None:
-            return cls(())
+            return cls(places=())
         pairs = tuple(VerifiedPair(**{**p, "balls": tuple(p["balls"])}) for p in content["places"])
         figures, common, budget = tuple(content["figures"]), content.get("common_mm"), content.get("budget")
-        return cls(pairs, content["limit_mm"], content["independent"], figures, common, budget)
+        return cls(
+            places=pairs, limit_mm=content["limit_mm"], independent=content["independent"], figures=figures, common_mm=common, budget=budget
+        )
 
     def __repr__(self) -> str:
         if not self.places:
@@ -129,53 +130,67 @@ class Verification:
         header = ("station", "balls", "certified mm", "before mm", "after mm", "U of judging mm", "U expected mm")
         return notebook.table("Sphere spacing error, U with k = 2", header, rows) + notebook.paragraph(repr(self))
 
+    def plot(self) -> go.Figure:
+        """The sphere spacing errors before and after calibration, as a Plotly figure."""
+        labels = [f"{p.station}: {p.balls[0]}-{p.balls[1]}" for p in self.places]
+        U = [K * (p.judging_mm or 0.0) for p in self.places]
+        errors = {which: list(self.errors(which)) for which in ("before", "after")}
+        return notebook.before_and_after("Sphere spacing error", labels, errors["before"], errors["after"], U)
 
-def verify(
-    observations: Observations, calibration: Calibrated | CellState, *, before: CellState | None = None, limit_mm: float | None = None
-) -> Verification:
-    """Evaluate every pair of balls of the verification poses (where no phases are recorded: of all two-ball artefacts).
 
-    With a ``CellState`` instead of a calibration, ``before`` is the state to compare with (default: the same), and there is no
-    expected uncertainty. Raises ConfigError where the calibration is of another arm.
-    """
-    obs = verification_poses(observations)
-    fitted = None if isinstance(calibration, CellState) else calibration
-    if fitted is not None:
-        refuse_other_arm("the result is of", fitted.robot, fitted.preliminary.chain, obs.cell.robot, "the recording")
-    state = calibration if isinstance(calibration, CellState) else calibration.state
-    first = (before or state) if fitted is None else fitted.preliminary
-    places, budgets, at = [], [], []
-    after, ends = ball_positions(obs, state, None if fitted is None else fitted.effects)
-    start, _ = ball_positions(obs, first)
+class MeasuredPair(NamedTuple):
+    """One pair of balls, by ids, at one station, by index. certified_mm: their distance; before_mm, after_mm: as measured with two states
+    of the cell; ends: where each was measured."""
+
+    station: int
+    balls: tuple[int, int]
+    certified_mm: float
+    before_mm: float
+    after_mm: float
+    ends: tuple[End, End]
+
+
+def measured_pairs(obs: Observations, before: CellState, after: CellState, effects: EffectModel | None = None) -> list[MeasuredPair]:
+    """Every pair of balls at every station, with the cell before and after its calibration; ``effects`` belong to the second."""
+    start, _ = ball_positions(obs, before)
+    found, ends = ball_positions(obs, after, effects)
     certified = dict(zip(obs.cell.ball_ids, obs.cell.ball_centres, strict=True))
-    for station, a, b in _pairs(obs, after):
+    out = []
+    for station, a, b in _pairs(obs, found):
+        lengths = (float(np.linalg.norm(where[station, a] - where[station, b])) for where in (start, found))
         length = float(np.linalg.norm(certified[a] - certified[b]))
-        measured, initial = (float(np.linalg.norm(where[station, a] - where[station, b])) for where in (after, start))
-        expected = None
-        if fitted is not None:
-            (qa, xa, na), (qb, xb, nb) = ends[station, a], ends[station, b]
-            expected = float(distance_uncertainty(fitted, qa, xa, qb, xb, repeats=(np.array([na]), np.array([nb])))[0])
-        budgets.append(length_budget(obs, station, (a, b), (ends[station, a], ends[station, b]), fitted))
-        at.append(station)
-        name, judging = obs.cell.stations[station].id, budgets[-1].combined_mm
-        places.append(VerifiedPair(name, (a, b), length, initial - length, measured - length, expected, judging))
-    budget = budget_content(obs, at, budgets) if places else None
-    if fitted is None:
-        return Verification(tuple(places), limit_mm, budget=budget)
-    took_part = fitted.took_part(obs)
-    found = Verification(tuple(places), limit_mm, None if took_part is None else not took_part, budget=budget)
-    figures = judge(observations, fitted, Limits(sphere_spacing_error_mm=limit_mm), found)
-    return replace(found, figures=tuple(f.to_dict() for f in figures), common_mm=common_uncertainty(fitted, found.places, ends, obs))
+        out.append(MeasuredPair(station, (a, b), length, *lengths, (ends[station, a], ends[station, b])))
+    return out
 
 
-def common_uncertainty(calibration: Calibrated, places: Sequence[VerifiedPair], ends: Ends, obs: Observations) -> float | None:
-    """mm, of the mean signed error of the places; None of a single place, which has nothing in common with another."""
-    if len(places) < 2:
-        return None
-    index = {s.id: i for i, s in enumerate(obs.cell.stations)}
-    first, second = ([ends[index[p.station], p.balls[k]] for p in places] for k in (0, 1))
-    qa, a, qb, b = (np.concatenate([end[k] for end in one]) for one in (first, second) for k in (0, 1))
-    return common_distance_uncertainty(calibration, qa, a, qb, b)
+def stacked(ends: Sequence[End]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ends as arrays: q (P, n) rad, xyz (P, 3) mm, numbers of poses (P,)."""
+    q, xyz, count = zip(*ends, strict=True)
+    return np.concatenate(q), np.concatenate(xyz), np.array(count)
+
+
+def verification_of(
+    obs: Observations,
+    pairs: Sequence[MeasuredPair],
+    budgets: Sequence[LengthBudget],
+    limit_mm: float | None,
+    expected_mm: Sequence[float] | None = None,
+) -> Verification:
+    """The errors of measured pairs, with the budget of judging each, and the uncertainty expected of each where it is known."""
+    places = tuple(
+        VerifiedPair(
+            station=obs.cell.stations[p.station].id,
+            balls=p.balls,
+            certified_mm=p.certified_mm,
+            before_mm=p.before_mm - p.certified_mm,
+            after_mm=p.after_mm - p.certified_mm,
+            expected_mm=None if expected_mm is None else expected_mm[i],
+            judging_mm=budgets[i].combined_mm,
+        )
+        for i, p in enumerate(pairs)
+    )
+    budget = budget_content(obs, [p.station for p in pairs], budgets) if pairs else None
+    return Verification(places=places, limit_mm=limit_mm, budget=budget)
 
 
 def verification_poses(obs: Observations) -> Observations:
@@ -237,7 +252,7 @@ class Limits:
     length_measuring_error_mm: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Figure:
     """value_mm: largest of ``count`` values; uncertainty_mm: standard uncertainty of measuring it, None if unknown;
     verdict: 'pass', 'fail', 'undecided' (within the uncertainty of the limit) or 'none' (no limit or no data)."""
@@ -254,24 +269,23 @@ class Figure:
 
 
 def judge(
-    observations: Observations, calibration: Calibrated, limits: Limits | None = None, verification: Verification | None = None
+    observations: Observations, state: CellState, effects: EffectModel | None, limits: Limits, verification: Verification
 ) -> list[Figure]:
-    """The four figures, from the verification poses (where there are none, only what can be said is said).
+    """The four figures of a calibrated cell and its verification, from the verification poses (where there are none, only what can be said
+    is said).
 
     Form: the range of distances from the fitted sphere cannot be had from centres; four times the rms of the fits (95 % of a normal
     distribution) stands for it. Size: needs measured diameters, which an observation set does not hold. Length: largest error
     between two balls of one station, over every pair of single scans, so that repeats do not average. Lengths are judged with the
     uncertainty of ``length_budget``.
     """
-    limits = limits or Limits()
     obs = verification_poses(observations)
-    verification = verify(observations, calibration) if verification is None else verification
     spacing, judging = verification.errors("after"), [p.judging_mm for p in verification.places]
     sigma = None if verification.budget is None else float(verification.budget["combined_mm"])
     form = 4 * float(np.nanmax(obs.rms_mm)) if obs.rms_mm is not None and obs.n_centres and np.any(np.isfinite(obs.rms_mm)) else None
     points = 0.0 if obs.n_points is None or not obs.n_centres else float(np.min(obs.n_points))
     form_sigma = form / np.sqrt(2 * points) if form is not None and points > 1 else None
-    lengths = single_lengths(obs, calibration)
+    lengths = single_lengths(obs, state, effects)
     return [
         replace(
             _figure("sphere spacing error", spacing, sigma, limits.sphere_spacing_error_mm),
@@ -288,9 +302,9 @@ def judge(
     ]
 
 
-def single_lengths(obs: Observations, calibration: Calibrated) -> np.ndarray:
+def single_lengths(obs: Observations, state: CellState, effects: EffectModel | None) -> np.ndarray:
     """(K,) mm errors of the distance of two different balls of a station, for every pair of single measurements."""
-    base = points_in_base(obs, calibration.state, calibration.effects)
+    base = points_in_base(obs, state, effects)
     station, certified = obs.station[obs.pose], obs.cell.ball_centres
     out = []
     for s in np.unique(station):
@@ -328,4 +342,4 @@ def beyond_expected(error_mm: float, expected_mm: float | None) -> bool:
 
 def _figure(name: str, values: np.ndarray, sigma: float | None, limit: float | None) -> Figure:
     value = float(np.abs(values).max()) if len(values) else None
-    return Figure(name, value, len(values), sigma, limit, verdict(value, sigma, limit))
+    return Figure(name=name, value_mm=value, count=len(values), uncertainty_mm=sigma, limit_mm=limit, verdict=verdict(value, sigma, limit))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Generic, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mbcacq.calibration.calibration_fit import CalibrationFit
+from mbcacq.calibration.adjusted_cell import adjusted_cell
+from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.estimates import with_estimates
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects import unmodelled as groups
@@ -19,7 +19,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
-from mbcacq.estimation.adjustment import most_probable_noise
+from mbcacq.estimation.adjustment import Adjustment, most_probable_noise
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
@@ -32,7 +32,7 @@ from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.observations import Observations
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GroupSizeOptions:
     """How the size of each group of unmodelled effects is estimated."""
 
@@ -49,13 +49,12 @@ class GroupSizeOptions:
 
 
 OPTIONS = GroupSizeOptions()
-Fitted = TypeVar("Fitted", bound=CalibrationFit)
-Fit = Callable[[Observations, CalibrationOptions], Fitted]
+Fit = Callable[[Observations, CalibrationOptions], CalibratedCell]
 
 
 def refitted(
-    observations: Observations, options: CalibrationOptions | None, model: EffectModel, fit: Fit[Fitted], *, hold: bool = False
-) -> Fitted:
+    observations: Observations, options: CalibrationOptions | None, model: EffectModel, fit: Fit, *, hold: bool = False
+) -> CalibratedCell:
     """The cell with effects: geometry as usual, the coefficients of the effects with it; their hyper-parameters are kept.
 
     fit: calibrates observations under any options. hold: the effects stay as they were learnt, the geometry alone is fitted. Unmodelled
@@ -73,7 +72,7 @@ def refitted(
         return fitted_with_effects(obs, options, model, hold, fit)
 
 
-def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit[Fitted]) -> Fitted:
+def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> CalibratedCell:
     """The observations calibrated with effects by ``fit``, which calibrates them under any options. The effects are the account of what
     the arm does beyond its geometry: no discrepancy is sought beside them."""
     options = replace(options, discrepancy=False)
@@ -100,7 +99,7 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     return _beside(alone, replace(found, extra={**found.extra, "common_pattern": asdict(pattern)}))
 
 
-def common_pattern_of(sized: _Stage[Fitted], noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CommonPattern | None:
+def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CommonPattern | None:
     """The pattern that joints share in their own errors, by its evidence in a recording, where the groups for them have these sizes.
 
     None where there is none, where the recording is too short to tell, or where the groups have one.
@@ -108,11 +107,11 @@ def common_pattern_of(sized: _Stage[Fitted], noise: Noise, parametric: EffectMod
     fitted, options = sized.fitted, sized.options
     known = any(t.variant == groups.COMMON_PATTERN for t in unmodelled.terms)
     own = [t for t in unmodelled.terms if own_joint(t) is not None and t.k == 2 * groups.OPTIONS.own_order]
-    if known or fitted.observations.n_poses < groups.OPTIONS.many_poses or len(own) < LEAST_JOINTS:
+    if known or fitted.fit.observations.n_poses < groups.OPTIONS.many_poses or len(own) < LEAST_JOINTS:
         return None
     others = parametric.select(lambda t: not t.periodic_in_own_angle)
-    bare = replace(fitted, coefficients=tuple(np.zeros(t.k) for t in others.terms))
-    stage = _Stage.first(bare, options, others, unmodelled, np.ones(fitted.observations.n_poses, bool))
+    bare = replace(fitted, own_fit=replace(fitted.fit, coefficients=tuple(np.zeros(t.k) for t in others.terms)))
+    stage = _Stage.first(bare, options, others, unmodelled, np.ones(fitted.fit.observations.n_poses, bool))
     # Linearised where the groups have taken their share: an arm that was fitted without them is bent by them.
     stage = replace(stage, estimate=replace(stage.estimate, state=sized.estimate.state))
     size = {g.key: g.sigma * s for g, s in zip(sized.groups, sized.scale, strict=True)}
@@ -151,10 +150,10 @@ def joint_of(t: EffectTerm) -> int:
     return int(place[1:]) - 1 if place[0] == "A" and place[1:].isdigit() else -1
 
 
-def _beside(alone: Fitted, fitted: Fitted) -> Fitted:
+def _beside(alone: CalibratedCell, fitted: CalibratedCell) -> CalibratedCell:
     """The calibration with the arm that geometry alone gives, and its misfit, beside it: 'geometry_alone' of result.json."""
     rows = {p: getattr(alone.state.chain, p).tolist() for p in PARAMETERS}
-    figures = {"rms_mm": alone.rms_mm, "chi2": alone.chi2, "dof": alone.dof}
+    figures = {"rms_mm": alone.fit.rms_mm, "chi2": alone.fit.chi2, "dof": alone.fit.dof}
     return replace(fitted, extra={**fitted.extra, "geometry_alone": {"calibrated": rows, **figures}})
 
 
@@ -164,16 +163,17 @@ def refuse_effects_of_other_arm(obs: Observations, model: EffectModel, recording
 
 
 def sized_groups(
-    fitted: Fitted, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, start: Noise | None = None
-) -> tuple[_Stage[Fitted], Noise]:
+    fitted: CalibratedCell, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, start: Noise | None = None
+) -> tuple[_Stage, Noise]:
     """The sizes of unmodelled groups beside a calibration that has the parametric effects, and the noise that they leave. start: a noise
     to begin with.
 
     Each group is a random effect whose size maximises the marginal likelihood (MacKay 1992), with the geometry, the stations and the
     parametric effects free; groups that the data do not ask for are dropped.
     """
-    prior = noise_prior(fitted.cell, options.noise)
-    stage = _Stage.first(fitted, options, parametric, unmodelled, some_poses(fitted.observations, OPTIONS.most_poses))
+    obs = fitted.fit.observations
+    prior = noise_prior(obs.cell, options.noise)
+    stage = _Stage.first(fitted, options, parametric, unmodelled, some_poses(obs, OPTIONS.most_poses))
     noise = start or fitted.noise
     at = stage.system(noise)
     turns = OPTIONS.turns if start is None else OPTIONS.turns_again
@@ -183,24 +183,23 @@ def sized_groups(
     return stage, noise
 
 
-def with_groups(stage: _Stage[Fitted], noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> Fitted:
+def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CalibratedCell:
     """The calibration by all poses with groups that were sized by some of them."""
     fitted = stage.fitted
-    if stage.observations is not fitted.observations:
+    if stage.observations is not fitted.fit.observations:
         stage = stage.by_all_poses(parametric, unmodelled)
         stage = stage.sized(stage.system(noise), last=True)
     at = stage.system(noise)
     chosen = replace(stage.options, terms=stage.terms)
-    result = type(fitted).of(
-        obs=fitted.observations,
-        options=chosen,
+    adjusted = Adjustment(
         lineariser=stage.lineariser,
         solution=at,
         noise=noise,
-        weights=fitted.weights,
+        weights=fitted.fit.weights,
         preliminary=fitted.preliminary,
-        found=list(fitted.undetermined),
+        found=list(fitted.fit.undetermined),
     )
+    result = adjusted_cell(chosen, adjusted)
     groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
     model = replace(parametric, terms=(*parametric.terms, *groups))
     return replace(result, effects=with_estimates(model, result))
@@ -215,12 +214,12 @@ def some_poses(obs: Observations, most: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Stage(Generic[Fitted]):
+class _Stage:
     """An estimate with the groups that are left, by all or some of the poses. built: the terms of the parametric effects, then one for
     each group; scale: (G,) size of each group in its prior size.
     """
 
-    fitted: Fitted
+    fitted: CalibratedCell
     options: CalibrationOptions
     observations: Observations
     weights: Weights
@@ -231,12 +230,12 @@ class _Stage(Generic[Fitted]):
 
     @classmethod
     def first(
-        cls, fitted: Fitted, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, poses: np.ndarray
-    ) -> _Stage[Fitted]:
+        cls, fitted: CalibratedCell, options: CalibrationOptions, parametric: EffectModel, unmodelled: EffectModel, poses: np.ndarray
+    ) -> _Stage:
         """By these poses (P,) bool, with the groups at zero."""
         groups = unmodelled.terms
-        start = Estimate(fitted.state, (*fitted.coefficients, *(np.zeros(g.k) for g in groups)))
-        obs, weights = fitted.observations, fitted.weights
+        start = Estimate(fitted.state, (*fitted.fit.coefficients, *(np.zeros(g.k) for g in groups)))
+        obs, weights = fitted.fit.observations, fitted.fit.weights
         if not poses.all():
             obs, weights = obs.select(poses), Weights(weights.centre[poses[obs.pose]], weights.pose[poses])
         built = (*parametric.at(obs), *unmodelled.at(obs))
@@ -251,11 +250,11 @@ class _Stage(Generic[Fitted]):
             estimate=start,
         )
 
-    def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage[Fitted]:
+    def by_all_poses(self, parametric: EffectModel, unmodelled: EffectModel) -> _Stage:
         """The same sizes and estimate by all poses."""
-        obs = self.fitted.observations
+        obs = self.fitted.fit.observations
         left = replace(unmodelled, terms=self.groups)
-        return replace(self, observations=obs, weights=self.fitted.weights, built=(*parametric.at(obs), *left.at(obs)))
+        return replace(self, observations=obs, weights=self.fitted.fit.weights, built=(*parametric.at(obs), *left.at(obs)))
 
     @property
     def named(self) -> tuple[Term, ...]:
@@ -270,7 +269,7 @@ class _Stage(Generic[Fitted]):
     @cached_property
     def layout(self) -> ParameterLayout:
         layout = build(self.observations, replace(self.options, terms=self.terms))
-        for name, why in self.fitted.held.items():
+        for name, why in self.fitted.layout.held.items():
             layout = layout if name in layout.held else layout.hold(name, why)
         return ParameterLayout((self.fitted.layout.blocks[0], *layout.blocks[1:]))  # the sizes of the links' errors stay
 
@@ -286,7 +285,7 @@ class _Stage(Generic[Fitted]):
         """The normal equations at the same estimate under another noise."""
         return reweighted(self.lineariser, at, noise, self.weights)
 
-    def sized(self, at: Solution, last: bool) -> _Stage[Fitted]:
+    def sized(self, at: Solution, last: bool) -> _Stage:
         """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem.
 
         Groups that it does not ask for are dropped in the last turn only: at first the noise still contains what they would explain.

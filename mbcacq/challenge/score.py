@@ -14,7 +14,7 @@ WITHIN = 3.0  # stated standard deviations within which a parameter counts as ri
 ORDER_TOLERANCE = 0.1  # periods a turn within which a reported order is the injected one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Score:
     """The score of one challenge.
 

@@ -62,7 +62,9 @@ def run(
     )
     folder.mkdir(parents=True, exist_ok=True)
     with load_driver("fakes", "cell")(secret, list(poses), realtime=False, seed=scenario.seed) as cell:
-        Acquisition(loaded, poses, path(loaded, poses), path_home(loaded, poses[-1]), folder, simulated=True).execute(cell.overrides())
+        Acquisition(
+            loaded=loaded, poses=poses, paths=path(loaded, poses), path_home=path_home(loaded, poses[-1]), folder=folder, simulated=True
+        ).execute(cell.overrides())
         truth = cell.truth()
     return without(load_observations(folder), scenario.missing), truth
 

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.next_step import say_next
+from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import K, uncertainty
 
 
 @click.command("apply")
@@ -23,8 +25,8 @@ from mbcacq.cli.terminal import echo
 def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str | None, force: bool, as_json: bool) -> None:
     """Bring CLOUD (PLY or PCD, scanner frame) into the robot's base frame with RESULT (a result.json, or a run folder that holds one).
 
-    Colours, intensities and all other properties of the points stay. Prints how well the points are placed: standard uncertainties,
-    k = 1, of the calibrated parameters and of the joints' repeatability; the noise of single points comes on top.
+    Colours, intensities and all other properties of the points stay. Prints how well the points are placed: expanded uncertainties,
+    k = 2, of the calibrated parameters and of the joints' repeatability; the noise of single points comes on top.
 
     Example: mbcacq apply runs/today --joints=0,-90,90,0,30,0 scan.ply
     """
@@ -79,9 +81,8 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
         echo(f"*** {sentence} ***", err=True)
     for note in notes:
         echo(f"note: {note}", err=True)
-    x, y, z = placed.total_mm
+    x, y, z = (uncertainty(1e3 * K * sigma) for sigma in placed.total_mm)
+    middle, worst = (uncertainty(1e3 * K * sigma) for sigma in (placed.rms_mm, placed.worst_mm))
     echo(f"{out}: {len(moved)} points in the base frame")
-    echo(
-        f"placed within {x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z (k = 1), 3D {placed.rms_mm:.4f} mm in the middle, "
-        f"{placed.worst_mm:.4f} mm at worst"
-    )
+    echo(f"placed within U = {x}, {y}, {z} µm along X, Y, Z (k = 2), 3D {middle} µm in the middle, {worst} µm at worst")
+    say_next(*judge_first(result))

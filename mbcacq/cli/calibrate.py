@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mbcacq.cli.next_step import say_next
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
@@ -153,17 +153,17 @@ def command(
     else:
         print_result(result)
     if not as_json:
-        say_next(*next_step(data, result, bool(effects), out))
+        say_next(*next_step(data, effects, out))
 
 
-def next_step(data: tuple[Path, ...], result: dict[str, Any], with_effects: bool, out: Path | None) -> tuple[str, str]:
+def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None) -> tuple[str, str]:
     """What to do after a calibration, and the command for it: ask for what the model lacks, unless that was done."""
-    named = " ".join(map(str, data))
-    if not with_effects:
-        return "ask whether the model lacks an effect", f"mbcacq diagnose {named}"
+    if not effects:
+        return "ask whether the model lacks an effect", command_line("diagnose", *data)
     if out is None:
-        return "keep the result", f"mbcacq calibrate {named} --effects DIAGNOSIS.json --out result.json"
-    return "put the result to use", f"mbcacq export {out} --results DIR"
+        given = [word for file in effects for word in ("--effects", file)]
+        return "keep the result", command_line("calibrate", *data, *given, "--out", "result.json")
+    return "put the result to use", command_line("export", out, "--results", "results")
 
 
 def learnt_priors(fleet: Path | None) -> tuple[ArmPrior, ...]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
@@ -106,6 +107,7 @@ def command(
         echo(json.dumps({"format": "mbcacq-challenge/1", "seed": seed, "table": rows, "challenges": [o.to_dict() for o in outcomes]}))
     else:
         print_table(rows)
+        say_next("see what a plan of yours can show", command_line("plan", "check", plan or "seeing"))
 
 
 def print_table(rows: list[dict]) -> None:

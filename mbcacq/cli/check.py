@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import forget_failure, on_failure, say_next
+from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
@@ -74,7 +74,7 @@ def command(
         arm=arm,
         step=step,
         yes=yes,
-        began=lambda folder: on_failure("where all poses were measured, judge them", f"mbcacq check {result} {plan} --from {folder}"),
+        began=lambda folder: on_failure("where all poses were measured, judge them", command_line("check", result, plan, "--from", folder)),
     )
     loaded = mbcacq.load_plan(plan)
     days = UsualChanges() if fleet is None else read_day_to_day(fleet, loaded.cell.robot.name)
@@ -90,7 +90,10 @@ def command(
         for line in lines_of(done):
             echo(line)
         if not done.changed:
-            say_next("check again tomorrow, or after any work on the cell")
+            again = (option for option, given in (("--dry-run", dry_run), ("--arm", arm)) if given)
+            say_next("check again tomorrow, or after any work on the cell", command_line("check", result, plan, *again))
+        else:
+            say_next("look for the cause in the recording", command_line("diagnose", done.run))
     done.refuse_changed()
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
 
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command("collect")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option("--clouds", type=click.Path(path_type=Path), required=True, help="Folder of the clouds (PLY, PCD, STL, XYZ, ASC, TIFF ...).")
 @click.option("--joints", type=click.Path(path_type=Path), help="Joint angles as the controller logged them (.csv, .dat, .log).")
 @click.option(
@@ -76,6 +78,9 @@ def command(
         with steps:
             paired = pair_clouds(loaded, mbcacq.Sources(clouds, form, by, joints, table), operator=operator)
         print_pairs(paired, as_json)
+        if not as_json:
+            said = [word for option, file in (("--joints", joints), ("--poses", table)) if file for word in (option, file)]
+            say_next("make a run of them", command_line("collect", plan, "--clouds", clouds, *said))
         return
     with steps:
         done = mbcacq.collect(loaded, mbcacq.Sources(clouds, form, by, joints, table), out=out, resume=resume, operator=operator)
@@ -85,6 +90,7 @@ def command(
         from mbcacq.cli.calibrate import print_result
 
         print_result(done.to_dict())
+        say_next(*done.next_step)
     done.refuse_beyond_limit()
 
 

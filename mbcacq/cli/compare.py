@@ -7,37 +7,43 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import ConfigError
 
 
 @click.command("compare")
 @click.argument("data", type=RunPath())
 @click.argument("other", type=RunPath(), required=False)
+@click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="With OTHER: also a page with charts (HTML).")
 @click.option("--no-held-out", is_flag=True, help="Leave out the refits without some stations.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the split.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as one JSON object on stdout.")
-def command(data: Path, other: Path | None, no_held_out: bool, seed: int, as_json: bool) -> None:
+def command(data: Path, other: Path | None, report: Path | None, no_held_out: bool, seed: int, as_json: bool) -> None:
     """Calibrate the recording DATA in every way and compare: nominal, AX=XB and AX=ZB (Tsai-Lenz,
     Park-Martin, Horaud-Dornaika, Andreff, Daniilidis; Shah, Li), hand-eye only, the paper's method
     (as printed, and with more pairs of balls), distance constraint only, maximum likelihood. A method that DATA does not determine is
     listed with the reason.
 
     With OTHER, a second recording of the same arm: what changed from DATA to OTHER, parameter by parameter and effect by effect.
-    Both are run folders with a result, or a result.json.
+    Both are run folders with a result, or a result.json. Compared is what each recording alone says, without the prior that a calibration
+    has of the arm's links.
 
     \b
     Examples:
       mbcacq compare runs/today
-      mbcacq compare runs/monday runs/friday
+      mbcacq compare runs/monday runs/friday --report changes.html
     """
     import mbcacq
 
     if other is not None:
-        _print_changes(data, other, as_json)
+        _print_changes(data, other, report, as_json)
         return
+    if report is not None:
+        raise ConfigError("--report is of two recordings; give the second one, or take mbcacq report")
 
     with StepProgress() as progress:
         progress("reading the recording")
@@ -59,42 +65,41 @@ def command(data: Path, other: Path | None, no_held_out: bool, seed: int, as_jso
     console.print(table)
     for why in dict.fromkeys(row.why for row in rows if row.why):
         names = ", ".join(row.method for row in rows if row.why == why)
-        console.print(f"Undetermined: {names}: {why}", soft_wrap=True)
+        echo(f"Undetermined: {names}: {why}")
     for why in dict.fromkeys(row.why_not_held_out for row in rows if row.why_not_held_out):
         names = ", ".join(row.method for row in rows if row.why_not_held_out == why)
-        console.print(f"Nothing held out: {names}: without some poses, {why}", soft_wrap=True)
+        echo(f"Nothing held out: {names}: without some poses, {why}")
+    say_next("calibrate by maximum likelihood", command_line("calibrate", data))
 
 
-def _print_changes(first: Path, second: Path, as_json: bool) -> None:
+def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool) -> None:
     """The comparison of two recordings."""
     from mbcacq.workflow.compare_runs import compare_runs
 
     with StepProgress() as progress:
         progress("comparing")
         found = compare_runs(first, second)
+        if report is not None:
+            progress("drawing the page")
+            found.write_html(report)
     if as_json:
         echo(json.dumps(found.to_dict()))
         return
     from rich.table import Table
 
-    from mbcacq.quantities import measured, p_value, symbol
-
-    def shown(pair: tuple[float, float | None] | None) -> str:
-        return "–" if pair is None else measured(*pair)
-
-    table = Table(title=f"{found.robot}: {first} (before), {second} (after); ± U, k = 2", title_justify="left")
+    echo(f"{found.robot}: {first} (before), {second} (after)")
+    table = Table(title="± U, k = 2; ! is beyond chance", title_justify="left")
     table.add_column("")
     for name in ("before", "after", "change"):
         table.add_column(name, justify="right")
     table.add_column("unit")
-    for row in found.rows:
-        mark = "! " if row.significant else ""
-        change = shown(row.change) if row.change is not None or not row.why_not else row.why_not
-        table.add_row(f"{mark}{row.name}", shown(row.before), shown(row.after), change, symbol(row.unit))
-    console = terminal_console(highlight=False)
-    console.print(table)
-    together = f"χ² {found.chi2:.1f} of {found.dof} degrees of freedom, {p_value(found.p_value)}"
-    console.print(f"Arm and hand-eye together: {together}", soft_wrap=True, markup=False)
-    changed = ", ".join(row.name for row in found.changed)
-    verdict = f"Changed beyond chance (!): {changed}" if changed else "No single parameter changed beyond chance"
-    console.print(verdict, soft_wrap=True, markup=False)
+    for marked, name, *shown in found.table:
+        table.add_row(f"{'! ' * marked}{name}", *shown)
+    terminal_console(highlight=False).print(table)
+    for sentence in (*found.sentences, found.how):
+        echo(sentence)
+    if report is not None:
+        echo(f"page: {report}")
+        say_next("ask what the later recording says of the cause", command_line("diagnose", second))
+    else:
+        say_next("see it with its charts", command_line("compare", first, second, "--report", "changes.html"))

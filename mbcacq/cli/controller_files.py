@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
 
@@ -34,4 +35,4 @@ def command(plan: Path, out: Path, replace: bool, as_json: bool) -> None:
     for path in written:
         echo(str(path))
     echo("the tool frame in them is the plan's first guess, never verified: calibrate before it is relied upon")
-    echo(f"next: read {out / 'README.txt'}")
+    say_next(f"read {out / 'README.txt'}, then see whether the devices answer", command_line("doctor", plan))

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.next_step import say_next
+from mbcacq.cli.run_path import RunPath, judge_first
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import significant
 
 MOST_LINES = 20
 
@@ -52,11 +54,11 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
     moved = f", which missed their places by up to {np.nanmax(done.before_mm):.3f} mm" if np.isfinite(done.before_mm).any() else ""
     echo(f"{done.file}: {int(found.reached.sum())} of {len(found.q)} points corrected{moved}")
     if found.reached.any():
-        echo(f"residual of the corrected points by the model: at most {found.error_mm[found.reached].max():.6f} mm")
+        echo(f"residual of the corrected points by the model: at most {significant(1e3 * found.error_mm[found.reached].max(), 2)} µm")
     for p in np.flatnonzero(~found.reached)[:MOST_LINES]:
-        echo(f"  {_place(done.names[p], done.lines[p])}: not reached, {found.error_mm[p]:.3f} mm short: {found.reasons[p]}")
+        echo(f"  {_place(done.names[p], done.lines[p])}: not reached, {significant(found.error_mm[p])} mm short: {found.reasons[p]}")
     for p in np.flatnonzero(done.change > LARGE_CHANGE)[:MOST_LINES]:
-        changed = f"a joint changes by {np.degrees(done.change[p]):.2f} deg; look at it before it runs"
+        changed = f"a joint changes by {np.degrees(done.change[p]):.2f}°; look at it before it runs"
         echo(f"  {_place(done.names[p], done.lines[p])}: {changed}")
     if done.left_alone:
         echo(f"{len(done.left_alone)} more {'points are' if len(done.left_alone) > 1 else 'point is'} not corrected:")
@@ -64,6 +66,7 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
         echo(f"  {_place(name, line)}: {reason}")
     if len(done.left_alone) > MOST_LINES:
         echo(f"  and {len(done.left_alone) - MOST_LINES} more: --json lists all")
+    say_next(*judge_first(result))
 
 
 def _place(name: str, line: int) -> str:

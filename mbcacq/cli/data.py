@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.terminal import echo
 
 if TYPE_CHECKING:
@@ -143,8 +144,8 @@ def _write(found: UnderstoodTable, folder: Path, as_json: bool) -> None:
         return
     for sentence in found.sentences:
         echo(sentence)
-    alone = " --hand-eye-only" if obs.cell.robot.of_flange_poses else ""
-    echo(f"observation set: {folder}; next: mbcacq calibrate {folder}{alone}")
+    echo(f"observation set: {folder}")
+    say_next("calibrate with it", command_line("calibrate", folder, "--hand-eye-only" if obs.cell.robot.of_flange_poses else ""))
 
 
 def options_of(columns: tuple[str, ...], robot: str | None, noise: tuple[float, float, float] | None, said: dict[str, Any]) -> TableOptions:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import say_next
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -73,6 +74,13 @@ if TYPE_CHECKING:
     metavar="NEXT.yaml",
     help="Write the poses that would decide most of what is left open as a plan, which runs: mbcacq run --extend RUN NEXT.yaml.",
 )
+@click.option(
+    "--minutes",
+    type=click.FloatRange(0.01),
+    default=OPTIONS.minutes,
+    show_default=True,
+    help="End the search after so many minutes, and say what was found by then: the verdict is then 'cannot tell'.",
+)
 @click.option("--evidence", "look", is_flag=True, help="Only weigh the evidence as it stands, without validation: a look within seconds.")
 @click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")
 def command(
@@ -92,6 +100,7 @@ def command(
     propose: Path | None,
     effect_files: tuple[Path, ...],
     next_file: Path | None,
+    minutes: float,
     look: bool,
     write_model: Path | None,
 ) -> None:
@@ -109,16 +118,16 @@ def command(
       mbcacq diagnose motion1 motion2 --simulation arm.xml --write-model found.xml
     """
     import mbcacq
-    from mbcacq.effects.catalogue import with_files
+    from mbcacq.effects.catalogue import with_added
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
     refuse_pictures_of_motion(data, report, rrd)
     if look:
-        with with_files(effect_files):
+        with with_added(effect_files):
             print_evidence(data, options, out, as_json)
         return
-    with StepProgress() as progress, with_files(effect_files):
+    with StepProgress() as progress, with_added(effect_files):
         progress("reading the recording")
         found = mbcacq.diagnose(
             data,
@@ -129,6 +138,7 @@ def command(
             place=place,
             simulation=simulation or None,
             propose=propose is not None,
+            minutes=minutes,
         )
         if write_model is not None:
             write_matched_model(found, write_model)
@@ -139,9 +149,14 @@ def command(
                 found.keep(data[0])
         calibrated = with_effects(data, found, options) if with_found else []
         calibrated += [] if propose is None else proposed(found, propose)
+        then = next_step(data, found, with_found)
         if next_file is not None:
             progress("choosing what to measure next")
-            calibrated += planned_next(data, next_file)
+            planned = planned_next(data, next_file)
+            calibrated += planned
+            if f"written to {next_file}" in planned:
+                dry = "--dry-run" if found.observations is not None and found.observations.cell.simulated else "--arm"
+                then = "measure them", command_line("run", next_file, "--extend", data[0], dry)
     if out is not None:
         from mbcacq.files.atomic_write import write_file
 
@@ -150,22 +165,22 @@ def command(
     for line in calibrated:
         echo(line, err=as_json)
     if not as_json:
-        say_next(*next_step(data, found, with_found))
+        say_next(*then)
 
 
 def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found: bool) -> tuple[str, str]:
     """What to do after a diagnosis, and the command for it."""
     from mbcacq.workflow.load import is_run_folder
 
-    named, run = " ".join(map(str, data)), is_run_folder(data[0])
+    run = is_run_folder(data[0])
     if with_found:
-        return "put the result to use", f"mbcacq export {data[0] / 'with-effects' if run else 'with-effects'} --results DIR"
+        return "put the result to use", command_line("export", data[0] / "with-effects" if run else "with-effects", "--results", "results")
     if found.model:
-        return "calibrate with what was found", f"mbcacq diagnose {named} --calibrate"
+        return "calibrate with what was found", command_line("diagnose", *data, "--calibrate")
     if found.poses is not None and run:
-        return "see it in the report", f"mbcacq report {data[0]}"
-    page = " --report diagnosis.html" if found.poses else ""
-    return "keep it", f"mbcacq diagnose {named} --out diagnosis.json{page}"
+        return "see it in the report", command_line("report", data[0])
+    page = ("--report", "diagnosis.html") if found.poses else ()
+    return "keep it", command_line("diagnose", *data, "--out", "diagnosis.json", *page)
 
 
 def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:
@@ -184,7 +199,7 @@ def planned_next(data: tuple[Path, ...], file: Path) -> list[str]:
     if len(data) != 1:
         raise ConfigError("the next measurements extend one run; give one with --next")
     planned = mbcacq.next_plan(data[0], file)
-    written = [f"{file}: mbcacq run --extend {data[0]} {file}"] if planned.text else []
+    written = [f"written to {file}"] if planned.text else []
     return ["", *planned.sentences, *written]
 
 
@@ -205,6 +220,8 @@ def print_evidence(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, o
 
         write_file(out, text + "\n")
     echo(text if as_json else evidence_in_words(evidence))
+    if not as_json:
+        say_next("let what it names be proven on held-out poses", command_line("diagnose", *data))
 
 
 def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:

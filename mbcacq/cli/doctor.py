@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
@@ -65,8 +66,17 @@ def command(plan: Path | None, protocol: bool, evidence: Path | None, anonymous:
     wrong = [line for line in found if line.level == "error"]
     if as_json:
         echo(json.dumps({"format": "mbcacq-doctor/1", "errors": len(wrong), "lines": [line.to_dict() for line in found]}))
+    else:
+        say_next(*next_step(plan, bool(wrong)))
     if wrong:
         sys.exit(ExitCode.UNREACHABLE if any(line.topic.startswith(DEVICES) for line in wrong) else ExitCode.USAGE)
+
+
+def next_step(plan: Path | None, wrong: bool) -> tuple[str, str]:
+    """What to do after a look at the computer, and the command for it."""
+    if wrong:
+        return "do what the arrows say, then look again", command_line("doctor", plan or "")
+    return "try it without hardware", command_line("run", plan or "kuka", "--dry-run")
 
 
 def page_of(plan: Path | None) -> str:

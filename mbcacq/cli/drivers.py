@@ -6,6 +6,7 @@ import json
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.terminal import echo
 
 
@@ -39,3 +40,4 @@ def command(as_json: bool) -> None:
     for d in found:
         if d.problem:
             echo(f"{d.kind} {d.name} ({d.target}): {d.problem}")
+    say_next("look whether this computer is ready for them", command_line("doctor"))

@@ -9,9 +9,11 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import K, uncertainty
 
 _OPTIONS = (
     click.option(
@@ -91,8 +93,20 @@ def command(
         one.pop("simulated", None)
         for note in one.pop("notes", ()):
             echo(f"note: {note}", err=True)
-        more = ", ".join(f"uncertainty {v:.4f} mm (k = 1)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file")
+        more = ", ".join(
+            f"U = {uncertainty(K * v)} mm (k = 2)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file"
+        )
         echo(one["file"] + (f": {more}" if more else ""))
+    say_next(*next_step(run, observations, results))
+
+
+def next_step(run: Path, observations: Path | None, results: Path | None) -> tuple[str, str]:
+    """What to do after an export, and the command for it."""
+    if observations is not None:
+        return "calibrate with the observation set", command_line("calibrate", observations)
+    if results is not None:
+        return "let joint angles of a program reach their places by it", command_line("correct", "--help")
+    return "see the whole run", command_line("report" if run.is_dir() else "view", run)
 
 
 def _caveats(run: Path, results: Path | None, written: list[dict[str, Any]]) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -40,7 +41,7 @@ def command(plan: Path, fast: bool, program: Path | None, clouds: Path | None, s
             steps.begin("playing the program")
             files = load_driver("fakes", "rehearsal")(loaded, poses, program, clouds, seed=seed)
             echo(f"{len(files) - 1} clouds and {files[-1]}")
-            echo(f"next: mbcacq collect {plan} --clouds {clouds} --joints {files[-1]}")
+            say_next("make a run of them", command_line("collect", plan, "--clouds", clouds, "--joints", files[-1]))
             return
     quit_event = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -50,5 +51,6 @@ def command(plan: Path, fast: bool, program: Path | None, clouds: Path | None, s
         for role, options in cell.overrides().items():
             if places := ", ".join(f"{k} {v}" for k, v in options.items() if v not in ("", None)):
                 echo(f"  {role}: {places}")
-        echo(f"now, in another terminal: mbcacq run {plan}    (Ctrl-C here ends the fake cell)")
+        echo("Ctrl-C here ends the fake cell")
+        say_next("in another terminal", command_line("run", plan, "--yes"))
         quit_event.wait()

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
@@ -41,7 +42,7 @@ def command(
 
     Writes fleet.parquet (a row for each recording), fleet.html (drift of each arm with control limits, arms of one type beside each
     other, outliers) and recordings/ (each result). What is done there already is not repeated. A broken recording is a row with its
-    reason.
+    reason. It needs the extra 'fleet': pip install 'mbcacq[fleet]'.
 
     \b
     Examples:
@@ -75,6 +76,7 @@ def command(
         echo(f"{path} was damaged; its recording was evaluated anew")
     echo(f"table: {found.table}")
     echo(f"page: {found.page}")
+    say_next("look at the arms over time", command_line("serve", out))
 
 
 class FleetProgress:

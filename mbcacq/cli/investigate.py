@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.next_step import forget_failure, on_failure, say_next
+from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.terminal import echo
 
@@ -69,7 +69,7 @@ def command(
         arm=arm,
         step=step,
         yes=yes,
-        began=lambda folder: on_failure("go on where it ended", f"mbcacq investigate{same} --resume {folder}"),
+        began=lambda folder: on_failure("go on where it ended", command_line("investigate", *same, "--resume", folder)),
     )
     budget = mbcacq.Budget(poses=poses, moves=moves, minutes=minutes, limit_mm=limit_mm)
     with steps:
@@ -88,4 +88,4 @@ def command(
 
     print_result(done.to_dict())
     echo(f"how it was found: {going.page}")
-    say_next("calibrate with what was found", f"mbcacq diagnose {going.folder} --calibrate")
+    say_next("calibrate with what was found", command_line("diagnose", going.folder, "--calibrate"))

@@ -1,20 +1,26 @@
-"""What to do next, in one line after a command, as a person who knows the tool would say it; on stderr, and not for programs."""
+"""What to do next, in one line after a command, as a person who knows the tool would say it; on stderr, and not for programs.
+
+The command of such a line can be pasted: it is never broken, and words with spaces in them are quoted.
+"""
 
 from __future__ import annotations
 
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import command_line
 
-_after_failure: list[str] = []
+__all__ = ["command_line", "forget_failure", "on_failure", "say_after_failure", "say_next"]
+
+_after_failure: list[tuple[str, str]] = []
 
 
-def say_next(what: str, command: str = "") -> None:
-    """Print the next step. what: in words; command: that does it, or ''."""
-    echo(f"next: {what[:1].lower()}{what[1:]}" + (f": {command}" if command else ""), err=True)
+def say_next(what: str, command: str) -> None:
+    """Print the next step. what: in words; command: that does it."""
+    echo(f"next: {what[:1].lower()}{what[1:]}:", err=True, whole=command)
 
 
 def on_failure(what: str, command: str) -> None:
     """Keep the next step for the case that the command fails or is interrupted: it is then the last line that is printed."""
-    _after_failure[:] = [f"next: {what}: {command}"]
+    _after_failure[:] = [(what, command)]
 
 
 def forget_failure() -> None:
@@ -24,6 +30,6 @@ def forget_failure() -> None:
 
 def say_after_failure() -> None:
     """Print what ``on_failure`` kept, once."""
-    for line in _after_failure:
-        echo(line, err=True)
+    for what, command in _after_failure:
+        say_next(what, command)
     _after_failure.clear()

@@ -42,6 +42,7 @@ def operator_at_terminal(
     )
 
 
-def as_before(*, dry_run: bool, seed: int, arm: bool, step: bool, yes: bool) -> str:
-    """The options that a command which goes on with an interrupted one repeats, each with a space before it."""
-    return "".join([" --dry-run" * dry_run, f" --seed {seed}" * bool(seed), " --arm" * arm, " --step" * step, " --yes" * yes])
+def as_before(*, dry_run: bool, seed: int, arm: bool, step: bool, yes: bool) -> list[str]:
+    """The options that a command which goes on with an interrupted one repeats."""
+    given = [word for word, set_ in (("--dry-run", dry_run), ("--arm", arm), ("--step", step), ("--yes", yes)) if set_]
+    return [*given, *(("--seed", str(seed)) if seed else ())]

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from mbcacq.cli.next_step import say_next
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_copy import copy
 from mbcacq.cli.plan_design import design
 from mbcacq.cli.plan_path import PlanPath
@@ -77,7 +77,7 @@ def new(
         places = [str(s.id) for s in made.plan.stations]
         echo(json.dumps({"format": "mbcacq-new-plan/1", "plan": str(out), "name": made.plan.name, "stations": places}))
     else:
-        say_next("see what it can and cannot determine", f"mbcacq plan check {out}")
+        say_next("see what it can and cannot determine", command_line("plan", "check", out))
 
 
 @command.command("show")
@@ -108,7 +108,7 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
     _print_steps(content)
     _print_poses(content)
     echo(_time_sentence(content))
-    say_next("find what is wrong with it", f"mbcacq plan check {plan}")
+    say_next("find what is wrong with it", command_line("plan", "check", plan))
 
 
 @command.command("check")
@@ -161,9 +161,11 @@ def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> Non
         warnings = sum(f.level == "warning" for f in findings)
         echo(f"{errors} error{'s' * (errors != 1)}, {warnings} warning{'s' * (warnings != 1)}")
         if not errors:
-            say_next("try it without hardware", f"mbcacq run {plan} --dry-run")
+            say_next("try it without hardware", command_line("run", plan, "--dry-run"))
         elif any(f.code == "move-station" for f in findings):
-            say_next("let the stations be moved into reach", f"mbcacq plan check {plan} --fix")
+            say_next("let the stations be moved into reach", command_line("plan", "check", plan, "--fix"))
+        else:
+            say_next("correct the plan, then look again", command_line("plan", "check", plan))
     if errors:
         sys.exit(ExitCode.USAGE)
 
@@ -223,6 +225,6 @@ def _time_sentence(content: dict[str, Any]) -> str:
 
 
 def _axis_sentence(axis: dict[str, Any]) -> str:
-    units = {"speed": "deg/s", "acceleration": "deg/s2", "jerk": "deg/s3"}
+    units = {"speed": "°/s", "acceleration": "°/s²", "jerk": "°/s³"}
     figures = (f"{axis[what]:.0f} of {axis[f'{what}_limit']:.0f} {unit}" for what, unit in units.items())
     return f"A{axis['axis']}: at most {', '.join(figures)}"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.next_step import say_next
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.terminal import echo
 
 
@@ -26,4 +26,4 @@ def copy(name: str, folder: Path, force: bool) -> None:
     written = copy_plan(name, folder, force=force)
     for path in written:
         echo(str(path))
-    say_next("look at it, change what differs in your cell", f"mbcacq plan check {written[0]}")
+    say_next("look at it, change what differs in your cell", command_line("plan", "check", written[0]))

@@ -8,10 +8,12 @@ from typing import Any
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import significant
 
 
 @click.command("design")
@@ -124,6 +126,7 @@ def design(
         return
     _print_comparison(rows)
     echo(f"chosen from {result.tried} views that can be taken; written to {target}")
+    say_next("try it without hardware", command_line("run", target, "--dry-run"))
 
 
 def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int, force: bool, as_json: bool) -> None:
@@ -151,6 +154,7 @@ def order_plan(plan: Path, count: int | None, out: Path, tilt: float, seed: int,
     for end, share in zip(ends, found.shares, strict=True):
         echo(f"after {end:3d} poses: {share:.0%} of what all poses of {plan.name} show")
     echo(f"chosen from {found.tried} poses that can be taken; written to {out}")
+    say_next("try it without hardware", command_line("run", out, "--dry-run"))
 
 
 def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out: Path, seed: int, force: bool, as_json: bool) -> None:
@@ -177,13 +181,14 @@ def design_motion(plan: Path, recordings: tuple[Path, ...], seconds: float, out:
     for name in ("parameter", "recorded", "with this motion"):
         table.add_column(name, justify="left" if name == "parameter" else "right")
     for name, before, after in zip(found.names, found.before, found.after, strict=True):
-        table.add_row(name, f"{before:.3g}", f"{after:.3g}")
+        table.add_row(name, significant(before, 2), significant(after, 2))
     terminal_console().print(table)
     for pair, before in found.correlation_before.items():
         echo(f"correlation of {pair}: {before:.4f} recorded, {found.correlation_after[pair]:.4f} with this motion")
     echo(
         f"{seconds:g} s from home to home, within the limits of {plan.name}, free of collisions with no artefact in place; written to {out}"
     )
+    say_next("let the arm go through it, record its torques as before, then diagnose both", command_line("diagnose", *recordings))
 
 
 def _print_comparison(rows: list[dict[str, Any]]) -> None:
@@ -205,5 +210,5 @@ def _print_comparison(rows: list[dict[str, Any]]) -> None:
     for key, label in shown.items():
         values = [row[key] for row in rows]
         if any(v is not None for v in values):
-            table.add_row(label, *("not determined" if v is None else str(v) if isinstance(v, int) else f"{v:.4g}" for v in values))
+            table.add_row(label, *("not determined" if v is None else str(v) if isinstance(v, int) else significant(v) for v in values))
     terminal_console().print(table)

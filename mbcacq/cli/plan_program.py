@@ -8,6 +8,8 @@ from typing import Literal
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -16,7 +18,7 @@ LANGUAGES = ("krl", "rapid", "karel", "urscript", "vplus", "inform", "csv")
 
 
 @click.command("program")
-@click.argument("plan", type=click.Path(path_type=Path))
+@click.argument("plan", type=PlanPath())
 @click.option("--for", "dialect", type=click.Choice(LANGUAGES), required=True, help="Language of the controller.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder to write to.")
 @click.option("--name", default="mbcacq_poses", show_default=True, help="Of the program, at most 12 characters.")
@@ -64,4 +66,7 @@ def program(
     for path in written:
         echo(str(path))
     echo("nobody has run this program: first in T1 or at reduced speed, a hand on the enabling switch")
-    echo(f"next: read {out / 'README.txt'}; then mbcacq collect {plan} --clouds FOLDER")
+    say_next(
+        f"read {out / 'README.txt'}, save the clouds of the scanner in a folder 'clouds'",
+        command_line("collect", plan, "--clouds", "clouds"),
+    )

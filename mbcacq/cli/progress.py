@@ -36,9 +36,9 @@ class RunProgress:
         if isinstance(event, events.RunStarted | events.RunStopped | events.StateChanged):
             self._frame(event)
         elif isinstance(event, events.Message) and event.source == events.OPERATOR:
-            self._console.print(event.text, markup=False, soft_wrap=True)
+            self._say(event.text)
         elif isinstance(event, events.Message) and event.level in ("warning", "error"):
-            self._console.print(f"{event.level}: {event.text}", markup=False, soft_wrap=True)
+            self._say(f"{event.level}: {event.text}")
         else:
             self._count(event)
 
@@ -51,7 +51,7 @@ class RunProgress:
                 self._total, self._before = event.n_poses, event.n_poses - len(event.route) if event.route else 0
                 self._done, self._since = 0, None  # an investigation is several runs
                 if event.simulated:
-                    self._console.print(f"*** {SIMULATED} ***", markup=False, soft_wrap=True)
+                    self._say(f"*** {SIMULATED} ***")
                 if self._task is not None:
                     self._bar.remove_task(self._task)
                 self._task = self._bar.add_task("connecting", total=event.n_poses, completed=self._before, station="-", balls="-")
@@ -68,7 +68,7 @@ class RunProgress:
                     if event.exit_status == "success"
                     else f"run ended after {self._before + self._done} of {self._total} poses"
                 )
-                self._console.print(end, markup=False, soft_wrap=True)  # why, the command says itself
+                self._say(end)  # why, the command says itself
 
     def _count(self, event: events.Event) -> None:
         """Step, station, balls and poses done."""
@@ -96,9 +96,11 @@ class RunProgress:
         if self._stepped or done % 10 == 0 or done == self._total:
             self._stepped = False
             balls = f"{self._balls} ball{'s' * (self._balls != 1)}"
-            self._console.print(
-                f"{self._step}: {done} of {self._total} poses, station {self._station}, {balls}{left}", markup=False, soft_wrap=True
-            )
+            self._say(f"{self._step}: {done} of {self._total} poses, station {self._station}, {balls}{left}")
+
+    def _say(self, text: str) -> None:
+        """A line that stays: broken between words on a terminal, whole elsewhere."""
+        self._console.print(text, markup=False, highlight=False, soft_wrap=not self._console.is_terminal)
 
     def _left(self, now: float, poses: int) -> str:
         """The time left, from the poses between the first one of this call and now; nothing is known of it before the second."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -62,6 +63,10 @@ def command(recording: Path, check: bool, as_json: bool) -> None:
             echo(f"{item.source}: torn or damaged; {content} are in {item.output}{end}")
         else:
             echo(f"{item.source}: nothing to do, {content}{end}")
+    if recording.is_dir() and not all(item.complete for item in found):
+        say_next("go on where the run ended", command_line("run", "--resume", recording))
+    else:
+        say_next("calibrate with what is there", command_line("calibrate", recording if recording.is_dir() else found[-1].output))
 
 
 def print_check(recording: Path, as_json: bool) -> None:

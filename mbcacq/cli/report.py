@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.next_step import say_next
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -44,5 +44,15 @@ def command(run: Path, out: Path | None, pdf: bool, with_diagnosis: bool, as_jso
         echo(json.dumps({"format": "mbcacq-report/1", "report": str(path), "bytes": path.stat().st_size}))
     else:
         echo(str(path))
-        if run.is_dir() and not (run / "diagnosis.json").exists():
-            say_next("ask which effects the model lacks", f"mbcacq diagnose {run}")
+        say_next(*next_step(run))
+
+
+def next_step(run: Path) -> tuple[str, str]:
+    """What to do after a report, and the command for it."""
+    from mbcacq.report.sources.run_folder import WITH_EFFECTS
+
+    if not (run / "diagnosis.json").exists():
+        return "ask which effects the model lacks", command_line("diagnose", run)
+    if not (run / WITH_EFFECTS / "result.json").exists():
+        return "calibrate with what was found", command_line("diagnose", run, "--calibrate")
+    return "put the result to use", command_line("export", run / WITH_EFFECTS, "--results", "results")

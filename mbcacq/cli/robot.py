@@ -8,7 +8,10 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import significant
 
 
 @click.group("robot")
@@ -70,7 +73,9 @@ def import_(
             arguments=given,
         )
 
-    found = read(base, flange)
+    with StepProgress() as steps:
+        steps.begin(f"reading {file.name} and comparing it at random postures")
+        found = read(base, flange)
     is_table = file.suffix.lower() in (".csv", ".yaml", ".yml")
     if sys.stdin.isatty() and not as_json and not is_table and (base is None or flange is None):
         wanted = base or click.prompt("The arm's base", default=found.base, err=True)
@@ -90,9 +95,12 @@ def import_(
     for remark in found.remarks:
         echo(f"note: {remark}", err=True)
     echo(f"{target}: {len(found.joints)} axes, {found.base} to {found.flange} ({', '.join(found.joints)})")
-    echo(f"at 200 random postures it agrees with {file.name} within {found.miss_mm:.1e} mm and {found.miss_rad:.1e} rad")
+    miss = f"{significant(found.miss_mm, 2)} mm and {significant(found.miss_rad, 2)} rad"
+    echo(f"at 200 random postures it agrees with {file.name} within {miss}")
     if file.suffix.lower() == ".urdf":
         echo(f"to see its meshes in the viewer, add `urdf: {file}` below `robot:` in the plan")
+    tools = ("--scanner", "gocator-3210", "--artefact", "mbc-8")
+    say_next("make a plan for it, here with a scanner of the tool's own", command_line("plan", "new", "--robot", target, *tools))
 
 
 def _pairs(option: str, given: tuple[str, ...]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import forget_failure, on_failure, say_next
+from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo, printable
@@ -79,7 +79,7 @@ def command(
         arm=arm,
         step=step,
         yes=yes,
-        began=lambda folder: on_failure("go on where it ended", f"mbcacq run{same} --resume {folder}"),
+        began=lambda folder: on_failure("go on where it ended", command_line("run", *same, "--resume", folder)),
         artefact_moved=lambda station: False if dry_run or yes else ask_whether_moved(station),
     )
     with steps:

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from mbcacq.errors import command_line
+
 
 class RunPath(click.Path):
     """A path; 'latest' and 'runs/latest' become the folder of the newest run."""
@@ -25,3 +27,14 @@ class RunPath(click.Path):
         if (folder / INCOMPLETE).exists():
             finish_set(folder)
         return run
+
+
+def judge_first(result: Path) -> tuple[str, str]:
+    """What to do before something that a result made is relied upon, and the command for it. result: a run folder with one, the folder of
+    its result with effects, or a result.json."""
+    from mbcacq.report.sources.run_folder import WITH_EFFECTS
+
+    if not result.is_dir():
+        return "try the result on another recording first", command_line("verify", "--help")
+    run = result.parent if result.name == WITH_EFFECTS and (result.parent / "result.json").exists() else result
+    return "see first how far the result is to be trusted, and where", command_line("report", run)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -48,6 +49,8 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
             samples = write_motion(plan, out)
         written = {"format": "mbcacq-simulation/1", "folder": str(out), "samples": samples}
         echo(json.dumps(written) if as_json else f"{samples} samples written to {out}")
+        if not as_json:
+            say_next("compare the recording with it", command_line("diagnose", plan, "--simulation", out))
         return
     with StepProgress() as steps:
         steps.begin("computing what would be recorded")
@@ -56,6 +59,8 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
     poses, centres = observations.n_poses, observations.n_centres
     written = {"format": "mbcacq-simulation/1", "folder": str(out), "poses": poses, "centres": centres, "noise": noise}
     echo(json.dumps(written) if as_json else f"{poses} poses, {centres} ball centres written to {out}")
+    if not as_json:
+        say_next("calibrate with it as with a recording", command_line("calibrate", out))
 
 
 def write_motion(trajectory: Path, out: Path) -> int:

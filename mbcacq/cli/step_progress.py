@@ -107,7 +107,8 @@ class StepProgress:
             return ""
         number, of = self._count
         each = (self._began - self._counting_since) / (number - 1)
-        return f", about {max(each * (of - number + 1) - (now - self._began), 1.0):.0f} s left"
+        left = each * (of - number + 1) - (now - self._began)
+        return f", about {max(left, 1.0):.0f} s left" if left > 0 else ""  # a part that lasts longer than all that should be left
 
     def _say(self, text: str) -> None:
         self._said = True

@@ -25,7 +25,7 @@ class KeyPause:
     def wait(self, pose: PlannedPose, n_poses: int) -> None:
         if self._free:
             return
-        where = f"pose {pose.number} of 0 to {n_poses - 1} ({pose.step_name}, station {pose.station})"
+        where = f"pose {pose.number} ({pose.step_name}, station {pose.station}; the last is pose {n_poses - 1})"
         echo(f"next: {where}; Enter moves, g goes on without asking, q ends the run: ", err=True, nl=False)
         answer = self._answer()
         if answer is None or answer.strip().lower() in ("q", "quit"):

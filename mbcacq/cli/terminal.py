@@ -42,14 +42,21 @@ def printable(text: str) -> str:
     return _UNSAFE.sub(lambda found: ascii(found.group())[1:-1], text)
 
 
-def echo(text: str = "", err: bool = False, nl: bool = True, label: tuple[str, str] | None = None, color: bool | None = None) -> None:
+def echo(
+    text: str = "", err: bool = False, nl: bool = True, label: tuple[str, str] | None = None, color: bool | None = None, whole: str = ""
+) -> None:
     """Print a line of our own words and foreign data, on a terminal of any encoding. label: a word in front, and its colour; color: whether
-    colours are shown, by default on a terminal."""
+    colours are shown, by default on a terminal; whole: the end of the line, which is never broken, such as a command to be pasted."""
     stream = sys.stderr if err else sys.stdout
     first = "" if label is None else click.style(printable(label[0]), fg=label[1])
     shown = _encodable(printable(text), stream)
+    unbroken = _encodable(printable(whole), stream)
     if nl and stream.isatty():
-        shown = wrapped(shown, shutil.get_terminal_size().columns, 0 if label is None else len(label[0]))
+        columns = shutil.get_terminal_size().columns
+        shown = wrapped(shown, columns, 0 if label is None else len(label[0]))
+        if unbroken and len(shown) + 1 + len(unbroken) > columns:
+            shown, unbroken = f"{shown}\n", f"  {unbroken}"
+    shown += f" {unbroken}" if unbroken and not shown.endswith("\n") else unbroken
     click.echo(first + shown, err=err, nl=nl, color=color)
 
 

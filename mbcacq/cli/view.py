@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -41,6 +42,7 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
     sources = open_viewer.files(run)
     if screenshot is None:
         open_viewer.view(sources, lambda: echo("opening the viewer; close its window to end", err=True))
+        say_next(*next_step(run))
         return
     width, _, height = size.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 200 <= int(width) <= 8000 and 200 <= int(height) <= 8000):
@@ -49,3 +51,11 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
         pictures = open_viewer.screenshots(sources, screenshot, (int(width), int(height)), pose, progress)
     for picture in pictures:
         echo(str(picture))
+    say_next(*next_step(run))
+
+
+def next_step(run: Path) -> tuple[str, str]:
+    """What to do after a look at a recording, and the command for it."""
+    if run.is_dir():
+        return "read the figures", command_line("report", run)
+    return "calibrate with it", command_line("calibrate", run)

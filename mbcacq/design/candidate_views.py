@@ -86,7 +86,7 @@ class _Choice:
 
     def __init__(self, loaded: LoadedPlan, options: DesignOptions) -> None:
         self._loaded, self._options = loaded, options
-        self._solver, self._clearance = inverse_kinematics(loaded.cell.robot), clearance_of(loaded)
+        self._solver, self._clearance = inverse_kinematics(loaded.cell.robot, sampled=True), clearance_of(loaded)
 
     def seen(self, station: str, aim: int | None, views: list[View]) -> list[_SeenView]:
         """Those of ``views`` of one ball, or of all (None), that show enough balls, none of which hides another."""

@@ -22,7 +22,7 @@ from mbcacq.plan.clearance import Clearance, Closest
 from mbcacq.plan.motion_limits import motion_limits
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExcitationOptions:
     """Effort and form of the search, each number with its reason."""
 

@@ -74,6 +74,9 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
     if len(artefact.balls) < 3:
         raise ConfigError(f"{request.artefact}: {len(artefact.balls)} balls leave its orientation open; three at least are needed")
     names = {p: _beside(p, request.out) for p in (request.robot, request.artefact)}
+    for file in names.values():
+        if (request.out.parent / file).resolve() == request.out.resolve():
+            raise ConfigError(f"{request.out} is the name of a file that the plan itself needs beside it; give another --out")
     head = _head(request, spec, artefact, names)
     progress("looking for places that the arm reaches and the scanner sees")
     draft = load(request.out, _text(head, _places(spec), artefact.id, _placeholder("c1")))
@@ -97,8 +100,7 @@ def write_new_plan(request: NewPlan, progress: Callable[[str], None] = lambda te
     yield f"{request.out}: {len(poses)} poses at {len(places)} stations, chosen from {result.tried} views that can be taken"
     if left_out:
         yield f"{left_out} views were left out again, because no free path leads to them"
-    yield f"next: mbcacq plan check {request.out}; mbcacq run {request.out} --dry-run"
-    yield "then put your own numbers in: hand_eye from a drawing, obstacles, workspace, payload; and `plan check` again"
+    yield "put your own numbers in: hand_eye from a drawing, obstacles, workspace, payload"
 
 
 def _refuse_sources(request: NewPlan) -> None:
@@ -170,7 +172,7 @@ def _home(spec: RobotSpec, T_flange_scanner: np.ndarray) -> np.ndarray:
     """Joint angles (n,) deg, whole: the scanner in front of the arm, looking down, far from limits and with a bent wrist."""
     robot = spec.model()
     reach, shoulder = _reach(spec)
-    solver, best, most = inverse_kinematics(robot), None, -np.inf
+    solver, best, most = inverse_kinematics(robot, sampled=True), None, -np.inf
     up = -robot.gravity
     for share, height in ((0.5, 0.0), (0.45, 0.15), (0.55, -0.15), (0.6, 0.1), (0.4, 0.0)):
         for turn in range(0, 360, 45):

@@ -9,7 +9,7 @@ import numpy as np
 SixSigmas = tuple[float, float, float, float, float, float]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DesignOptions:
     """Angles in rad unless a name says deg, lengths in mm.
 

@@ -15,6 +15,7 @@ from mbcacq.errors import CalibrationError
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.findings import PlanFinding
 from mbcacq.plan.routing import Routes, find_paths
+from mbcacq.quantities import K, significant, symbol, uncertainty, with_unit
 
 Figures = tuple[list[PlanFinding], PredictedAccuracy | None, Detectability | None]
 
@@ -34,12 +35,12 @@ def identifiability_findings(
     useful = [p for p in poses if p.balls]
     if not any(p.phase != "verification" for p in useful):
         sentence = "there is no pose to calibrate with; add steps of another phase"
-        return [PlanFinding("warning", "undetermined", "", place, sentence)], None, None
+        return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)], None, None
     try:
         accuracy = predicted_accuracy(loaded, useful)
     except CalibrationError as error:
         sentence = f"a calibration will refuse these poses: {error}"
-        return [PlanFinding("warning", "undetermined", "", place, sentence)], None, None
+        return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)], None, None
     starts = {p["pose"]: p["start_s"] for p in summary["poses"]}
     transits = dict(zip((p.number for p in poses), (routes or find_paths(loaded, poses))[0], strict=True))
     effects = detectability(loaded, useful, [transits[p.number] for p in useful], [starts[p.number] for p in useful], options)
@@ -48,23 +49,27 @@ def identifiability_findings(
 
 def reach_findings(loaded: LoadedPlan) -> list[PlanFinding]:
     """The way out for each station with views out of reach."""
-    return [PlanFinding("info", "move-station", "", f"{loaded.path}:{m.line}", m.sentence()) for m in station_moves(loaded)]
+    return [
+        PlanFinding(level="info", code="move-station", step="", place=f"{loaded.path}:{m.line}", sentence=m.sentence())
+        for m in station_moves(loaded)
+    ]
 
 
 def _of_accuracy(accuracy: PredictedAccuracy, place: str, weak_mm: float) -> list[PlanFinding]:
     if accuracy.hand_eye_alone:
-        return [PlanFinding("info", "hand-eye-alone", "", place, HAND_EYE_ALONE)]
+        return [PlanFinding(level="info", code="hand-eye-alone", step="", place=place, sentence=HAND_EYE_ALONE)]
     harmful = [u for u in accuracy.undetermined if not u.harmless]
     if harmful:
         names = ", ".join(u.name for u in harmful)
         sentence = f"these poses do not determine {names}; add stations at other places and poses with a larger range of joint angles"
-        return [PlanFinding("warning", "undetermined", "", place, sentence)]
+        return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)]
     if accuracy.workspace_mm is not None and accuracy.workspace_mm > weak_mm:
+        U = uncertainty(K * accuracy.workspace_mm)
         sentence = (
-            f"a point measured anywhere in reach will be uncertain by {accuracy.workspace_mm:.2f} mm; add stations at other places, "
-            f"heights and distances"
+            f"a point measured anywhere in reach will be uncertain by U = {U} mm (k = 2); add stations "
+            "at other places, heights and distances"
         )
-        return [PlanFinding("warning", "weak", "", place, sentence)]
+        return [PlanFinding(level="warning", code="weak", step="", place=place, sentence=sentence)]
     return []
 
 
@@ -76,7 +81,15 @@ def _of_detectability(found: Detectability, place: str) -> list[PlanFinding]:
     if not hidden:
         return []
     listed = "; ".join(f"{name} ({', '.join(sorted(locations))})" for name, locations in hidden.items())
-    return [PlanFinding("info", "blind", "", place, f"effects that these poses would not detect at their usual size: {listed}")]
+    return [
+        PlanFinding(
+            level="info",
+            code="blind",
+            step="",
+            place=place,
+            sentence=f"effects that these poses would not detect at their usual size: {listed}",
+        )
+    ]
 
 
 def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
@@ -86,14 +99,15 @@ def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
     lines = [f"determines {accuracy.determined} of {accuracy.parameters} parameters of {what}; observability {indices}"]
     if accuracy.distance_mm is not None:
         spread = [e for _, e in accuracy.distances]
-        parts = f"{accuracy.calibration_mm:.4f} mm from the calibration, the rest from measuring them"
+        parts = f"{_micro(accuracy.calibration_mm)} from the calibration, the rest from measuring them"
+        ends = f"{uncertainty(1e3 * K * min(spread))} to {_micro(K * max(spread))}"
         lines.append(
-            f"expected error of the certified distances: mean {accuracy.distance_mm:.4f} mm ({parts}; standard uncertainty "
-            f"{min(spread):.4f} to {max(spread):.4f} mm by place)"
+            f"expected error of the certified distances: mean {_micro(accuracy.distance_mm)} ({parts}; U = {ends} by place, k = 2)"
         )
     if accuracy.workspace_mm is not None:
-        lines.append(f"expected uncertainty of a point anywhere in reach: {accuracy.workspace_mm:.3f} mm rms")
-    lines.append("least well determined: " + ", ".join(f"{n} (+-{s:.2g} {u})" for n, s, u in accuracy.weakest))
+        lines.append(f"expected uncertainty of a point anywhere in reach: U = {_micro(K * accuracy.workspace_mm)} (k = 2, rms)")
+    weakest = ", ".join(f"{n} (± {with_unit(uncertainty(K * s), symbol(u))})" for n, s, u in accuracy.weakest)
+    lines.append(f"least well determined, ± U (k = 2): {weakest}")
     if accuracy.correlated:
         lines.append("hard to tell apart: " + _pairs(accuracy.correlated))
     detectable = sum(e.detectable for e in found.effects)
@@ -101,6 +115,11 @@ def sentences(accuracy: PredictedAccuracy, found: Detectability) -> list[str]:
     if found.indistinguishable:
         lines.append("effects that look alike here: " + _pairs(found.indistinguishable))
     return lines
+
+
+def _micro(mm: float | None) -> str:
+    """A length that is expected, in µm: two digits."""
+    return f"{significant(1e3 * (mm or 0.0), 2)} µm"
 
 
 def _pairs(correlated: Sequence[tuple[str, str, float]]) -> str:

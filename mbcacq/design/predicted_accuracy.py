@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import Calibration, CalibrationOptions, Noise
-from mbcacq.calibration.observability import of_calibration
-from mbcacq.calibration.uncertainty import distance_uncertainty, expected_accuracy
-from mbcacq.calibration.verification import ball_positions, verification_poses, verify
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, Noise
+from mbcacq.calibration.adjusted_cell import adjusted_cell
+from mbcacq.calibration.verification import ball_positions, verification_poses
 from mbcacq.design.planned_scope import planned_scope
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.estimation import identifiability
 from mbcacq.estimation import parameters as blocks
+from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.parameters import Estimate
@@ -28,7 +28,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))  # mean of |error| over its standard deviation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PredictedAccuracy:
     """Accuracy that a linearisation at the planned cell predicts.
 
@@ -78,21 +78,23 @@ def predicted_accuracy(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Pred
     observations = planned_observations(loaded, poses)
     scope = planned_scope(observations)
     calibration = predicted_calibration(loaded, observations, planned_noise(loaded, poses), replace(scope, refuse=False))
-    sound = scope.kinematics and all(u.harmless for u in calibration.undetermined)
-    pairs = verify(observations, calibration).places if sound else ()
+    sound = scope.kinematics and all(u.harmless for u in calibration.fit.undetermined)
+    pairs = calibration.verify(observations).places if sound else ()
     distances = tuple((p.station, p.expected_mm) for p in pairs if p.expected_mm is not None)
     used = _arm_parameters(calibration)
-    lost = [u for u in calibration.undetermined if not u.name.startswith("ball_") and (scope.kinematics or u.name.startswith("hand_eye"))]
+    undetermined = calibration.fit.undetermined
+    of_arm_and_mount = [u for u in undetermined if not u.name.startswith("ball_")]
+    lost = [u for u in of_arm_and_mount if scope.kinematics or u.name.startswith("hand_eye")]
     return PredictedAccuracy(
         parameters=len(used) + len(lost),
         determined=len(used),
-        undetermined=calibration.undetermined,
-        indices=of_calibration(calibration),
-        workspace_mm=expected_accuracy(calibration) if sound else None,
+        undetermined=undetermined,
+        indices=calibration.observability,
+        workspace_mm=calibration.expected_accuracy() if sound else None,
         distance_mm=MEAN_OF_NORMAL * float(np.mean([e for _, e in distances])) if distances else None,
         calibration_mm=MEAN_OF_NORMAL * float(np.mean(_calibration_share(calibration, observations))) if distances else None,
         distances=distances,
-        correlated=tuple(c for c in calibration.correlated if c[0] in used and c[1] in used),
+        correlated=tuple(c for c in calibration.fit.correlated if c[0] in used and c[1] in used),
         weakest=_weakest(calibration),
         hand_eye_alone=not scope.kinematics,
     )
@@ -100,7 +102,7 @@ def predicted_accuracy(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Pred
 
 def predicted_calibration(
     loaded: LoadedPlan, observations: Observations, noise: Noise, options: CalibrationOptions | None = None
-) -> Calibration:
+) -> CalibratedCell:
     """The calibration that a recording of the planned cell would give: no residual, but the true covariance."""
     options = options or CalibrationOptions(refuse=False)
     obs = select_phases(observations, options)
@@ -113,25 +115,25 @@ def predicted_calibration(
         layout = with_common_sizes(layout, blocks.usual_sizes(obs.cell))
     lineariser = Lineariser(obs, layout, options)
     solution = system(lineariser, estimate, noise, weights)
-    return Calibration.of(
-        obs=obs, options=options, lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=state, found=found
+    return adjusted_cell(
+        options, Adjustment(lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=state, found=found)
     )
 
 
-def _calibration_share(calibration: Calibration, observations: Observations) -> list[float]:
+def _calibration_share(calibration: CalibratedCell, observations: Observations) -> list[float]:
     """Standard uncertainty (mm) of each certified distance that the calibration alone leaves."""
     _, ends = ball_positions(verification_poses(observations), calibration.state)
     pairs = [(ends[k], ends[m]) for i, k in enumerate(sorted(ends)) for m in sorted(ends)[i + 1 :] if k[0] == m[0]]
-    return [float(distance_uncertainty(calibration, a[0], a[1], b[0], b[1])[0]) for a, b in pairs]
+    return [float(calibration.distance_uncertainty(a[0], a[1], b[0], b[1])[0]) for a, b in pairs]
 
 
-def _arm_parameters(calibration: Calibration) -> list[str]:
+def _arm_parameters(calibration: CalibratedCell) -> list[str]:
     """Names of the parameters that are identified: without balls, and without links of an arm that stays nominal."""
     marginal = {p.name for p in calibration.parameters if p.status == "marginal"}
     return [name for name in calibration.names if not name.startswith("ball_") and name not in marginal]
 
 
-def _weakest(calibration: Calibration, count: int = 3) -> tuple[tuple[str, float, str], ...]:
+def _weakest(calibration: CalibratedCell, count: int = 3) -> tuple[tuple[str, float, str], ...]:
     """The least well determined parameters: those of the largest standard deviation in units of a plausible size."""
     std = np.sqrt(np.diag(calibration.covariance))
     share = std / calibration.layout.gather("scale")

@@ -19,7 +19,7 @@ DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StationMove:
     """A station with views out of reach. place: (3,) mm where all its views can be reached, nearest to the planned one, or None where
     there is none within the distances tried. unreachable, views: how many, now."""
@@ -52,12 +52,12 @@ def station_moves(loaded: LoadedPlan) -> list[StationMove]:
         count = sum(t.station == station for t in lost)
         out.append(
             StationMove(
-                station,
-                loaded.lines.get(("stations", index), 1),
-                count,
-                len(own),
-                place,
-                0.0 if offset is None else float(np.linalg.norm(offset)),
+                station=station,
+                line=loaded.lines.get(("stations", index), 1),
+                unreachable=count,
+                views=len(own),
+                place=place,
+                distance_mm=0.0 if offset is None else float(np.linalg.norm(offset)),
             )
         )
     return out

@@ -30,7 +30,7 @@ class PlacedCandidate:
     at: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TorqueInformation:
     """Normal equations of everything that is fitted to the torque: offsets, inertial parameters of the links, rotors, friction, a load on
     the flange, a balancer.

@@ -10,6 +10,7 @@ Units: mm, rad, s unless a field says otherwise. A driver imports this package a
 
 from __future__ import annotations
 
+from mbcacq.devices.addresses import HOST, is_host
 from mbcacq.devices.deferred_signals import signals_deferred
 from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
 from mbcacq.devices.registry import available, create, load_driver
@@ -27,6 +28,7 @@ from mbcacq.errors import (
 )
 
 __all__ = [
+    "HOST",
     "Aborted",
     "ConfigError",
     "ConnectError",
@@ -50,6 +52,7 @@ __all__ = [
     "SystemRefused",
     "available",
     "create",
+    "is_host",
     "load_driver",
     "signals_deferred",
 ]

@@ -1,4 +1,5 @@
-"""Whether the addresses in a driver's options lead only to this computer, where nothing but a fake can answer."""
+"""Addresses in a driver's options: whether they can be one, and whether they lead only to this computer, where nothing but a fake can
+answer."""
 
 from __future__ import annotations
 
@@ -8,6 +9,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 ADDRESS_KEY = re.compile(r"addr|bind|host|(^|_)ip($|_)|eki|server|controller|serial|device|url|port", re.IGNORECASE)
+
+
+HOST = r"^[\w:\[]([\w.%:-]*[\w\]])?$"  # a name or an IP address, without a port
+
+
+def is_host(text: str) -> bool:
+    """Whether a text can be the name or the IP address of a computer or device."""
+    return re.match(HOST, text) is not None
 
 
 def on_loopback_only(options: Mapping[str, Any]) -> bool:

@@ -17,6 +17,7 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.notes import noise_in_words
 from mbcacq.diagnosis.problem import is_long, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.diagnosis.time_budget import TimeBudget
 from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.diagnosis.verdict import conclude, judge
@@ -37,6 +38,7 @@ def diagnose(
     options: CalibrationOptions | None = None,
     formulas: bool = False,
     refit: Refit | None = None,
+    minutes: float | None = OPTIONS.minutes,
 ) -> Diagnosis:
     """Locate the mismatch, explain it by effects, and validate these on data left out.
 
@@ -44,7 +46,8 @@ def diagnose(
     folds: of the cross-validation; by default as many as the recording allows. workers: its processes.
     options: of the adjustment, as ``mbcacq.calibrate`` takes them; the same poses, noise and geometry come out. formulas: whether
     formulas are proposed for unmodelled effects. refit: makes of the effects that are kept those of the diagnosis' ``model``, and says
-    what is to be noted of it.
+    what is to be noted of it. minutes: when they are over the search ends, and what was compared by then is concluded from: the verdict is
+    then ``cannot_tell``, with a note (None: it takes the time that it needs).
     Raises CalibrationError where the data do not even determine the geometry.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]
@@ -54,7 +57,9 @@ def diagnose(
     try:
         # The matrices are small: two threads of linear algebra take longer for them than one, and three times the work.
         with threadpool_limits(1), WorkerPool(min(workers, OPTIONS.folds)) as pool:
-            return _diagnose(recordings, folds, progress, pool, options_for(first, options or CalibrationOptions()), formulas, refit)
+            budget = TimeBudget.of_minutes(minutes)
+            chosen = options_for(first, options or CalibrationOptions())
+            return _diagnose(recordings, folds, progress, pool, chosen, formulas=formulas, refit=refit, budget=budget)
     except ContradictionError as error:
         raise with_likely_cause(error, first) from error
     except np.linalg.LinAlgError as error:
@@ -67,11 +72,13 @@ def _diagnose(
     progress: Progress,
     pool: WorkerPool,
     options: CalibrationOptions,
+    *,
     formulas: bool,
     refit: Refit | None,
+    budget: TimeBudget,
 ) -> Diagnosis:
     progress("fitting the geometry")
-    problem = prepare(recordings, options)
+    problem = replace(prepare(recordings, options), budget=budget.for_the_search)
     obs, notes = problem.linear.obs, []
     if obs.n_poses > OPTIONS.most_poses:
         problem = thinned(problem, problem.linear.keep, OPTIONS.most_poses)
@@ -79,11 +86,12 @@ def _diagnose(
     progress("searching for effects")
     full = fit_model(problem)
     variations = noise_variations(full)
-    if variations and not is_long(obs):
+    if variations and not is_long(obs) and not problem.budget.spent:
         progress("searching for effects again, with the noise as it depends on the place")
         problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), options)
         full = fit_model(problem)
     usual = OPTIONS.folds if obs.n_poses < 2 * OPTIONS.searched_poses else 2
+    problem = replace(problem, budget=budget)
     validation = cross_validate(problem, full, folds or usual, pool, progress)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
     judged = judge(problem, full, validation)

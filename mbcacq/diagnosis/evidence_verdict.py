@@ -20,9 +20,11 @@ from mbcacq.diagnosis.result import TOGETHER, Alternative, EffectFound, NotSepar
 
 def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     """``none`` where the evidence of all effects is below what noise alone reaches; ``cannot_tell`` where it is above that and yet proves
-    nothing, or where another set is not excluded; otherwise by what explains more of the mismatch: effects of the catalogue, or unmodelled
-    ones.
+    nothing, where another set is not excluded, or where time ran out before all sets were compared; otherwise by what explains more of the
+    mismatch: effects of the catalogue, or unmodelled ones.
     """
+    if fit.cut_short:
+        return "cannot_tell"
     if not fit.significant and not full.random:
         return "cannot_tell" if fit.undecided else "none"
     if not fit.significant:

@@ -22,7 +22,7 @@ class LocatedMismatch:
     log_bayes_factor: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelFit:
     """What one pass has found.
 

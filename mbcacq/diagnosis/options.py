@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiagnosisOptions:
     """Tuning of a diagnosis. ``benchmarks/challenge.md`` measures all of it together; no field was fitted to a single recording."""
 
@@ -14,6 +14,8 @@ class DiagnosisOptions:
     searched_poses: int = 600  # poses of a long recording in which effects are searched: bounds time and memory (diagnosis.md)
     most_poses: int = 20000  # a longer recording is thinned, so that memory stays below 3 GiB (benchmarks/diagnosis.md)
     folds: int = 4  # of whole stations, or of blocks of one; two where half of the poses are still as many as are searched
+
+    minutes: float = 30.0  # after which a search ends: the longest open recording takes one on two cores, and nobody waits for longer
 
     # Prior of effects
     sizes: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of a coefficient's prior sigma, in typical sizes, equally probable

@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.several import shares
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import GeometryAlone
 from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
-from mbcacq.effects.effect import MOMENT, Candidate, ParameterEstimate, Parameters
+from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, ParameterEstimate, Parameters
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
@@ -28,17 +29,17 @@ from mbcacq.estimation.several_recordings import adjust_together
 from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
 
-ON_THE_ARM = ("A", "link", "base")  # locations that several recordings of one arm share
 EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiagnosisProblem:
     """The recording linearised at its geometric fit, and everything that may explain it.
 
     dropped: effect -> what the recording lacks for it. noise: with geometry alone, as calibration estimates it. prior_noise: prior of the
     variance components. undetermined: what the poses leave open of the geometry. design_blocks: of unmodelled effects; they depend on the
     poses alone. geometry_alone: the cell of each recording as calibration has it; whatever is thinned or readmitted later, it stays.
+    budget: of the time for the search.
     """
 
     linear: LinearProblem
@@ -50,11 +51,12 @@ class DiagnosisProblem:
     design_blocks: DesignBlocks
     undetermined: tuple[Undetermined, ...] = ()
     geometry_alone: tuple[GeometryAlone, ...] = ()
+    budget: TimeBudget = UNLIMITED
 
     def with_observations(self, obs: Observations, options: CalibrationOptions) -> DiagnosisProblem:
         """The same poses under another noise, adjusted anew; what is stated of geometry alone stays."""
         anew = prepared(obs, replace(options, refuse=False))[0]
-        return replace(anew, geometry_alone=self.geometry_alone)
+        return replace(anew, geometry_alone=self.geometry_alone, budget=self.budget)
 
     def with_linearization(self, linear: LinearProblem) -> DiagnosisProblem:
         """The same with another linearisation of the same poses, or with other centres kept."""
@@ -71,10 +73,10 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     options = replace(options or CalibrationOptions(), refuse=False)
     if isinstance(recordings, Observations):
         problem, adjusted = prepared(select_phases(recordings, options), options)
-        calibrated = (Calibration.adjusted(problem.linear.obs, options, adjusted),)
+        calibrated = (adjusted_cell(options, adjusted),)
         return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
     together = adjust_together(recordings, options)
-    calibrated = shares(Calibration.adjusted(together.observations, options, together.adjusted), together.parts, options)
+    calibrated = shares(adjusted_cell(options, together.adjusted), together.parts, options)
     problem = problem_of(together.observations, options, together.adjusted)
     return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
 
@@ -92,13 +94,13 @@ def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustm
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
     return DiagnosisProblem(
-        linear,
-        context,
-        [*candidates, *differing(candidates, obs)],
-        dropped,
-        adjusted.noise,
-        noise_prior(obs.cell, options.noise),
-        DesignBlocks(context),
+        linear=linear,
+        context=context,
+        candidates=[*candidates, *differing(candidates, obs)],
+        dropped=dropped,
+        noise=adjusted.noise,
+        prior_noise=noise_prior(obs.cell, options.noise),
+        design_blocks=DesignBlocks(context),
         undetermined=tuple(adjusted.found),
     )
 

@@ -34,7 +34,16 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
     model = replace(model, gain=projected.chi2 - conditioned.chi2)
     estimated = random_effects(best) if best.unmodelled else None
     groups = estimated.groups if estimated else ()
-    return ModelFit(model, groups, cells_of(best), best.point.noise, projected, conditioned, fit, estimated=estimated)
+    return ModelFit(
+        model=model,
+        random=groups,
+        cells=cells_of(best),
+        noise=best.point.noise,
+        geometry_only=projected,
+        conditioned=conditioned,
+        evidence=fit,
+        estimated=estimated,
+    )
 
 
 def part_of(hypothesis: Hypothesis, chosen: Callable[[Member], bool]) -> tuple[list[Member], np.ndarray, np.ndarray]:

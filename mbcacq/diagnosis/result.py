@@ -14,29 +14,21 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BeforeValidator, PlainValidator, TypeAdapter
 
-from mbcacq.calibration.calibration_fit import CalibrationFit, Parameter
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.observation_fit import Parameter
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import damage
+from mbcacq.model.json_text import Number, damage, with_nan
 from mbcacq.quantities import micrometres
 
 FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
 
 
-def with_nan(value: Any) -> Any:
-    """Content of JSON with not-a-number for each null, which stands for a number that is not finite."""
-    if isinstance(value, Mapping):
-        return {key: with_nan(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [with_nan(v) for v in value]
-    return np.nan if value is None else value
-
-
-Number = Annotated[float, BeforeValidator(with_nan)]
 Estimate = Annotated[ParameterEstimate, BeforeValidator(with_nan)]
 Model = Annotated[EffectModel | None, PlainValidator(lambda content: EffectModel.from_dict(content) if content else None)]
 
@@ -55,7 +47,7 @@ class EstimatedNoise:
         return {key: value for key, value in vars(self).items() if value is not None}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GeometryAlone:
     """The cell of one recording before any effect, as ``mbcacq.calibrate`` has it: keys, names and units are those of result.json (format
     'mbcacq-result/1').
@@ -76,20 +68,21 @@ class GeometryAlone:
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, fit: CalibrationFit) -> Self:
+    def of(cls, cell: CalibratedCell) -> Self:
         """Noise and figures of a calibration without effects."""
-        turn = fit.noise.turn if fit.residual.shape[1] == 6 else None
-        arm, hand_eye, *_ = fit.layout.blocks
+        fit = cell.fit
+        turn = cell.noise.turn if fit.residual.shape[1] == 6 else None
+        arm, hand_eye, *_ = cell.layout.blocks
         return cls(
             poses=fit.used_poses,
             centres=int(fit.used.sum()),
             rms_mm=fit.rms_mm,
             chi2=float(fit.chi2),
             dof=fit.dof,
-            noise=EstimatedNoise(tuple(fit.noise.point.tolist()), tuple(fit.noise.joint.tolist()), turn),
-            calibrated={p: tuple(getattr(fit.state.chain, p).tolist()) for p in PARAMETERS},
-            T_flange_scanner=tuple(tuple(row) for row in fit.state.T_flange_scanner.tolist()),
-            parameters=tuple(p for p in fit.parameters if p.name in {*arm.names, *hand_eye.names}),
+            noise=EstimatedNoise(tuple(cell.noise.point.tolist()), tuple(cell.noise.joint.tolist()), turn),
+            calibrated={p: tuple(getattr(cell.state.chain, p).tolist()) for p in PARAMETERS},
+            T_flange_scanner=tuple(tuple(row) for row in cell.state.T_flange_scanner.tolist()),
+            parameters=tuple(p for p in cell.parameters if p.name in {*arm.names, *hand_eye.names}),
         )
 
 
@@ -119,7 +112,7 @@ class Alternative:
     odds: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EffectFound:
     """One effect that the diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
 
@@ -186,26 +179,6 @@ class NotSeparable:
 
 
 @dataclass(frozen=True)
-class BetweenRecordings:
-    """One parameter of an effect over several recordings of one arm.
-
-    values, stds: fitted to each recording by itself. common +- common_std: what they share, its uncertainty with the variance between
-    recordings; between_std: standard deviation from day to day beyond each value's own; p_value: of values that differ as much although
-    nothing changed.
-    """
-
-    name: str
-    where: tuple[str, ...]
-    parameter: str
-    values: tuple[Number, ...]
-    stds: tuple[Number, ...]
-    common: Number
-    common_std: Number
-    between_std: Number
-    p_value: Number
-
-
-@dataclass(frozen=True)
 class Advice:
     """What to measure next and why; poses_deg: joint angles, one tuple a pose."""
 
@@ -213,7 +186,7 @@ class Advice:
     poses_deg: tuple[tuple[Number, ...], ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NoiseDependence:
     """A noise that depends on the place, and is taken so in everything else but for long recordings.
 
@@ -244,7 +217,7 @@ class ExclusionBand:
     left_out: tuple[Number, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExclusionLimit:
     """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence, everything that it is confused
     with being free.
@@ -267,7 +240,7 @@ class ExclusionLimit:
     holds_for: ExclusionBand | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Proposal:
     """A short formula for an unmodelled effect that was located.
 
@@ -334,7 +307,7 @@ class EvidenceSummary:
         return self.log_e_value > self.least_log_e_value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """The result of ``diagnose``.
 

@@ -22,13 +22,14 @@ from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_l
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
+from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.in_words import odds_in_words
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JudgedFit:
     """What is reported of a fit. before: score on the data fitted with geometry alone, which leaves residual (M, R). pairs: that are not
     separable, with their coefficients. model: the reported effects, to be kept; None where there are none.
@@ -112,7 +113,9 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
 
 
 def undecided_evidence(full: ModelFit) -> list[str]:
-    """A sentence where the evidence neither shows an effect nor is as weak as without one."""
+    """A sentence where the evidence neither shows an effect nor is as weak as without one, or where time ran out."""
+    if full.evidence.cut_short:
+        return [OUT_OF_TIME]
     if not full.evidence.undecided or full.random:
         return []
     odds, needed = odds_in_words(float(np.exp(full.evidence.log_e_value))), f"{OPTIONS.least_e_value:.0f} : 1"

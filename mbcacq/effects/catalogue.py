@@ -3,7 +3,8 @@
 An effect that shows in poses at standstill has ``candidates(context)``, one that shows in motion
 ``motion_candidates(group, runs)``, one that shows in both has both. ``DECLARED`` says what is particular about it.
 
-A package adds effects by entry points of the group ``mbcacq.effects``, each of which names such a module; ``with_files`` adds files.
+A package adds effects by entry points of the group ``mbcacq.effects``, each of which names such a module; ``with_added`` adds files,
+modules and functions for a while.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType, ModuleType, SimpleNamespace
 
 from mbcacq.effects import kinds
 from mbcacq.effects.context import Context
@@ -27,10 +28,12 @@ from mbcacq.effects.effect import Candidate, Missing
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
 from mbcacq.errors import ConfigError
 
-_added: ContextVar[Mapping[str, ModuleType]] = ContextVar("effects of files", default=MappingProxyType({}))
+Added = Path | str | ModuleType | Callable[[Context], list[Candidate]]
+Effect = ModuleType | SimpleNamespace
+_added: ContextVar[Mapping[str, Effect]] = ContextVar("effects added for a while", default=MappingProxyType({}))
 
 
-def effects() -> Mapping[str, ModuleType]:
+def effects() -> Mapping[str, Effect]:
     """Name of the effect -> its module. Raises ConfigError where another package's module cannot be imported or is no effect."""
     return MappingProxyType({**_effects(tuple(sys.path)), **_added.get()})
 
@@ -51,22 +54,48 @@ def _effects(where: tuple[str, ...]) -> Mapping[str, ModuleType]:
 
 
 @contextmanager
-def with_files(files: Sequence[Path | str]) -> Iterator[None]:
-    """While it lasts, the effects of these files are in the catalogue too.
+def with_added(some: Sequence[Added]) -> Iterator[None]:
+    """While it lasts, these effects are in the catalogue too.
 
-    Raises ConfigError where a file is no effect, or is called as another effect is.
+    some: files; modules, as ``kinds/`` has them; or functions of a context that return candidates, whose effect is called as the function
+    is. Raises ConfigError where one is no effect, or is called as another effect is.
     """
     added = dict(_added.get())
-    for file in files:
-        module = _of_file(Path(file))
-        if module.NAME in added or module.NAME in _effects(tuple(sys.path)):
-            raise ConfigError(f"the effect of {file} is called {module.NAME}, as another one is; rename it, or uninstall the other")
-        added[module.NAME] = module
+    for one in some:
+        effect, source = _of(one)
+        if effect.NAME in added or effect.NAME in _effects(tuple(sys.path)):
+            raise ConfigError(f"the effect of {source} is called {effect.NAME}, as another one is; rename it, or uninstall the other")
+        added[effect.NAME] = effect
     token = _added.set(MappingProxyType(added))
     try:
         yield
     finally:
         _added.reset(token)
+
+
+def _of(one: Added) -> tuple[Effect, str]:
+    """The effect, and what a message calls its source."""
+    if isinstance(one, Path | str):
+        return _of_file(Path(one)), str(one)
+    if _is_effect(one) and isinstance(one, ModuleType):
+        return one, one.__name__
+    if callable(one) and hasattr(one, "__name__"):
+        return _of_function(one, one.__name__), f"the function {one.__name__}"
+    raise ConfigError(
+        f"{one!r} is no effect; give a function of a context that returns candidates, a module with NAME and candidates, or a file"
+    )
+
+
+def _of_function(function: Callable[[Context], list[Candidate]], name: str) -> SimpleNamespace:
+    def candidates(context: Context) -> list[Candidate]:
+        found = function(context)
+        if not isinstance(found, list) or not all(isinstance(c, Candidate) for c in found):
+            raise ConfigError(f"the function {name} is no effect: it returns no list of candidates; make them with plain_effect")
+        if other := [c.name for c in found if c.name != name]:
+            raise ConfigError(f"the function {name} makes candidates of an effect {other[0]}; call both the same")
+        return found
+
+    return SimpleNamespace(NAME=name, candidates=candidates)
 
 
 def _of_file(file: Path) -> ModuleType:

@@ -117,7 +117,7 @@ def best_alignment(errors: OwnErrors, found: Mapping[int, JointAlignment], joint
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PatternComparison:
     """A joint's own error beside the pattern of others, everything else and the joint's deviation from a pattern integrated out.
 
@@ -151,7 +151,9 @@ class PatternComparison:
         D = np.linalg.inv(C + np.diag(errors.deviation**-2.0))
         constant = 0.5 * hv @ D @ hv + 0.5 * np.linalg.slogdet(D)[1] - np.log(errors.deviation).sum() - separate
         CD, BD = C @ D, B @ D
-        return cls(A - BD @ B.T, B - BD @ C, C - CD @ C, hp - BD @ hv, hv - CD @ hv, errors.pattern, float(constant))
+        return cls(
+            A=A - BD @ B.T, B=B - BD @ C, C=C - CD @ C, hp=hp - BD @ hv, hv=hv - CD @ hv, sigma=errors.pattern, constant=float(constant)
+        )
 
     def log_bayes_factors(self, offsets: np.ndarray, direction: int) -> np.ndarray:
         """(G,) logarithm of the Bayes factor of following the pattern at each offset (G,) rad, against an error of its own."""

@@ -20,7 +20,7 @@ from mbcacq.effects.effect_term import SMOOTH, UNKNOWN, EffectTerm, key_of, lear
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiscrepancyOptions:
     """Which functions stand for the discrepancy, and how large they are where the estimation of their sizes begins."""
 

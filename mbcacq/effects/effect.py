@@ -27,6 +27,7 @@ __all__ = [
     "Hyperparameter",
     "MOMENT",
     "Missing",
+    "ON_THE_ARM",
     "ORDER",
     "ParameterEstimate",
     "Parameters",
@@ -43,6 +44,8 @@ MOMENT = "moment"  # rank in time of the first pose after a change
 ORDER = "order"  # periods a turn of the angle that the effect depends on
 BREAKPOINT = "breakpoint"  # value of a covariate at which something changes
 FADING = "fading"  # time constant of something that fades
+
+ON_THE_ARM = ("A", "link", "base")  # how the locations begin that several recordings of one arm share
 
 
 class Missing(Exception):

@@ -25,7 +25,7 @@ NAMED_POSES = 8  # in a sentence
 REPORTED_SHARE = 0.02  # of the poses that must leave a learnt range before that is said
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Departure:
     """A covariate that leaves the range in which effects were learnt. share: of the poses; effects: names with their location; poses:
     numbers of those that do.
@@ -138,7 +138,14 @@ class EffectModel:
                     where[name] = np.union1d(where.get(name, rows), rows)
         return sorted(
             (
-                Departure(name, share, low, high, tuple(dict.fromkeys(effects))[:4], tuple(obs.pose_id[where[name]].tolist()))
+                Departure(
+                    covariate=name,
+                    share=share,
+                    low=low,
+                    high=high,
+                    effects=tuple(dict.fromkeys(effects))[:4],
+                    poses=tuple(obs.pose_id[where[name]].tolist()),
+                )
                 for name, (share, low, high, effects) in found.items()
             ),
             key=lambda d: -d.share,

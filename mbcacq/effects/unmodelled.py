@@ -19,9 +19,9 @@ from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Function,
 DEVIATION = "deviation"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UnmodelledOptions:
-    """Tuning of the groups, with reasons; ``benchmarks/transfer.py`` measures all of it together."""
+    """Tuning of the groups, with reasons; ``benchmarks/real_arms.py transfer`` measures all of it together."""
 
     own_order: int = 60  # periods a turn of a joint's own error: encoders and gear meshes of the open recordings end below
     other_order: int = 4  # of what a joint's angle does elsewhere: bearings are slow
@@ -118,7 +118,7 @@ def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequenc
     where = tuple(f"A{i + 1}" for i in joints)
     hyper = {f"offset_A{i + 1}_rad": float(o) for i, o in zip(joints, offset, strict=True)}
     hyper |= {f"direction_A{i + 1}": float(d) for i, d in zip(joints, direction, strict=True)}
-    return _term(here, (where, f"q{joints[0] + 1}"), parts, pattern_sigma(), "rad", (), COMMON_PATTERN, hyper)
+    return _term(here, (where, f"q{joints[0] + 1}"), parts, pattern_sigma(), "rad", (), variant=COMMON_PATTERN, hyper=hyper)
 
 
 def deviation(here: Covariates, joint: int) -> EffectTerm:

@@ -50,7 +50,7 @@ def adjust_recording(obs: Observations, options: CalibrationOptions) -> Adjustme
     return adjust(obs, options, first)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Adjustment:
     """A converged adjustment and what led to it."""
 
@@ -108,7 +108,7 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         exact, weights = robust_solve(lineariser, exact, noise, weights, options, COARSE)
         exact, noise, weights = settle_noise(lineariser, exact, noise, weights, options)
     solution = solve(lineariser, exact, noise, weights, tolerance=FINE)
-    return Adjustment(lineariser, solution, noise, weights, preliminary, found)
+    return Adjustment(lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=preliminary, found=found)
 
 
 def thin(obs: Observations, size: int) -> Observations:

@@ -9,30 +9,47 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
+from mbcacq.model.json_text import Number
+
 GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between recordings, in the mean standard deviation of one value
 
 
-@dataclass(frozen=True)
-class CommonValue:
-    """The random effect behind values of several recordings.
+@dataclass(frozen=True, kw_only=True)
+class BetweenRecordings:
+    """One parameter, or coefficient, of an effect over several recordings of one arm.
 
-    common, common_std: the common value; between_std: standard deviation between recordings, 0 where the values agree; p_value: of the
-    values (R,) under no difference between recordings.
+    name, where: of the effect. values, stds: of each recording by itself, with the geometry of all. common +- common_std: what they share,
+    its uncertainty with the variance between recordings; between_std: standard deviation from day to day beyond each value's own, 0 where
+    the values agree; p_value: of values that differ as much although nothing changed.
     """
 
-    common: float
-    common_std: float
-    between_std: float
-    p_value: float
+    name: str
+    where: tuple[str, ...]
+    parameter: str
+    values: tuple[Number, ...]
+    stds: tuple[Number, ...]
+    common: Number
+    common_std: Number
+    between_std: Number
+    p_value: Number
 
-
-def random_effect(values: np.ndarray, std: np.ndarray) -> CommonValue:
-    """The random effect behind values (R,) with standard deviations (R,)."""
-    between = between_std(values, std)
-    common, own = weighted_mean(values, std**2 + between**2)
-    fixed, _ = weighted_mean(values, std**2)
-    p_value = float(chdtrc(len(values) - 1, np.sum((values - fixed) ** 2 / std**2)))
-    return CommonValue(common, own, between, p_value)
+    @classmethod
+    def of(cls, name: str, where: tuple[str, ...], parameter: str, values: np.ndarray, std: np.ndarray) -> BetweenRecordings:
+        """The random effect behind values (R,) with standard deviations (R,)."""
+        between = between_std(values, std)
+        common, own = weighted_mean(values, std**2 + between**2)
+        fixed, _ = weighted_mean(values, std**2)
+        return cls(
+            name=name,
+            where=where,
+            parameter=parameter,
+            values=tuple(values.tolist()),
+            stds=tuple(std.tolist()),
+            common=common,
+            common_std=own,
+            between_std=between,
+            p_value=float(chdtrc(len(values) - 1, np.sum((values - fixed) ** 2 / std**2))),
+        )
 
 
 def weighted_mean(values: np.ndarray, variance: np.ndarray) -> tuple[float, float]:

@@ -27,7 +27,7 @@ class ArmPrior:
     arms: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:
     """How ``mbcacq.calibration.maximum_likelihood`` works.
 

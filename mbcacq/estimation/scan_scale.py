@@ -86,8 +86,8 @@ def scale_in_words(obs: Observations) -> str:
     ppm, known = 1e6 * (obs.scale - 1), lengths[0]
     sigma = 1e6 * (known_length_sigma(obs) or known.uncertainty_mm / known.length_mm)
     return (
-        f"that of the known length of balls {known.balls[0]} and {known.balls[1]} ({known.length_mm:g} mm, +- {sigma:.0f} ppm); all "
-        "that was "
+        f"that of the known length of balls {known.balls[0]} and {known.balls[1]} ({known.length_mm:g} mm, ± {2 * sigma:.0f} ppm, k = 2); "
+        "all that was "
         f"measured was multiplied by 1 {ppm:+.0f} ppm, and so must be what is brought into the base with this result"
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell, uncertainty
+from mbcacq.calibration import CalibratedCell
 from mbcacq.errors import ConfigError
 from mbcacq.exports.mount import is_target, undetermined
 from mbcacq.geometry import se3
@@ -17,7 +17,7 @@ CHUNK = 200_000
 ROUNDING = np.radians(1e-3)  # a controller prints that much more than its limit when it stands on it
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScanPlacement:
     """T_base_scanner (4, 4) mm. The sigmas are (3,) mm along the base axes at the middle of the scan, k = 1: of the calibrated
     parameters, of the joints' repeatability, and both together; worst_mm: the largest 3D one over the scan. The base is where the
@@ -53,12 +53,12 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
     if not np.isfinite(q).all():
         raise ConfigError("a joint angle is not a finite number; give one for each axis, in degrees")
     _within_limits(result, q)
-    T = uncertainty.frames(cell, q[None])[0, -1] @ state.T_flange_scanner
+    T = cell.frames(q[None])[0, -1] @ state.T_flange_scanner
     out = np.empty((len(points), 3))
     for start in range(0, len(points), CHUNK):
         some = points[start : start + CHUNK].astype(float)
         if cell.effects:
-            some = uncertainty.corrected_points(cell, np.broadcast_to(q, (len(some), len(q))), some)
+            some = cell.corrected_points(np.broadcast_to(q, (len(some), len(q))), some)
         out[start : start + CHUNK] = some @ T[:3, :3].T + T[:3, 3]
     low, high = (out.min(axis=0), out.max(axis=0)) if len(out) else (T[:3, 3], T[:3, 3])
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
@@ -66,7 +66,14 @@ def place_scan(result: Mapping[str, Any], q: np.ndarray, points: np.ndarray) -> 
     known, joints = base_covariance(cell, q, points_in_base)
     total = np.sqrt(np.trace(known + joints, axis1=1, axis2=2))
     of_parameters, of_joints, of_both = (np.sqrt(np.diag(c[0])) for c in (known, joints, known + joints))
-    return out, ScanPlacement(T, of_parameters, of_joints, of_both, float(total[0]), float(total.max()))
+    return out, ScanPlacement(
+        T_base_scanner=T,
+        parameters_mm=of_parameters,
+        repeatability_mm=of_joints,
+        total_mm=of_both,
+        rms_mm=float(total[0]),
+        worst_mm=float(total.max()),
+    )
 
 
 def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:
@@ -85,7 +92,7 @@ def base_covariance(cell: CalibratedCell, q: np.ndarray, points: np.ndarray) -> 
     """Covariances (P, 3, 3) mm^2 of points (P, 3) in the base, measured at q (n,): of the parameters, and of the joints' repeatability."""
     postures = np.broadcast_to(q, (len(points), len(q)))
     T = cell.state.chain.flange(q[None])[0] @ cell.state.T_flange_scanner
-    known = uncertainty.point_covariance(cell, postures, se3.apply(se3.inverse(T), points))
+    known = cell.point_covariance(postures, se3.apply(se3.inverse(T), points))
     chain = cell.state.chain
     B = _moved(chain.joint_twists(chain.frames(q[None]))[0] * cell.noise.joint[:, None], points)
     return known, B @ np.swapaxes(B, 1, 2)

@@ -28,7 +28,7 @@ FEWEST = 4  # fewer moving ranges, or arms, say nothing about their variance
 FURTHER = ("rms_mm", "spacing_max_mm")  # figures that are charted besides the parameters
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ControlChart:
     """One figure of the N recordings of one type of arm. value, std: (N,) as calibrated, NaN where it was not; centre: (N,) centre line
     of the arm of each; limit: (N,) half width about it, NaN where an arm has one recording; arms: names (A,); arm: (N,) index into them;
@@ -69,7 +69,7 @@ class ArmType:
     charts: tuple[ControlChart, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Outlier:
     """A figure of a recording (or, ``recording`` None, of an arm) outside the limits; in mm or rad. drift: from an arm's first recording
     to its last, instead of a level.
@@ -187,11 +187,32 @@ def outliers(types: Sequence[ArmType]) -> list[Outlier]:
     """
     out = []
     for kind in types:
-        out += [Outlier(d.arm, None, d.name, d.change, 0.0, d.limit, drift=True) for d in drifts(kind.rows)]
+        out += [
+            Outlier(arm=d.arm, recording=None, name=d.name, value=d.change, centre=0.0, limit=d.limit, drift=True)
+            for d in drifts(kind.rows)
+        ]
         for chart in kind.charts:
             for k in np.flatnonzero(chart.outside):
                 value, centre, limit = (float(each[k]) for each in (chart.value, chart.centre, chart.limit))
-                out.append(Outlier(kind.rows[k]["arm"], kind.rows[k]["recording"], chart.name, value, centre, limit))
+                out.append(
+                    Outlier(
+                        arm=kind.rows[k]["arm"],
+                        recording=kind.rows[k]["recording"],
+                        name=chart.name,
+                        value=value,
+                        centre=centre,
+                        limit=limit,
+                    )
+                )
             for a in np.flatnonzero(chart.unusual):
-                out.append(Outlier(chart.arms[a], None, chart.name, float(chart.arm_value[a]), chart.usual, float(chart.arm_limit[a])))
+                out.append(
+                    Outlier(
+                        arm=chart.arms[a],
+                        recording=None,
+                        name=chart.name,
+                        value=float(chart.arm_value[a]),
+                        centre=chart.usual,
+                        limit=float(chart.arm_limit[a]),
+                    )
+                )
     return sorted(out, key=lambda o: -abs(o.value - o.centre) / o.limit if o.limit > 0 else -np.inf)

@@ -56,6 +56,7 @@ def _evaluated(recording: FleetRecording, task: FleetTask, row: dict[str, Any]) 
 
     observations = load_observations(recording.path)
     row |= {"poses": observations.n_poses, "centres": observations.n_centres, "robot": observations.cell.robot.name}
+    row["simulated"] = observations.cell.simulated
     result = calibration_content(recording.path, task.options, observations=observations)
     row |= calibration_columns(result)
     content: dict[str, Any] = {"result": result}

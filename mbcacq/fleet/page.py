@@ -11,6 +11,8 @@ import numpy as np
 
 from mbcacq.fleet.control_chart import ArmType, ControlChart, Outlier
 from mbcacq.fleet.evaluation import EVALUATED
+from mbcacq.model.cell import SIMULATED
+from mbcacq.quantities import fixed, micrometres
 from mbcacq.report.content import ArmTypeContent, FleetChart, FleetContent
 
 TITLES = {"rms_mm": "rms of the residuals", "spacing_max_mm": "largest sphere spacing error"}
@@ -32,13 +34,36 @@ def fleet_content(rows: Sequence[Mapping[str, Any]], kinds: Sequence[ArmType], o
     verdicts = Counter(row["verdict"] for row in rows if row.get("verdict"))
     effects = Counter(effect for row in rows for effect in row.get("effects") or ())
     return FleetContent(
-        headlines,
-        [_listed(o) for o in outside[:MOST_LISTED]],
-        [(row["arm"], Path(row["recording"]).name, row["status"], row["reason"] or "") for row in broken[:MOST_LISTED]],
-        [(verdict, str(count)) for verdict, count in verdicts.most_common()],
-        [(effect, str(count)) for effect, count in effects.most_common(20)],
-        [_type(kind) for kind in kinds],
-        max(len(outside) - MOST_LISTED, 0) + max(len(broken) - MOST_LISTED, 0),
+        headlines=headlines,
+        outliers=[_listed(o) for o in outside[:MOST_LISTED]],
+        broken=[(row["arm"], Path(row["recording"]).name, row["status"], row["reason"] or "") for row in broken[:MOST_LISTED]],
+        verdicts=[(verdict, str(count)) for verdict, count in verdicts.most_common()],
+        effects=[(effect, str(count)) for effect, count in effects.most_common(20)],
+        types=[_type(kind) for kind in kinds],
+        unlisted=max(len(outside) - MOST_LISTED, 0) + max(len(broken) - MOST_LISTED, 0),
+        caveat=_caveat(rows),
+        recordings=[_recording(row) for row in sorted(rows, key=lambda row: (row["arm"], row.get("time") or ""))[:MOST_LISTED]],
+    )
+
+
+def _caveat(rows: Sequence[Mapping[str, Any]]) -> str:
+    """How many of the recordings no real arm made; '' where none."""
+    simulated = sum(bool(row.get("simulated")) for row in rows)
+    share = "every recording is" if simulated == len(rows) else f"{simulated} of {len(rows)} recordings are"
+    return f"{share} {SIMULATED}"[:1].upper() + f"{share} {SIMULATED}"[1:] + "." if simulated else ""
+
+
+def _recording(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """A row of the list of recordings, as text."""
+    rms, largest = (row.get(name) for name in ("rms_mm", "spacing_max_mm"))
+    return (
+        row["arm"],
+        Path(row["recording"]).name + (" (simulated)" if row.get("simulated") else ""),
+        (row.get("time") or "")[:10],
+        str(row.get("poses") or ""),
+        "" if rms is None else micrometres(rms),
+        "" if largest is None else f"{fixed(largest)} mm",
+        (row.get("verdict") or row["status"]).replace("_", " "),
     )
 
 

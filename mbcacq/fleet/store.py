@@ -105,7 +105,7 @@ def as_table(rows: Sequence[Mapping[str, Any]]) -> Any:
 
     parameters = dict.fromkeys(name for row in rows for name in row if name.startswith(("error.", "std.")))
     types = {name: pa.string() for name in TEXTS} | {name: pa.int64() for name in COUNTS}
-    types |= {name: pa.float64() for name in (*NUMBERS, *parameters)}
+    types |= {"simulated": pa.bool_()} | {name: pa.float64() for name in (*NUMBERS, *parameters)}
     types |= {name: pa.list_(pa.string() if kind == "string" else pa.float64()) for name, kind in LISTS.items()}
     return pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema(list(types.items())))
 

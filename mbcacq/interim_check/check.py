@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.acquisition.device_check import refuse_impossible_devices
-from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
+from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CellChanged, ConfigError
@@ -75,7 +75,7 @@ class InterimCheck:
 
 
 def check(
-    result: Calibration | CalibratedCell | dict[str, Any] | Path | str,
+    result: CalibratedCell | dict[str, Any] | Path | str,
     plan: LoadedPlan | Path | str,
     *,
     history: Path | str | None = None,
@@ -124,6 +124,7 @@ def check(
     file = _history_file(result, history)
     if not dry_run and measured is None:
         refuse_impossible_devices(loaded)
+        refuse_unattended(loaded, operator.assume_yes)
     with ExitStack() as held:
         file.absolute().parent.mkdir(parents=True, exist_ok=True)
         held.enter_context(write_lock(file.absolute().parent, "check"))
@@ -164,7 +165,7 @@ def with_observations(planned: PlannedCheck, history: CheckHistory, obs: Observa
     return replace(history, stations=history.stations or stations).with_day(CheckedDay(started, name, residual))
 
 
-def _history_file(result: Calibration | CalibratedCell | dict[str, Any] | Path | str, history: Path | str | None) -> Path:
+def _history_file(result: CalibratedCell | dict[str, Any] | Path | str, history: Path | str | None) -> Path:
     if history is not None:
         return Path(history)
     if not isinstance(result, Path | str):
@@ -183,7 +184,14 @@ def _new_history(
     everything = planned_check(loaded, [p for p in poses if p.balls], cell, settings.standing, settings.days)
     numbers = choose_poses(everything, options)
     q = np.array([p.q for p in poses if p.number in numbers])
-    return CheckHistory(digest(content), loaded.path.name, tuple(sorted(numbers)), q, settings.standing, settings.days)
+    return CheckHistory(
+        result=digest(content),
+        plan=loaded.path.name,
+        poses=tuple(sorted(numbers)),
+        q=q,
+        standing=settings.standing,
+        usual_days=settings.days,
+    )
 
 
 def _chosen(loaded: LoadedPlan, poses: list[PlannedPose], history: CheckHistory, file: Path) -> list[PlannedPose]:
@@ -210,10 +218,10 @@ def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, o
     operator.progress("")
     if not dry_run:
         operator.allow(acquisition)
-    folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")
-    with write_lock(folder, "check"):
-        operator.began(folder)
-        operator.progress("starting the fake cell" if dry_run else "")
-        with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
+    operator.progress("starting the fake cell" if dry_run else "")
+    with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
+        folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")
+        with write_lock(folder, "check"):
+            operator.began(folder)
             acquisition.execute(overrides, operator.subscribers, message=operator.message, pause=operator.pause)
     return folder

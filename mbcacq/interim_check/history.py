@@ -47,7 +47,7 @@ class CheckedDay:
         return cls(str(content["time"]), str(content["run"]), rows, log_e, since)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CheckHistory:
     """result: SHA-256 of the calibration that is checked; plan: name of the plan; poses: numbers of those that a check
     repeats, with the joint angles q (P, n) rad they had; standing: artefacts stay between checks; stations: T_base_station (4, 4) by id, as

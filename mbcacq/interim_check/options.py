@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UsualChanges:
     """What a cell changes from one day to the next without a cause that anybody would look for: standard deviations.
 
@@ -23,7 +23,7 @@ class UsualChanges:
     source: str = "usual figures: a kelvin or two of the room, on mounts of steel"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CheckOptions:
     """Lengths mm, angles rad.
 

@@ -22,7 +22,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, path
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlannedCheck:
     """Poses of a plan as a check. poses: in the order of the plan; state: the calibrated cell with the stations as planned; obs: what the
     nominal cell would record, M centres, R = 3 M rows; prediction: by the calibrated cell with its effects; rows, changes: of the
@@ -54,7 +54,7 @@ def planned_check(
     options: CheckOptions = OPTIONS,
 ) -> PlannedCheck:
     """A check by these poses. Raises ConfigError where the result is of another arm, or the plan's instrument does not ride on the arm."""
-    refuse_other_arm("the result is of", cell.robot, cell.preliminary.chain, loaded.cell.robot, "the plan")
+    refuse_other_arm("the result is of", cell.robot, cell.nominal, loaded.cell.robot, "the plan")
     if loaded.cell.measurement != ARTEFACT_IN_SCANNER:
         raise ConfigError(f"{loaded.path}: a check needs a scanner on the arm; this plan measures a target from outside")
     state = calibrated_state(loaded, cell)
@@ -75,7 +75,7 @@ def calibrated_state(loaded: LoadedPlan, cell: CalibratedCell) -> CellState:
     """The calibrated arm and hand-eye, the plan's stations where it means them to be, and its balls: calibrated ones where the result has
     them, certified ones otherwise."""
     certified = loaded.cell.ball_centres
-    filled = state_from_dict(cell.content, loaded.cell, other="the plan")
+    filled = state_from_dict(cell.to_dict(), loaded.cell, other="the plan")
     known = np.array([b in cell.ball_ids for b in loaded.cell.ball_ids])
     balls = np.where(known[:, None], filled.balls, certified)
     return replace(filled, balls=balls, T_base_station=np.stack([s.planned_pose for s in loaded.cell.stations]))

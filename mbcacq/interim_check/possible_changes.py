@@ -22,7 +22,7 @@ TWIST = ("x", "y", "z", "rx", "ry", "rz")
 LEAST = 1e-9  # of a column against the noise: below, the rows do not show it at all
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PossibleChange:
     """Something that may have changed. name: 'mastering', 'mount', 'artefact', 'link', 'tool', 'unnamed', or that of an effect; where: its
     location; parameters, units: of its k coefficients; usual: (k,) their usual change; columns: (R, k) what that does to the rows.
@@ -69,7 +69,14 @@ def _masterings(obs: Observations, state: CellState, prediction: Prediction, opt
     J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames))
     usual = np.array([options.mastering])
     return [
-        PossibleChange("mastering", f"A{j + 1}", (f"A{j + 1} zero",), ("rad",), usual, rows_of(J[:, :, j : j + 1] * options.mastering))
+        PossibleChange(
+            name="mastering",
+            where=f"A{j + 1}",
+            parameters=(f"A{j + 1} zero",),
+            units=("rad",),
+            usual=usual,
+            columns=rows_of(J[:, :, j : j + 1] * options.mastering),
+        )
         for j in range(state.chain.n)
     ]
 
@@ -82,7 +89,14 @@ def twist_columns(obs: Observations, prediction: Prediction, place: str, index: 
 def _mount(obs: Observations, prediction: Prediction, options: CheckOptions) -> PossibleChange:
     usual = np.repeat([options.mount_mm, options.mount_rad], 3)
     columns = twist_columns(obs, prediction, "frame", obs.cell.robot.n) * usual
-    return PossibleChange("mount", "scanner on the flange", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns))
+    return PossibleChange(
+        name="mount",
+        where="scanner on the flange",
+        parameters=TWIST,
+        units=("mm",) * 3 + ("rad",) * 3,
+        usual=usual,
+        columns=rows_of(columns),
+    )
 
 
 def _artefacts(obs: Observations, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
@@ -92,7 +106,14 @@ def _artefacts(obs: Observations, prediction: Prediction, options: CheckOptions)
         here = (obs.station[obs.pose] == s)[:, None, None]
         columns = twist_columns(obs, prediction, "station", 0) * usual * here
         out.append(
-            PossibleChange("artefact", f"station {obs.cell.stations[s].id}", TWIST, ("mm",) * 3 + ("rad",) * 3, usual, rows_of(columns))
+            PossibleChange(
+                name="artefact",
+                where=f"station {obs.cell.stations[s].id}",
+                parameters=TWIST,
+                units=("mm",) * 3 + ("rad",) * 3,
+                usual=usual,
+                columns=rows_of(columns),
+            )
         )
     return out
 
@@ -105,7 +126,16 @@ def _links(obs: Observations, state: CellState, prediction: Prediction, options:
     usual = np.array([options.link_mm, options.link_mm, options.link_rad])
     for i in range(state.chain.n):
         columns = forward_model.arm_jacobian(obs, prediction, twists[:, i, chosen]) * usual
-        out.append(PossibleChange("link", f"link {i + 1}", ("d", "a", "alpha"), ("mm", "mm", "rad"), usual, rows_of(columns)))
+        out.append(
+            PossibleChange(
+                name="link",
+                where=f"link {i + 1}",
+                parameters=("d", "a", "alpha"),
+                units=("mm", "mm", "rad"),
+                usual=usual,
+                columns=rows_of(columns),
+            )
+        )
     return out
 
 
@@ -124,7 +154,12 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction, opt
             what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
             names = tuple(f"{candidate.name}[{k}]" for k in range(candidate.k))
             change = PossibleChange(
-                candidate.name, "+".join(candidate.where) + what, names, ("",) * candidate.k, candidate.typical, columns
+                name=candidate.name,
+                where="+".join(candidate.where) + what,
+                parameters=names,
+                units=("",) * candidate.k,
+                usual=candidate.typical,
+                columns=columns,
             )
             out.append(change)
             if len(candidate.where) == 1:
@@ -137,7 +172,14 @@ def _together(several: list[PossibleChange]) -> PossibleChange:
     columns, usual = np.concatenate([r.columns for r in several], axis=1), np.concatenate([r.usual for r in several])
     parameters = tuple(f"{name} at {r.where}" for r in several for name in r.parameters)
     what = several[0].where.partition(",")
-    return PossibleChange(several[0].name, f"several places{what[1]}{what[2]}", parameters, ("",) * len(usual), usual, columns)
+    return PossibleChange(
+        name=several[0].name,
+        where=f"several places{what[1]}{what[2]}",
+        parameters=parameters,
+        units=("",) * len(usual),
+        usual=usual,
+        columns=columns,
+    )
 
 
 def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
@@ -150,7 +192,16 @@ def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> li
     columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
     shown = np.abs(columns).max(axis=0) > LEAST
     parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
-    return [PossibleChange("tool", "its weight", parameters, ("",) * len(parameters), np.full(len(parameters), usual), columns[:, shown])]
+    return [
+        PossibleChange(
+            name="tool",
+            where="its weight",
+            parameters=parameters,
+            units=("",) * len(parameters),
+            usual=np.full(len(parameters), usual),
+            columns=columns[:, shown],
+        )
+    ]
 
 
 def hypers(candidate: Candidate, count: int) -> Sequence[float | None]:
@@ -170,7 +221,9 @@ def _unnamed(obs: Observations, state: CellState, prediction: Prediction, option
     for p in range(obs.n_poses):
         here = obs.pose == p
         columns[here, :, p * n : (p + 1) * n] = J[here]
-    return PossibleChange(UNNAMED, "the arm", ("",) * k, ("rad",) * k, np.full(k, options.unnamed), rows_of(columns))
+    return PossibleChange(
+        name=UNNAMED, where="the arm", parameters=("",) * k, units=("rad",) * k, usual=np.full(k, options.unnamed), columns=rows_of(columns)
+    )
 
 
 def _unnamed_centres(obs: Observations, options: CheckOptions) -> PossibleChange:
@@ -179,7 +232,14 @@ def _unnamed_centres(obs: Observations, options: CheckOptions) -> PossibleChange
     Without it the null would take such a change for a larger noise, which it repeats from day to day and so is not.
     """
     k = 3 * obs.n_centres
-    return PossibleChange(UNNAMED, SCANNER, ("",) * k, ("mm",) * k, np.full(k, options.unnamed_mm), options.unnamed_mm * np.eye(k))
+    return PossibleChange(
+        name=UNNAMED,
+        where=SCANNER,
+        parameters=("",) * k,
+        units=("mm",) * k,
+        usual=np.full(k, options.unnamed_mm),
+        columns=options.unnamed_mm * np.eye(k),
+    )
 
 
 def jitter(obs: Observations, state: CellState, prediction: Prediction, point: np.ndarray, joint: np.ndarray) -> np.ndarray:

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
-from mbcacq.calibration.uncertainty import point_columns
 from mbcacq.errors import DeviceFault
 from mbcacq.estimation.forward_model import arm_jacobian
 from mbcacq.interim_check.e_process import EProcess, Level, weight_of
@@ -24,7 +23,7 @@ POWER = 1.2816  # quantile of the normal distribution: a change is noticed with 
 SHOWN = 6  # suspects in a sentence
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Suspect:
     """One thing that may have changed. probability: among all changes, given a change; size, std: of its coefficients, in ``units``.
     explains: share of what is seen of the change, in that of the best description."""
@@ -43,7 +42,7 @@ class Suspect:
         return f"{self.name.replace('_', ' ')} ({self.where})"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CheckVerdict:
     """verdict: 'as_before' or 'changed'. log_e: of the e-process since the first check; log_e_calibration: of that since the
     calibration; log_threshold: of either. suspects: the most probable one first, and all that are not told from it. since: index of the
@@ -117,9 +116,18 @@ def verdict_by(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -
     elif changed:
         suspects, since, between = _ranked(evidence.changes, factors, estimates, options), 0, (0, 0)
     shown = process.levels[level if changed else null]
-    noise = (shown.noise, shown.day)
-    verdict = CHANGED if changed else AS_BEFORE
-    return CheckVerdict(verdict, log_e, log_first, threshold, suspects, since, between, noticed(evidence, null, T, options), *noise)
+    return CheckVerdict(
+        verdict=CHANGED if changed else AS_BEFORE,
+        log_e=log_e,
+        log_e_calibration=log_first,
+        log_threshold=threshold,
+        suspects=suspects,
+        since=since,
+        between=between,
+        noticed=noticed(evidence, null, T, options),
+        noise=shown.noise,
+        day=shown.day,
+    )
 
 
 Estimate = tuple[np.ndarray, np.ndarray, float]
@@ -161,7 +169,7 @@ def _of_calibration(check: PlannedCheck, evidence: Evidence, options: CheckOptio
     """(R, R) covariance of the prediction: the calibrated parameters, and what a good arm is off beyond its model at each pose."""
     obs, prediction, cell = check.obs, check.prediction, check.cell
     T = prediction.T_base_scanner[obs.pose][:, :3, :3]
-    A = np.swapaxes(T, 1, 2) @ point_columns(cell, obs.q[obs.pose], prediction.xyz)
+    A = np.swapaxes(T, 1, 2) @ cell.point_columns(obs.q[obs.pose], prediction.xyz)
     A = A.reshape(-1, A.shape[2])[evidence.keep]
     J = arm_jacobian(obs, prediction, check.state.chain.joint_twists(prediction.frames)) * options.discrepancy
     J = J.reshape(-1, J.shape[2])[evidence.keep]

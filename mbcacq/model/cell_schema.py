@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -13,6 +13,19 @@ from mbcacq.model import cell
 
 Vector = tuple[float, float, float]
 Size = Annotated[float, Field(ge=0)]
+
+
+def whole(value: Any) -> Any:
+    """A whole number as such, however it is written (5., 1e3), also inside lists and mappings; anything else as it is."""
+    if isinstance(value, dict):
+        return {key: whole(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(whole(one) for one in value)
+    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < MOST_EXACT else value
+
+
+MOST_EXACT = 2.0**53  # above it not every whole number is a float
+Whole = Annotated[int, BeforeValidator(whole)]
 RoomTemperature = Annotated[float, Field(ge=-40, le=80)]  # of a place where a robot works
 
 
@@ -66,7 +79,7 @@ class LinkSpec(Strict):
 
 
 class PayloadSpec(Strict):
-    mass_kg: float = 0.0
+    mass_kg: float = Field(default=0.0, ge=0, le=5000)  # what the largest arms carry, and more
     com_mm: Vector = (0.0, 0.0, 0.0)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import ValidationError
+import numpy as np
+from pydantic import BeforeValidator, ValidationError
 
 from mbcacq.errors import ConfigError
 
@@ -24,6 +25,18 @@ WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a re
     "int_from_float": "it is no whole number",
     "finite_number": "it is not finite",
 }
+
+
+def with_nan(value: Any) -> Any:
+    """Content of JSON with not-a-number for each null, which stands for a number that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: with_nan(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [with_nan(v) for v in value]
+    return np.nan if value is None else value
+
+
+Number = Annotated[float, BeforeValidator(with_nan)]
 
 
 def read_json(data: bytes | str, name: str, cure: str) -> Any:

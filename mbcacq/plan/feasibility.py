@@ -48,12 +48,16 @@ def check_artefacts(loaded: LoadedPlan) -> Iterator[PlanFinding]:
     if (found := lacks_orientation(loaded)) is not None:
         where, sentence = found
         yield PlanFinding(
-            "error", "few-balls", loaded.plan.steps[int(where[1])].name, f"{loaded.path}:{loaded.lines.get(where, 1)}", sentence
+            level="error",
+            code="few-balls",
+            step=loaded.plan.steps[int(where[1])].name,
+            place=f"{loaded.path}:{loaded.lines.get(where, 1)}",
+            sentence=sentence,
         )
     for index, artefact in enumerate(loaded.cell.artefacts):
         if sentence := symmetric(artefact):
             place = f"{loaded.path}:{loaded.lines.get(('artefacts', index), 1)}"
-            yield PlanFinding("warning", "symmetric", "", place, sentence)
+            yield PlanFinding(level="warning", code="symmetric", step="", place=place, sentence=sentence)
 
 
 def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
@@ -65,14 +69,14 @@ def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
         if asked[axis] > limit[axis] * (1 + loaded.planning.limit_rounding):
             line = loaded.lines.get(("robot", key), loaded.lines.get(("robot",), 1))
             sentence = f"A{axis + 1} would get a {what} of {asked[axis]:.0f} {unit}, its limit is {limit[axis]:.0f}; raise {key}"
-            yield PlanFinding("error", "motion-limits", "", f"{loaded.path}:{line}", sentence)
+            yield PlanFinding(level="error", code="motion-limits", step="", place=f"{loaded.path}:{line}", sentence=sentence)
 
 
 def check_reach(loaded: LoadedPlan) -> Iterator[PlanFinding]:
     """Targets that no joint position reaches."""
     for target in expand_reachable(loaded)[1]:
         place, sentence = unreachable_sentence(loaded, target).split(": ", 1)
-        yield PlanFinding("error", "reach", loaded.plan.steps[target.step].name, place, sentence)
+        yield PlanFinding(level="error", code="reach", step=loaded.plan.steps[target.step].name, place=place, sentence=sentence)
 
 
 def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:
@@ -128,7 +132,9 @@ def check_clearance(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterato
     near = clearance.at(np.radians(loaded.plan.robot.home_deg), None)
     if near.distance < needed:
         place = f"{loaded.path}:{loaded.lines.get(('robot', 'home_deg'), 1)}"
-        yield PlanFinding("error", "collision", "", place, f"at home {_proximity(near)}; choose another home position")
+        yield PlanFinding(
+            level="error", code="collision", step="", place=place, sentence=f"at home {_proximity(near)}; choose another home position"
+        )
     for pose in poses:
         near = clearance.at(pose.q, pose.station)
         if near.distance < needed:
@@ -150,7 +156,9 @@ def check_routes(loaded: LoadedPlan, poses: Sequence[PlannedPose], routes: Route
         if pose.number in spoiled or (before is not None and before.number in spoiled and not each.homewards):
             continue
         sentence = obstructed_sentence(loaded, poses, each).split(": ", 1)[1]
-        yield PlanFinding("error", "way", pose.step_name, f"{loaded.path}:{pose.line}", sentence, (pose.number,))
+        yield PlanFinding(
+            level="error", code="way", step=pose.step_name, place=f"{loaded.path}:{pose.line}", sentence=sentence, poses=(pose.number,)
+        )
 
 
 def check_repetition(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[PlanFinding]:

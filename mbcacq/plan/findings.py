@@ -10,7 +10,7 @@ from mbcacq.plan.planned import LoadedPlan, PlannedPose
 Level = Literal["error", "warning", "info"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlanFinding:
     """level: 'error' keeps the plan from being run. code: stable name for programs. place: 'file:line'. poses: numbers concerned."""
 
@@ -31,7 +31,9 @@ class PlanFinding:
 def finding(loaded: LoadedPlan, pose: PlannedPose, level: Level, code: str, sentence: str) -> PlanFinding:
     """A finding about one pose, named by its step and station."""
     where = f"step '{pose.step_name}' at station '{pose.station}': "
-    return PlanFinding(level, code, pose.step_name, f"{loaded.path}:{pose.line}", where + sentence, (pose.number,))
+    return PlanFinding(
+        level=level, code=code, step=pose.step_name, place=f"{loaded.path}:{pose.line}", sentence=where + sentence, poses=(pose.number,)
+    )
 
 
 def merged(findings: list[PlanFinding]) -> list[PlanFinding]:
@@ -43,7 +45,14 @@ def merged(findings: list[PlanFinding]) -> list[PlanFinding]:
         first[key] = (
             finding
             if known is None
-            else PlanFinding(known.level, known.code, known.step, known.place, known.sentence, known.poses + finding.poses)
+            else PlanFinding(
+                level=known.level,
+                code=known.code,
+                step=known.step,
+                place=known.place,
+                sentence=known.sentence,
+                poses=known.poses + finding.poses,
+            )
         )
     order = {"error": 0, "warning": 1, "info": 2}
     return sorted((_with_count(f) for f in first.values()), key=lambda f: order[f.level])
@@ -54,4 +63,6 @@ def _with_count(finding: PlanFinding) -> PlanFinding:
     if more < 1:
         return finding
     sentence = f"{finding.sentence} (and {more} more pose{'s' if more > 1 else ''} of this step)"
-    return PlanFinding(finding.level, finding.code, finding.step, finding.place, sentence, finding.poses)
+    return PlanFinding(
+        level=finding.level, code=finding.code, step=finding.step, place=finding.place, sentence=sentence, poses=finding.poses
+    )

@@ -17,7 +17,7 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.geometry.numerical_inverse import NumericalInverse
+from mbcacq.geometry.numerical_inverse import SAMPLED, NumericalInverse, SolverOptions
 from mbcacq.geometry.three_parallel_axes import ThreeParallelAxesInverse
 from mbcacq.model.cell import RobotModel
 
@@ -43,13 +43,15 @@ class InverseKinematics(Protocol):
         ...
 
 
-def inverse_kinematics(robot: RobotModel, home: np.ndarray | None = None) -> InverseKinematics:
-    """The solver that suits an arm. home: (n,) rad, a posture near which solutions are wanted where there is a continuum of them."""
+def inverse_kinematics(robot: RobotModel, home: np.ndarray | None = None, *, sampled: bool = False) -> InverseKinematics:
+    """The solver that suits an arm. home: (n,) rad, a posture near which solutions are wanted where there is a continuum of them. sampled:
+    of an arm without a closed form not every branch is looked for, which takes a quarter of the time."""
     try:
         return OrthoParallelInverse.of(robot)
     except ConfigError:
         closed = ThreeParallelAxesInverse.of(robot.chain, robot.limits)
-        return closed or NumericalInverse(robot.chain, robot.limits, preferred=home)
+        options = SAMPLED if sampled else SolverOptions()
+        return closed or NumericalInverse(robot.chain, robot.limits, options, preferred=home)
 
 
 def wrist_axis(n: int) -> int:

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Vector
+from mbcacq.model.cell_schema import PayloadSpec, PoseSpec, Strict, TemperatureRange, Vector, Whole, whole
 
 MOST_EXPOSURES = 1000  # of one pose: at a second each, a quarter of an hour
 MOST_PLACES = 100  # at which a plan asks for accuracy
+LEAST_SPEED = 1e-3  # of the axes' largest: slower ones take hours from pose to pose, and cannot be timed
+LONGEST_S = 3600.0  # of what is waited for at one pose
+Options = Annotated[dict[str, Any], BeforeValidator(whole)]
 Noise = Annotated[float, Field(ge=0, le=10)]  # mm; what is worse tells no ball of an artefact from the next
 
 
 class Coupling(Strict):
     """``factor`` times the angle of axis ``of`` is added to that of ``axis``, both counted from 1."""
 
-    axis: int = Field(ge=1)
-    of: int = Field(ge=1)
+    axis: Whole = Field(ge=1)
+    of: Whole = Field(ge=1)
     factor: float
 
 
@@ -45,12 +48,12 @@ class RobotUse(Strict):
     driver: str
     model: str  # robot YAML, relative to the plan
     urdf: str | None = None  # draws the arm in the viewer; relative to the plan
-    options: dict[str, Any] = {}  # the driver's own
-    speed: float = Field(default=0.3, gt=0, le=1)  # share of the model's largest joint speed
-    acceleration_time_s: float = Field(default=0.3, gt=0)  # time to reach that speed
-    jerk_time_s: float = Field(default=0.1, gt=0)  # time to reach that acceleration
-    settle_s: float = Field(default=0.3, ge=0)
-    tolerance_deg: float = Field(default=0.01, gt=0)
+    options: Options = {}  # the driver's own
+    speed: float = Field(default=0.3, ge=LEAST_SPEED, le=1)  # share of the model's largest joint speed
+    acceleration_time_s: float = Field(default=0.3, gt=0, le=60)  # time to reach that speed
+    jerk_time_s: float = Field(default=0.1, gt=0, le=60)  # time to reach that acceleration
+    settle_s: float = Field(default=0.3, ge=0, le=LONGEST_S)
+    tolerance_deg: float = Field(default=0.01, gt=0, le=30)
     home_deg: tuple[float, ...]  # where the run starts, ends, and the artefact is moved
     payload: PayloadSpec | None = None  # scanner with bracket, in the flange frame; default: the robot file's
     link_radius_mm: float | None = Field(default=None, gt=0)  # of the upper arm, for collisions; default: 7 % of the arm's reach
@@ -72,22 +75,22 @@ class FieldOfView(Strict):
 class ScannerUse(Strict):
     driver: str
     model: str = ""
-    options: dict[str, Any] = {}
+    options: Options = {}
     field_of_view: FieldOfView
-    exposure_us: float | None = None
+    exposure_us: float | None = Field(default=None, gt=0, le=1e8)
     noise_mm: tuple[Noise, Noise, Noise] | None = None  # of one fitted ball centre along x, y, z, in the middle of the field of view
     noise_far_mm: tuple[Noise, Noise, Noise] | None = None  # the same at its far end, where it differs; between them by their ratio
     noise_factor_at_60_deg: float = Field(default=1.0, ge=1, le=100)  # how many times noisier a surface is that is seen 60 deg aslant
     resolution_mm: float | None = Field(default=None, gt=0.03)  # between neighbouring points, in the middle of the field of view
     keep_clouds: Literal["balls", "all"] = "balls"  # in the recording: the points of the balls with a thinned rest, or every point
-    scan_time_s: float = Field(default=1.0, ge=0)  # of one exposure with its transfer, for the estimate of the duration
-    reconnect_s: float = Field(default=90.0, ge=0)  # how long a scanner that went away (a reboot, a cable) is tried again
+    scan_time_s: float = Field(default=1.0, ge=0, le=LONGEST_S)  # of one exposure with its transfer, for the estimate of the duration
+    reconnect_s: float = Field(default=90.0, ge=0, le=86400)  # how long a scanner that went away (a reboot, a cable) is tried again
 
 
 class DeviceUse(Strict):
     driver: str
     model: str = ""
-    options: dict[str, Any] = {}
+    options: Options = {}
 
 
 class SensorUse(DeviceUse):
@@ -115,7 +118,7 @@ class View(Strict):
 class Step(Strict):
     name: str
     phase: Literal["translation", "orientation", "position", "length", "verification"]
-    exposures: int | None = Field(default=None, ge=1, le=MOST_EXPOSURES)
+    exposures: Whole | None = Field(default=None, ge=1, le=MOST_EXPOSURES)
 
 
 class Translate(Step):
@@ -134,7 +137,7 @@ class Look(Step):
     do: Literal["look"]
     stations: tuple[str | int, ...] = Field(min_length=1)
     views: tuple[View, ...] = Field(min_length=1)
-    balls: Literal["all", "each"] | tuple[int, ...] = "all"
+    balls: Literal["all", "each"] | tuple[Whole, ...] = "all"
 
 
 class Taught(Step):
@@ -143,7 +146,7 @@ class Taught(Step):
     do: Literal["joints"]
     station: str | int
     poses_deg: tuple[tuple[float, ...], ...] = Field(min_length=1)
-    balls: tuple[int, ...] | None = None  # expected ids; default: all in view
+    balls: tuple[Whole, ...] | None = None  # expected ids; default: all in view
 
 
 AnyStep = Annotated[Translate | Look | Taught, Field(discriminator="do")]
@@ -177,7 +180,7 @@ class Acceptance(Strict):
     """
 
     sphere_spacing_error_mm: float | None = Field(default=None, gt=0)
-    min_balls: int = Field(default=3, ge=1)
+    min_balls: Whole = Field(default=3, ge=1)
     box: AcceptanceBox | None = None
     places_mm: tuple[Vector, ...] = Field(default=(), max_length=MOST_PLACES)
 
@@ -193,7 +196,7 @@ class Plan(Strict):
     artefacts: tuple[str, ...] = Field(min_length=1)  # artefact YAML files, relative to the plan
     room_temperature_C: TemperatureRange | None = None  # range that the room keeps: its share of a verified length's uncertainty
     stations: tuple[StationPlace, ...] = Field(min_length=1)
-    exposures: int = Field(default=3, ge=1, le=MOST_EXPOSURES)
+    exposures: Whole = Field(default=3, ge=1, le=MOST_EXPOSURES)
     station_tolerance_mm: float = Field(default=30.0, gt=0)  # an artefact seen farther from its planned place ends the run
     obstacles: tuple[Obstacle, ...] = ()
     workspace: Workspace | None = None  # nothing of the arm that moves may leave it

@@ -10,7 +10,7 @@ from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identi
 
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
-    from mbcacq.report.content import Content, FleetContent, ReportVerdict
+    from mbcacq.report.content import ChangesContent, Content, FleetContent, ReportVerdict
 
 __all__ = [
     "accuracy_in_words",
@@ -22,6 +22,7 @@ __all__ = [
     "read_run_identity",
     "read_run_info",
     "report_from_result",
+    "write_changes_page",
     "write_diagnosis_page",
     "write_report_page",
 ]
@@ -93,6 +94,13 @@ def write_diagnosis_page(
     from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
     return write(render_diagnosis(diagnosis_content(diagnosis, pictures), title, about), path)
+
+
+def write_changes_page(changes: ChangesContent, path: str | Path) -> Path:
+    """Write two recordings compared as one HTML page. Raises RecordingError where it cannot be written."""
+    from mbcacq.report.page import render_changes, write
+
+    return write(render_changes(changes), path)
 
 
 def fleet_page(fleet: FleetContent, title: str = "Fleet") -> str:

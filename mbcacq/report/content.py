@@ -68,7 +68,7 @@ class Spacing:
         return fixed(value, self.places_shown)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ParameterRow:
     """One identified parameter with its expanded uncertainty (k = 2). nominal and value may be None where only the correction is known.
     held: reason, or None if free."""
@@ -87,7 +87,7 @@ class ParameterRow:
         return f"hand-eye {self.name}" if self.group.startswith("Hand-eye") else self.name
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Residuals:
     """Measured minus predicted. pose, ball: (M,) ids; phase: (M,) str; xyz: (M, 3) mm; weighted: (M, r), of unit variance if all is well,
     or None; outlier: (M,) bool, left out of the fit, or None. station: (M,) str; q_deg: (M, n) joint angles of the pose."""
@@ -131,7 +131,7 @@ class AccuracyGrid:
     cell_mm: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Devices:
     """Timing and health of the devices.
 
@@ -149,7 +149,7 @@ class Devices:
     health: list[tuple[str, str, str, str]] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Coverage:
     """Joint angles q_deg (P, n), limits_deg (n, 2) and phase (P,) str; flange (P, 3) mm in the base, or None; balls (M, 3) mm in the base
     with ball_phase (M,) str, or None. arm: (n + 1, 3) mm, the joints in the middle pose, or None."""
@@ -163,7 +163,7 @@ class Coverage:
     arm: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EffectContent:
     """One effect of a diagnosis. parameters: (name, value, expanded uncertainty, unit) as texts; harmonics: of a periodic effect, the heads
     of a table and a row a harmonic; alternatives: sentences; trend: no figure of it is beyond its uncertainty, and none is shown."""
@@ -178,7 +178,7 @@ class EffectContent:
     trend: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiagnosisContent:
     """A diagnosis in words and units.
 
@@ -201,7 +201,7 @@ class DiagnosisContent:
     centres: Mapping[str, Any] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FleetChart:
     """One figure of the N recordings of a type of arm. arm: (N,) index; value, std, deviation from the arm's centre line, limit of that:
     (N,) in ``unit``; outside: (N,) bool; usual, permitted: median of the arms and the permitted distance from it, NaN where there are too
@@ -231,10 +231,11 @@ class ArmTypeContent:
     charts: list[FleetChart]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FleetContent:
     """A fleet. outliers: (arm, recording, figure, difference, limit, their ratio); broken: (arm, recording, status, reason); verdicts,
-    effects: (name, how often). unlisted: how many outliers and broken recordings are in the table only."""
+    effects: (name, how often). unlisted: how many outliers and broken recordings are in the table only. caveat: that data are simulated, ''
+    where none are. recordings: (arm, recording, date, poses, rms of the residuals, largest sphere spacing error, verdict or status)."""
 
     headlines: list[tuple[str, str, str]]
     outliers: list[tuple[str, str, str, str, str, str]]
@@ -243,9 +244,42 @@ class FleetContent:
     effects: list[tuple[str, str]]
     types: list[ArmTypeContent]
     unlisted: int = 0
+    caveat: str = ""
+    recordings: list[tuple[str, ...]] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class ChangeRow:
+    """One change that a figure shows. expanded: U with k = 2, in ``unit``; marked: it is beyond chance."""
+
+    name: str
+    unit: str
+    change: float
+    expanded: float
+    marked: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangesContent:
+    """Two recordings compared. names: of the recordings; charts: (title, name) of the figures, whose rows ``rows`` has by that name;
+    spacings: the verification of each recording that has one, by its name; table: (beyond chance, quantity, before, after, change, unit).
+    """
+
+    title: str
+    names: tuple[str, str]
+    headline: str
+    reason: str
+    changed: bool
+    next: Action
+    charts: list[tuple[str, str]]
+    rows: dict[str, list[ChangeRow]]
+    spacings: list[tuple[str, Spacing]]
+    table: list[tuple[bool, str, str, str, str, str]]
+    caveats: list[str]
+    footer: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Content:
     """All that a report says: of the cell with what its diagnosis found where the run has that, else of its geometry. earlier: the spacing
     with the geometry alone, at the places of ``spacing``, where the cell has effects. arm_improved: of a run with corrected targets."""

@@ -3,6 +3,7 @@
 (() => {
   const plots = Array.from(document.querySelectorAll(".plot"));
   const layouts = new Map();
+  const PAPER = 0.8;
   const draw = (plot, width) => {
     if (!layouts.has(plot)) {
       const figure = JSON.parse(document.getElementById(plot.dataset.figure).textContent);
@@ -13,6 +14,12 @@
     } else if (width) {
       Plotly.relayout(plot, { width: width });
     }
+    if (width && width < 400) tall(plot, PAPER);
+  };
+  const tall = (plot, share) => {  // figures that stand beside each other are lower on paper
+    const height = share * layouts.get(plot).height;
+    plot.style.height = height + "px";
+    Plotly.relayout(plot, { height: height });
   };
   const small = (figure, plot) => {
     const layout = figure.layout;
@@ -21,7 +28,7 @@
     for (const key of Object.keys(layout)) {
       if (/^[xy]axis/.test(key)) layout[key].title = Object.assign({}, layout[key].title, { font: { size: 11 } });
     }
-    if (layout.updatemenus) Object.assign(layout.legend, { x: 0, xanchor: "left", y: -0.2, yanchor: "top" });  // above stands the list
+    if (layout.updatemenus) Object.assign(layout.legend, { x: 0, xanchor: "left", y: -0.34, yanchor: "top" });  // above stands the list, below the names of the axis
     const narrow = layout.meta && layout.meta.narrow;
     if (narrow) {
       layout.height = narrow.height;
@@ -43,7 +50,7 @@
   plots.forEach((plot) => visible.observe(plot));
   setTimeout(next, 30);
   const paper = () => plots.forEach((plot) => draw(plot, plot.closest(".three") ? 215 : plot.closest(".two") ? 325 : 670));
-  const screen = () => plots.forEach((plot) => Plotly.relayout(plot, { width: undefined, autosize: true }));
+  const screen = () => plots.forEach((plot) => { tall(plot, 1); Plotly.relayout(plot, { width: undefined, autosize: true }); });
   window.addEventListener("beforeprint", () => { document.querySelectorAll("details.print").forEach((d) => { d.open = true; }); paper(); });
   window.addEventListener("afterprint", screen);
 })();

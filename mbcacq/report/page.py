@@ -11,7 +11,7 @@ import numpy as np
 
 from mbcacq.files.atomic_write import write_file
 from mbcacq.quantities import fixed, pair, signed, uncertainty
-from mbcacq.report.content import Content, DiagnosisContent, FleetContent, Spacing
+from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity, readable
@@ -83,6 +83,18 @@ def render_diagnosis(diagnosis: DiagnosisContent, title: str, about: Sequence[tu
 def render_fleet(fleet: FleetContent, title: str) -> str:
     """HTML of a fleet."""
     return _template("fleet_page.html.j2", f=fleet, title=title, figures=_embedded(fleet_figures(fleet)))
+
+
+def render_changes(changes: ChangesContent) -> str:
+    """HTML of two recordings compared."""
+    from markupsafe import Markup
+
+    from mbcacq.report.charts import change_charts
+    from mbcacq.report.charts.spacing_svg import spacing_picture
+
+    figures = {name: change_charts.changes(rows) for name, rows in changes.rows.items()}
+    pictures = [(name, Markup(spacing_picture(spacing))) for name, spacing in changes.spacings]
+    return _template("changes_page.html.j2", c=changes, figures=_embedded(figures), pictures=pictures)
 
 
 def write(html: str, path: str | Path) -> Path:

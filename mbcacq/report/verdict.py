@@ -10,6 +10,7 @@ import numpy as np
 from mbcacq.calibration.length_budget import temperature_sentence
 from mbcacq.calibration.verification import verdict_of_places
 from mbcacq.effects.effect_term import UNKNOWN
+from mbcacq.errors import command_line
 from mbcacq.quantities import K, measured, micrometres, signed, uncertainty
 from mbcacq.report.content import Action, ReportVerdict, Spacing
 
@@ -28,22 +29,24 @@ NO_BUDGET = (
 VERIFY_INDEPENDENTLY = Action(
     "Verify on poses of their own",
     "The verification poses took part in the calibration: they say how well it fits, not how well it predicts. "
-    "Give the bar's step the phase 'verification' and measure again.",
+    "Give the bar's step the phase 'verification' and measure again; the plan kuka has such a step.",
+    "mbcacq plan copy kuka",
 )
-MEASURE_MORE = Action(
+MEASURE_MORE = (
     "Measure more, then calibrate again",
     "The limit is exceeded, and no effect was found that explains it. See which "
     "parameters are least certain below, and let the plan be extended by poses that determine them.",
-    "mbcacq plan design PLAN",
 )
-DECIDE_BETTER = Action(
+DECIDE_BETTER = (
     "Decide with a smaller uncertainty",
     "An error lies within U of the limit. The largest term of the uncertainty budget says what helps: a better certificate, a measured "
-    "temperature of the artefact, or more exposures at each end.",
+    "temperature of the artefact, or more exposures at each end. Then judge anew.",
 )
 MEASURE_INDEPENDENTLY = Action(
     "Measure an artefact that judges",
-    "Nothing independent says how good the cell is. Add a scale bar longer than the view as a step of phase 'verification'.",
+    "Nothing independent says how good the cell is. Add a scale bar longer than the view as a step of phase 'verification'; the plan kuka "
+    "has one.",
+    "mbcacq plan copy kuka",
 )
 
 
@@ -177,18 +180,23 @@ def next_action(
     diagnosis: Mapping[str, Any] | None,
     name: str,
     with_effects: str = "",
+    plan: str = "",
 ) -> Action:
-    """The one thing to do next. name: of the run folder or the data, for the commands; with_effects: the folder of the result with the
-    effects that were found, where ``result`` is that one."""
+    """The one thing to do next, with a command that can be pasted. name: of the run folder or the data; with_effects: the folder of the
+    result with the effects that were found, where ``result`` is that one; plan: the plan of the run, '' where the data have none."""
     if spacing is not None and not spacing.independent:
         return VERIFY_INDEPENDENTLY
-    if with_effects:
-        return _without_finding(verdict, spacing, with_effects, has_effects=True)
-    if diagnosis is None:
+    action = None
+    if not with_effects and diagnosis is None:
         action = _ask_for_diagnosis(verdict, max(result["noise"].get("check_factor") or [0.0]), name)
-    else:
-        action = _after_diagnosis(verdict, diagnosis, name)
-    return action or _without_finding(verdict, spacing, name)
+    elif not with_effects and diagnosis is not None:
+        action = _after_diagnosis(verdict, diagnosis, name, plan)
+    return action or _without_finding(verdict, spacing, name, with_effects, plan)
+
+
+def measure_next(name: str, plan: str) -> str:
+    """The command that writes the measurements which decide most, where a run with its plan is there to extend."""
+    return command_line("diagnose", name, *(("--next", "next.yaml") if plan else ()))
 
 
 def _ask_for_diagnosis(verdict: ReportVerdict, factor: float, name: str) -> Action | None:
@@ -199,19 +207,19 @@ def _ask_for_diagnosis(verdict: ReportVerdict, factor: float, name: str) -> Acti
         reason = f"The residuals need {factor:.1f} times the stated noise"
     else:
         return None
-    return Action("Ask why", f"{reason}: something may be missing in the model. Ask what, and where.", f"mbcacq diagnose {name}")
+    return Action("Ask why", f"{reason}: something may be missing in the model. Ask what, and where.", command_line("diagnose", name))
 
 
-def _after_diagnosis(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: str) -> Action | None:
+def _after_diagnosis(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: str, plan: str) -> Action | None:
     """None where the diagnosis found nothing and advises nothing."""
     if diagnosis["verdict"] in ("explained", "partly_explained", "unexplained"):
-        return _after_finding(verdict, diagnosis, name)
+        return _after_finding(verdict, diagnosis, name, plan)
     if diagnosis.get("advice"):
-        return Action("Measure what is missing", str(diagnosis["advice"][0].get("reason", "")))
+        return Action("Measure what is missing", str(diagnosis["advice"][0].get("reason", "")), measure_next(name, plan))
     return None
 
 
-def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: str) -> Action:
+def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: str, plan: str) -> Action:
     effects = diagnosis.get("effects") or []
     if diagnosis["verdict"] == "unexplained" or not effects or effects[0]["name"] == UNKNOWN:
         first = (diagnosis.get("mismatch") or [{"at": "the arm", "depends_on": "something not recorded"}])[0]
@@ -219,27 +227,28 @@ def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: s
             f"Look at {first['at']}",
             f"The residual structure there depends on {readable(first['depends_on'])}, and no known effect describes it. "
             "A repeated measurement in another order separates a lasting cause from a passing one.",
+            measure_next(name, plan),
         )
     names = " and ".join(f"{readable(e['name'])} at {', '.join(e['where'])}" for e in effects[:2])
     what = "Take it into the model" if verdict.level == "pass" else "Repair it, or take it into the model"
     return Action(
         f"{what}: {names}",
         "The diagnosis names it, and it predicts held-out poses. The calibration with it is judged by the same bar.",
-        f"mbcacq diagnose {name} --calibrate",
+        command_line("diagnose", name, "--calibrate"),
     )
 
 
-def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str, has_effects: bool = False) -> Action:
+def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str, with_effects: str, plan: str) -> Action:
     if verdict.level == "fail":
-        return MEASURE_MORE
+        return Action(*MEASURE_MORE, measure_next(name, plan))
     if verdict.level == "undecided":
-        return DECIDE_BETTER
+        return Action(*DECIDE_BETTER, command_line("plan", "check", plan) if plan else command_line("calibrate", name))
     if spacing is None:
         return MEASURE_INDEPENDENTLY
     why = "Write it for the controller, for ROS or as tables."
-    if has_effects:
+    if with_effects:
         why += " These hold the geometry; mbcacq correct and mbcacq apply take the effects into account too."
-    return Action("Put the result to use", why, f"mbcacq export {name} --results DIR")
+    return Action("Put the result to use", why, command_line("export", with_effects or name, "--results", "results"))
 
 
 def readable(name: str) -> str:

@@ -87,7 +87,7 @@ def _pose(
     seen = [xyz for ball, xyz in zip(ids, centres.get(pose.station, ()), strict=False) if ball in pose.balls]
     names = ", ".join(map(str, pose.balls))
     return {
-        "label": f"pose {pose.number + 1} of {count}: step {pose.step_name} ({pose.phase}), station {pose.station}, "
+        "label": f"pose {pose.number} of {count}, counted from 0: step {pose.step_name} ({pose.phase}), station {pose.station}, "
         f"sees {len(seen)} ball{'' if len(seen) == 1 else 's'}{f' ({names})' if seen else ''}",
         "arm": _rounded([*frames[:, :3, 3], T_base_scanner[:3, 3]]),
         "view": _rounded(se3.apply(T_base_scanner, _frustum(field))),

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from mbcacq.errors import MbcacqError
-from mbcacq.quantities import measured, p_value, symbol
 from mbcacq.serve.run_row import RunRow
-from mbcacq.workflow.compare_runs import RunComparison, compare_results
+from mbcacq.workflow.compare_runs import compare_results
 
 MOST_RUNS = 4
 
@@ -33,31 +32,6 @@ def changes(rows: Sequence[RunRow]) -> list[dict[str, Any]]:
         except MbcacqError as error:
             out.append({"names": names, "why_not": str(error), "rows": [], "verdict": ""})
             continue
-        out.append({"names": names, "why_not": "", "rows": _shown(found), "verdict": _verdict(found)})
+        shown = sorted(found.table, key=lambda row: not row[0])  # the significant ones first
+        out.append({"names": names, "why_not": "", "rows": shown, "verdict": ". ".join([*found.sentences, found.how])})
     return out
-
-
-def _shown(found: RunComparison) -> list[tuple[bool, str, str, str, str, str]]:
-    """(significant, name, before, after, change, unit), the significant ones first."""
-
-    def text(pair: tuple[float, float | None] | None) -> str:
-        return "–" if pair is None else measured(*pair)
-
-    rows = [
-        (
-            row.significant,
-            row.name,
-            text(row.before),
-            text(row.after),
-            text(row.change) if row.change is not None else row.why_not or "–",
-            symbol(row.unit),
-        )
-        for row in found.rows
-    ]
-    return sorted(rows, key=lambda row: not row[0])
-
-
-def _verdict(found: RunComparison) -> str:
-    together = f"Arm and hand-eye together: χ² {found.chi2:.1f} of {found.dof} degrees of freedom, {p_value(found.p_value)}."
-    names = ", ".join(row.name for row in found.changed)
-    return f"{f'Changed beyond chance: {names}.' if names else 'No single parameter changed beyond chance.'} {together}"

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.files.atomic_write import write_file
+from mbcacq.quantities import K, significant, symbol, uncertainty
 
 RUNS, TORQUES, POSES = "runs", "torques", "poses"  # what a recording is compared with
 AT_NOISE = 1.2  # times the noise, which is itself an estimate to some per cent: up to that a held-out channel is explained
@@ -60,7 +61,7 @@ class ModelCheck:
     errors: tuple[ChannelError, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelMatch:
     """A MuJoCo model with what was found in recordings.
 
@@ -119,19 +120,17 @@ class ModelMatch:
     @property
     def text(self) -> str:
         """In plain lines, as the command line prints it."""
-        lines = [
-            "",
-            f"Written into {Path(self.model).name}:" if self.parameters else f"Nothing is to be changed in {Path(self.model).name}.",
-        ]
+        name = Path(self.model).name
+        lines = ["", f"Written into {name} (± U, k = 2):" if self.parameters else f"Nothing is to be changed in {name}."]
         for p in self.parameters:
-            std = "" if p.std != p.std else f" +- {p.std:.2g}"
+            std = "" if p.std != p.std else f" ± {uncertainty(K * p.std)}"
             lines.append(f"  {p.where:<12} {p.parameter:<24} {p.given} -> {p.found}{std}")
         lines += [f"  ({remark})" for remark in self.remarks]
         if self.compared != POSES:
             what = "new runs of MuJoCo by the recorded set points" if self.compared == RUNS else "MuJoCo's torque along the recorded motion"
             lines += ["", f"Recorded against {what}, on held-out parts (rms before, after, noise):", *_rows(self.errors)]
         else:
-            lines += ["", *(f"  {e.channel}: {e.after:.2g} {e.unit}" for e in self.errors)]
+            lines += ["", *(f"  {e.channel}: {significant(e.after, 2)} {symbol(e.unit)}" for e in self.errors)]
         for check in self.checks:
             lines += ["", f"In {check.recording}, held out:", *_rows(check.errors)]
         return "\n".join(lines)
@@ -147,7 +146,10 @@ def to_precision(value: float, std: float) -> str:
 
 
 def _rows(errors: tuple[ChannelError, ...]) -> list[str]:
-    return [f"  {e.channel:<12} {e.before:.3g} -> {e.after:.3g} {e.unit} (noise {e.noise:.2g})" for e in errors]
+    return [
+        f"  {e.channel:<12} {significant(e.before)} -> {significant(e.after)} {symbol(e.unit)} (noise {significant(e.noise, 2)})"
+        for e in errors
+    ]
 
 
 def _number(value: float | None) -> float:

@@ -69,7 +69,9 @@ def diagnose_against_model(
     changed = tuple(p for block in fit.fitted() for p in block.parameters())
     compared = RUNS if fit.runs else TORQUES
     remarks = (*what_remains(left), *remarks_on_masses(arm, model))
-    return found, ModelMatch(str(arm.path), as_xml(arm, model), changed, compared, tuple(fit.errors()), remarks=remarks)
+    return found, ModelMatch(
+        model=str(arm.path), xml=as_xml(arm, model), parameters=changed, compared=compared, errors=tuple(fit.errors()), remarks=remarks
+    )
 
 
 def check_model(match: ModelMatch, arm: MujocoArm, trajectories: Sequence[Trajectory], name: str) -> ModelMatch:

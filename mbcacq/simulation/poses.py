@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration import CalibratedCell
 from mbcacq.diagnosis.result import EffectFound
 from mbcacq.effects.catalogue import declaration
 from mbcacq.errors import ConfigError
@@ -58,11 +58,11 @@ def is_written(name: str) -> bool:
     return declaration(name).model_block == "gear"
 
 
-def write_into_model(arm: MujocoArm, found: Calibration, effects: Sequence[EffectFound]) -> ModelMatch:
+def write_into_model(arm: MujocoArm, found: CalibratedCell, effects: Sequence[EffectFound]) -> ModelMatch:
     """The model with the calibrated chain and the compliances of the cell. found: of observations that ``observations_of_model`` gave, with
     the effects that a model can hold; effects: all that the diagnosis named."""
     spec = with_chain(arm, found.state.chain)
-    robot = found.observations.cell.robot
+    robot = found.fit.observations.cell.robot
     if robot.payload_mass > 0:
         _add_payload(arm, spec, robot)
     changed = _moved_bodies(arm, spec)
@@ -82,7 +82,9 @@ def write_into_model(arm: MujocoArm, found: Calibration, effects: Sequence[Effec
     ]
     distance = miss(arm, spec, found)
     error = ChannelError("MuJoCo's model against the calibrated cell at the recorded poses, at most", "mm", 0.0, float("nan"), distance)
-    return ModelMatch(str(arm.path), as_xml(arm, spec), tuple(changed), POSES, (error,), remarks=tuple(remarks))
+    return ModelMatch(
+        model=str(arm.path), xml=as_xml(arm, spec), parameters=tuple(changed), compared=POSES, errors=(error,), remarks=tuple(remarks)
+    )
 
 
 def _moved_bodies(arm: MujocoArm, spec: Any) -> list[ModelParameter]:
@@ -112,9 +114,9 @@ def _add_payload(arm: MujocoArm, spec: Any, robot: RobotModel) -> None:
         body.mass, body.ipos, body.inertia = robot.payload_mass, np.zeros(3), np.full(3, 1e-3 * robot.payload_mass)
 
 
-def miss(arm: MujocoArm, spec: Any, found: Calibration) -> float:
+def miss(arm: MujocoArm, spec: Any, found: CalibratedCell) -> float:
     """Largest distance (mm) of the last body's origin in MuJoCo's model from the calibrated cell's, at the poses of the recording."""
-    obs = found.observations
+    obs = found.fit.observations
     motor = obs.q - windup(arm, arm.spec, obs.q)  # behind elastic gears the recording stands where they leave it
     chain, effects = found.state.chain, found.effects
     frames = chain.frames(obs.q) if not effects else effects.frames(chain, obs.q, obs)

@@ -23,7 +23,7 @@ VIEW_ROUNDS, MAX_ROUNDS = 4, 20
 MIN_POINTS = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SphereFit:
     """centre (3,) mm; covariance (3, 3) mm^2; noise_mm: estimated sigma of a point; rms_mm and n_points: of the points used.
 

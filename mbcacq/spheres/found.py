@@ -11,7 +11,7 @@ ROUGHNESS = 9.0  # times the noise of a centre: as the default's 0.08 mm to the 
 CREDIBLE_SIGMAS = 6.0  # of a centre against its certificate: far in the tail of a normal distribution
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SphereOptions:
     """Limits of sphere extraction. Lengths mm, angles rad.
 
@@ -46,7 +46,7 @@ class SphereOptions:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FoundSpheres:
     """Balls recognised in one cloud, in the order of the certificate.
 

@@ -85,7 +85,7 @@ def solver_cell(loaded: LoadedPlan) -> Cell:
     return replace(loaded.cell, stations=stations, noise_mm=None)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Acquisition:
     """A checked path to execute, and the folder of its recording. part: number of the recording (0, but for a resumed run); done: numbers
     of the poses to pass over; cell: which cell is driven, in words, so that a resumed run stays with it; simulated: it is a fake one;

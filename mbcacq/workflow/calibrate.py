@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mbcacq import calibration as room
-from mbcacq.calibration import Calibration, CalibrationOptions, Verification, several
-from mbcacq.calibration.calibrated import Calibrated
+from mbcacq import calibration
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification, several
 from mbcacq.calibration.compare_methods import Comparison
 from mbcacq.calibration.compare_methods import compare as compare_methods
-from mbcacq.calibration.joint_result import JointCalibration
+from mbcacq.calibration.joint_file import joint_content as content_of_all
 from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
 from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, options_for
 from mbcacq.calibration.transfer import Transfer, check_transfer
@@ -43,7 +42,7 @@ def calibrate(
     *,
     effects: Effects | None = None,
     hold_effects: bool = False,
-) -> Calibration:
+) -> CalibratedCell:
     """Identify the cell: errors of the arm's MD-H parameters (n, 5) in rad and mm, T_flange_scanner (4, 4), stations, ball centres, noise.
 
     data: observations, or where they are (see ``mbcacq.load_observations``). Poses of phase 'verification' are kept apart.
@@ -52,7 +51,7 @@ def calibrate(
     undetermined, ConfigError for options that do not fit.
     """
     if effects is None:
-        return room.calibrate(as_observations(data), options)
+        return calibration.calibrate(as_observations(data), options)
     return calibrate_with_effects(as_observations(data), options, as_effects(effects), hold=hold_effects)
 
 
@@ -62,37 +61,36 @@ def calibrate_together(
     *,
     effects: Effects | None = None,
     hold_effects: bool = False,
-) -> JointCalibration:
+) -> tuple[CalibratedCell, ...]:
     """Several recordings of one arm: arm and effects are shared; base, tool, stations, artefacts and noise are each recording's own.
 
-    A sequence of one ``Calibration`` for each recording, with the covariance that all of them together give. effects: as
+    One ``CalibratedCell`` for each recording, in their order, with the covariance that all of them together give. effects: as
     ``calibrate`` takes them; a coefficient that differs from day to day gets a variance between recordings. Raises ConfigError where
     the recordings are not of one arm, CalibrationError as ``calibrate``.
     """
-    names = tuple(str(one) if isinstance(one, Path | str) else f"recording {i + 1}" for i, one in enumerate(data))
     recordings = [as_observations(one) for one in data]
     model = None if effects is None else as_effects(effects)
-    return JointCalibration(several.calibrate_together(recordings, options, model, hold=hold_effects), names)
+    return several.calibrate_together(recordings, options, model, hold=hold_effects)
 
 
 def verify(
     data: Observations | Path | str,
-    calibration: Calibrated | CellState | Path | str,
+    calibrated: CalibratedCell | CellState | Path | str,
     *,
     before: CellState | None = None,
     limit_mm: float | None = None,
 ) -> Verification:
     """Sphere spacing errors (mm) at the verification poses, before and after calibration, with the uncertainty expected of each.
 
-    calibration: what ``mbcacq.calibrate`` returned, or a result.json, or a run folder that holds one. A bare
+    calibrated: what ``mbcacq.calibrate`` returned, or a result.json, or a run folder that holds one. A bare
     ``mbcacq.estimation.forward_model.CellState`` is compared with ``before``. limit_mm: largest error permitted.
     """
-    if isinstance(calibration, Path | str):
-        calibration = room.CalibratedCell.from_json(Path(calibration))
-    return room.verify(as_observations(data), calibration, before=before, limit_mm=limit_mm)
+    if isinstance(calibrated, Path | str):
+        calibrated = CalibratedCell.from_json(Path(calibrated))
+    return calibration.verify(as_observations(data), calibrated, before=before, limit_mm=limit_mm)
 
 
-def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | Path | str, *, place: str = "fitted") -> Transfer:
+def verify_elsewhere(data: Observations | Path | str, calibrated: CalibratedCell | Path | str, *, place: str = "fitted") -> Transfer:
     """A calibrated arm, with its effects, on a recording that it was not fitted to: both stay as they were learnt.
 
     place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is; poses at stations that the
@@ -102,12 +100,10 @@ def verify_elsewhere(data: Observations | Path | str, calibration: Calibrated | 
     """
     from mbcacq.calibration.result_io import chain_of
 
-    cell = calibration
-    if isinstance(calibration, Path | str):
-        cell = room.CalibratedCell.from_json(Path(calibration), any_of_them=place == "fitted")
-    assert not isinstance(cell, Path | str), "it was read"
-    content = cell.content if isinstance(cell, room.CalibratedCell) else getattr(cell, "extra", {})
-    alone = content.get("geometry_alone")
+    cell = calibrated
+    if isinstance(cell, Path | str):
+        cell = CalibratedCell.from_json(Path(cell), any_of_them=place == "fitted")
+    alone = cell.extra.get("geometry_alone")
     chain = None
     if alone:
         sign = cell.state.chain.sign.tolist()
@@ -172,14 +168,14 @@ def calibration_content(
         raise ConfigError("held-out figures are of the geometry alone; try a calibration with effects on another recording: mbcacq verify")
     observations = as_observations(data) if observations is None else observations
     asked, options = options, options_for(observations, options)
-    calibration = calibrate(observations, options, effects=effects, hold_effects=hold_effects)
-    content = calibration.to_dict()
-    content["verification"] = room.verify(observations, calibration, limit_mm=limit_of(Path(data))).to_dict()
+    cell = calibrate(observations, options, effects=effects, hold_effects=hold_effects)
+    content = cell.to_dict()
+    content["verification"] = cell.verify(observations, limit_mm=limit_of(Path(data))).to_dict()
     content["gaps"] = find_gaps(Path(data))
     if asked.kinematics and not options.kinematics:
         content["scope"] = FLANGE_POSES_ALONE if observations.cell.robot.of_flange_poses else HAND_EYE_ALONE
     if with_map:
-        content["accuracy_map"] = accuracy_map(calibration).to_dict()
+        content["accuracy_map"] = accuracy_map(cell).to_dict()
     if held_out is not None:
         split = cross_validate(observations, options, held_out.split, size=held_out.size, fits=held_out.fits, seed=held_out.seed)
         content["held_out"] = split.to_dict()
@@ -203,10 +199,10 @@ def joint_content(
     """
     from mbcacq.recording import find_gaps
 
-    joint = calibrate_together(data, options, effects=effects, hold_effects=hold_effects)
-    content = joint.to_dict()
-    for path, calibration, one in zip(data, joint, content["recordings"], strict=True):
-        one["result"]["verification"] = room.verify(as_observations(path), calibration).to_dict()
+    cells = calibrate_together(data, options, effects=effects, hold_effects=hold_effects)
+    content = content_of_all([cell.to_dict() for cell in cells], [str(path) for path in data])
+    for path, cell, one in zip(data, cells, content["recordings"], strict=True):
+        one["result"]["verification"] = cell.verify(as_observations(path)).to_dict()
         one["result"]["gaps"] = find_gaps(path)
     return content
 

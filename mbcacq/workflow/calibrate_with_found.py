@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import Calibration, CalibrationOptions, Verification
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification
 from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_files
 from mbcacq.quantities import fixed
-from mbcacq.workflow.calibrate import calibrate, verify
+from mbcacq.workflow.calibrate import calibrate
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
 
@@ -25,9 +25,9 @@ class CalibratedWithFound:
     with_effects is None where nothing was found that a calibration could take.
     """
 
-    geometry: Calibration
+    geometry: CalibratedCell
     by_geometry: Verification
-    with_effects: Calibration | None = None
+    with_effects: CalibratedCell | None = None
     by_effects: Verification | None = None
 
     @property
@@ -77,8 +77,8 @@ def calibrate_with_found(
     if obs is None:
         raise ConfigError("--calibrate needs one recording of poses at standstill; give it alone")
     geometry = calibrate(obs, options)
-    by_geometry = verify(obs, geometry, limit_mm=limit_mm)
+    by_geometry = geometry.verify(obs, limit_mm=limit_mm)
     if not found.model:
         return CalibratedWithFound(geometry, by_geometry)
     better = calibrate(obs, options, effects=found.model)
-    return CalibratedWithFound(geometry, by_geometry, better, verify(obs, better, limit_mm=limit_mm))
+    return CalibratedWithFound(geometry, by_geometry, better, better.verify(obs, limit_mm=limit_mm))

@@ -1,4 +1,6 @@
-"""Two recordings of one arm compared: what changed from one campaign to the next, with its uncertainty."""
+"""Two recordings of one arm compared: what changed from one campaign to the next, with its uncertainty.
+
+Compared is what each recording alone says, without the prior of the links, which would let every change lean towards zero."""
 
 from __future__ import annotations
 
@@ -12,15 +14,15 @@ from scipy.special import chdtrc, ndtri
 
 from mbcacq.calibration.result_io import chain_of, effects_of
 from mbcacq.calibration.same_arm import refuse_other_arm
+from mbcacq.calibration.without_prior import without_prior
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.json_text import damage
-from mbcacq.quantities import K
+from mbcacq.quantities import K, measured, p_value, symbol
 
 FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
 TURNS = {"rad": 180.0 / np.pi}  # angles are shown in degrees
-# Links within the size that such errors have lean to nominal in both alike: a change may be understated, never overstated.
 DETERMINED = {"free", "prior"}
 REGULAR = 1e-12  # least eigenvalue of the normalised covariance of all changes that counts as known
 
@@ -41,6 +43,11 @@ class Change:
     significant: bool = False
     why_not: str = ""
 
+    @property
+    def title(self) -> str:
+        """The quantity as people read it: 'hand-eye x' of 'hand_eye.x'."""
+        return self.name.replace("hand_eye.", "hand-eye ")
+
     def to_dict(self) -> dict[str, Any]:
         def value(pair: tuple[float, float | None] | None) -> dict[str, float | None] | None:
             return None if pair is None else {"value": pair[0], "U": pair[1]}
@@ -49,7 +56,7 @@ class Change:
         return {"what": self.what, "name": self.name, "unit": self.unit, **shown, "significant": self.significant, "why_not": self.why_not}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunComparison:
     """What changed between two recordings of one arm.
 
@@ -64,6 +71,8 @@ class RunComparison:
     chi2, dof, p_value
         Test of all changes of arm and hand-eye together, with their whole covariances, against none; p_value is the probability of a larger
         chi2 where nothing changed.
+    leaning
+        An older result does not say which prior of the links it used: the changes of the arm lean towards zero, and may be understated.
     """
 
     names: tuple[str, str]
@@ -72,11 +81,54 @@ class RunComparison:
     chi2: float
     dof: int
     p_value: float
+    leaning: bool = False
 
     @property
     def changed(self) -> list[Change]:
         """The rows whose change is significant."""
         return [row for row in self.rows if row.significant]
+
+    @property
+    def sentences(self) -> list[str]:
+        """What changed, and the test of everything together."""
+        names = ", ".join(row.title for row in self.changed)
+        out = [f"Changed beyond chance: {names}" if names else "No single quantity changed beyond chance"]
+        return [*out, f"Arm and hand-eye together: χ² {self.chi2:.1f} of {self.dof} degrees of freedom, {p_value(self.p_value)}"]
+
+    @property
+    def how(self) -> str:
+        """A sentence on what the changes of the arm rest on."""
+        if self.leaning:
+            return (
+                "An older mbcacq wrote one of the results, which does not say which prior of the links it used: the changes of the arm "
+                "lean towards zero, and may be understated; calibrate both recordings anew."
+            )
+        return "Values and changes of the arm are what each recording alone says, without the prior that a calibration has of its links."
+
+    @property
+    def table(self) -> list[tuple[bool, str, str, str, str, str]]:
+        """(beyond chance, quantity, before, after, change, unit) of every row, in words and figures."""
+
+        def text(pair: tuple[float, float | None] | None) -> str:
+            return "–" if pair is None else measured(*pair)
+
+        return [
+            (
+                row.significant,
+                row.title,
+                text(row.before),
+                text(row.after),
+                text(row.change) if row.change is not None else row.why_not or "–",
+                symbol(row.unit),
+            )
+            for row in self.rows
+        ]
+
+    def write_html(self, path: Path | str) -> Path:
+        """Write the comparison as one HTML page with charts. Raises RecordingError where it cannot be written."""
+        from mbcacq.workflow.changes_page import write_page
+
+        return write_page(self, path)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content, format 'mbcacq-run-comparison/1'. Lengths mm, angles deg."""
@@ -86,6 +138,7 @@ class RunComparison:
             "recordings": list(self.names),
             "robot": self.robot,
             "together": together,
+            "leaning": self.leaning,
             "rows": [row.to_dict() for row in self.rows],
         }
 
@@ -96,7 +149,7 @@ def compare_runs(first: Path | str, second: Path | str) -> RunComparison:
 
     Raises ConfigError where one has no result, or they are of different arms.
     """
-    results = [_result(Path(path)) for path in (first, second)]
+    results = [best_result(Path(path)) for path in (first, second)]
     return compare_results(results[0], results[1], (str(first), str(second)))
 
 
@@ -107,7 +160,7 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: 
         nominal = [chain_of(dict(result), "nominal") for result in (first, second)]
         other = RobotModel(str(second["robot"]["name"]), nominal[1], *(np.zeros(nominal[1].n), np.zeros(nominal[1].n)), np.zeros((1, 3)))
         refuse_other_arm("the first recording is of", robot, nominal[0], other, "the second")
-        changes, covariance = _geometry(first, second)
+        changes, covariance, leaning = _geometry(first, second)
         rows = [*changes, *_effects(first, second)]
         figures = _figures(first, second)
     except (KeyError, TypeError, ValueError) as error:
@@ -116,10 +169,18 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: 
     limit = float(-ndtri(FALSE_ALARMS / 2 / max(tested, 1)))
     rows = [_judged(row, limit) for row in rows]
     chi2, dof = _together([row.change[0] for row in changes if row.change is not None], covariance)
-    return RunComparison(names, robot, (*rows, *figures), chi2, dof, float(chdtrc(dof, chi2)) if dof else 1.0)
+    return RunComparison(
+        names=names,
+        robot=robot,
+        rows=(*rows, *figures),
+        chi2=chi2,
+        dof=dof,
+        p_value=float(chdtrc(dof, chi2)) if dof else 1.0,
+        leaning=leaning,
+    )
 
 
-def _result(path: Path) -> dict[str, Any]:
+def best_result(path: Path) -> dict[str, Any]:
     """The best result of a run: with effects, where there is one."""
     from mbcacq.exports.result_json import load_result
 
@@ -127,10 +188,12 @@ def _result(path: Path) -> dict[str, Any]:
     return load_result(with_effects if with_effects.is_file() else path)
 
 
-def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list[Change], np.ndarray]:
-    """Rows of arm and hand-eye, and the covariance (c, c) of the changes that both recordings determine, in their order and units."""
+def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list[Change], np.ndarray, bool]:
+    """Rows of arm and hand-eye; the covariance (c, c) of the changes that both recordings determine, in their order and units; whether
+    these lean towards zero."""
     listed = [{p["name"]: p for p in result["parameters"]} for result in (first, second)]
-    T = se3.inverse(np.array(first["T_flange_scanner"], float)) @ np.array(second["T_flange_scanner"], float)
+    own = [without_prior(result) for result in (first, second)]
+    T = se3.inverse(own[0].T_flange_scanner) @ own[1].T_flange_scanner
     moved = dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*T[:3, 3], *se3.rotation_log(T[:3, :3])), strict=True))
     rows: list[Change] = []
     common: list[tuple[str, float]] = []
@@ -141,21 +204,24 @@ def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list
             continue
         scale = TURNS.get(one["unit"], 1.0)
         unit = "deg" if one["unit"] in TURNS else one["unit"]
-        before, after = (None if mount or p["std"] is None else (scale * p["error"], K * scale * p["std"]) for p in (one, two))
+        before, after = (
+            None if mount or p["std"] is None else (scale * each.error[name], K * scale * each.std(name))
+            for p, each in zip((one, two), own, strict=True)
+        )
         if one["std"] is None or two["std"] is None:
             held = "first" if one["std"] is None else "second"
             rows.append(Change("hand-eye" if mount else "parameter", name, unit, before, after, None, why_not=f"held in the {held}"))
             continue
-        value = moved[mount] if mount else two["error"] - one["error"]
-        change = (scale * value, K * scale * float(np.hypot(one["std"], two["std"])))
+        value = moved[mount] if mount else own[1].error[name] - own[0].error[name]
+        change = (scale * value, K * scale * float(np.hypot(own[0].std(name), own[1].std(name))))
         rows.append(Change("hand-eye" if mount else "parameter", name, unit, before, after, change))
         common.append((name, scale))
     covariance = np.zeros((len(common), len(common)))
-    for result in (first, second):
-        at = [list(result["names"]).index(name) for name, _ in common]
-        covariance += np.array(result["covariance"], float)[np.ix_(at, at)]
+    for each in own:
+        at = [each.names.index(name) for name, _ in common]
+        covariance += each.covariance[np.ix_(at, at)]
     scales = np.array([scale for _, scale in common])
-    return rows, covariance * scales[:, None] * scales
+    return rows, covariance * scales[:, None] * scales, not all(each.known for each in own)
 
 
 def _together(changes: list[float], covariance: np.ndarray) -> tuple[float, int]:

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.joint_targets import JointTargets, joint_targets
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
-from mbcacq.workflow.load import as_result, refuse_existing
+from mbcacq.workflow.load import as_cell, refuse_existing
 
 TRIES = 24  # starts for a pose without joint angles
 LARGE_CHANGE = np.radians(2.0)  # of a joint: more than any calibration of an arm in good order asks for
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Correction:
     """One file. names, lines: of its points; before: (P,) mm, by how much the arm misses its nominal place with the programmed angles, NaN
     where none are programmed; change: (P,) rad, largest of a joint; found: the corrected angles. left_alone: name, line and reason of each
@@ -50,8 +50,10 @@ class Correction:
                 "reached": bool(ok),
                 "reason": reason,
             }
-            for name, line, q, before, mm, rad, change, ok, reason in zip(
-                self.names, self.lines, f.q, self.before_mm, f.error_mm, f.error_rad, self.change, f.reached, f.reasons, strict=True
+            for (name, line, before, change), (q, mm, rad, ok, reason) in zip(
+                zip(self.names, self.lines, self.before_mm, self.change, strict=True),
+                zip(f.q, f.error_mm, f.error_rad, f.reached, f.reasons, strict=True),
+                strict=True,
             )
         ]
         left = [{"name": name, "line": line, "reason": reason} for name, line, reason in self.left_alone]
@@ -74,7 +76,7 @@ class _Points:
 
 def correct(
     program: Path | str,
-    cell: Calibration | CalibratedCell | dict[str, Any] | Path | str,
+    cell: CalibratedCell | dict[str, Any] | Path | str,
     out: Path | str | None = None,
     *,
     force: bool = False,
@@ -92,21 +94,17 @@ def correct(
     if output.resolve() == program.resolve():
         raise ConfigError(f"{output} is the program itself; give another --out")
     refuse_existing(output, force, f"{output} exists; give another --out, or --force to replace it")
-    arm = CalibratedCell.from_dict(as_result(cell))
-    nominal = arm.preliminary.chain
+    arm = as_cell(cell)
+    nominal = arm.nominal
     refuse_uncalibrated(arm, simulated_anyway)
-    limits = arm.content["robot"].get("limits")
-    bounds = None if limits is None else np.array(limits, dtype=float).reshape(nominal.n, 2)
     points = _points(program, nominal.n)
     programmed = np.all(np.isfinite(points.q), axis=1)
     goals = points.goals if points.goals is not None else nominal.flange(points.q)
     start = np.where(programmed[:, None], points.q, np.zeros(nominal.n))
-    found = joint_targets(arm, goals, start, bounds) if programmed.all() else _from_anywhere(arm, goals, bounds)
+    found = joint_targets(arm, goals, start, arm.limits) if programmed.all() else _from_anywhere(arm, goals)
     before = np.full(len(goals), np.nan)
     if programmed.any():
-        from mbcacq.calibration.uncertainty import frames
-
-        there = frames(arm, start)[:, -1, :3, 3]
+        there = arm.frames(start)[:, -1, :3, 3]
         before[programmed] = np.linalg.norm(there - goals[:, :3, 3], axis=1)[programmed]
     change = np.where(programmed, np.abs(found.q - start).max(axis=1), np.nan)
     write_file(output, points.written(found))
@@ -124,12 +122,12 @@ def correct(
 
 def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:
     """Raises ConfigError for a simulated calibration, unless ``simulated_anyway``, and for an arm that was not calibrated."""
-    if arm.content.get("simulated") and not simulated_anyway:
+    if arm.simulated and not simulated_anyway:
         raise ConfigError(
             "this calibration is simulated, and what it corrects would be taken for corrected by one of a measured arm; "
             "give that of a real arm (or --simulated-anyway for a program)"
         )
-    if np.array_equal(arm.state.chain.rows, arm.preliminary.chain.rows) and not arm.effects:
+    if np.array_equal(arm.state.chain.rows, arm.nominal.rows) and not arm.effects:
         raise ConfigError(
             "this result holds the nominal arm (its hand-eye alone was calibrated), so that there is nothing to correct; "
             "give the result of a calibration of the arm, without --hand-eye-only"
@@ -163,15 +161,15 @@ def _points(path: Path, n: int) -> _Points:
     return _Points(table.q, table.goals, tuple(f"line {line}" for line in table.lines), table.lines, (), (), rows)
 
 
-def _from_anywhere(arm: CalibratedCell, goals: np.ndarray, bounds: np.ndarray | None) -> JointTargets:
+def _from_anywhere(arm: CalibratedCell, goals: np.ndarray) -> JointTargets:
     """Poses without joint angles: from several starts, the solution with the smallest angles."""
-    n = arm.preliminary.chain.n
-    low, high = (np.full(n, -np.pi), np.full(n, np.pi)) if bounds is None else np.clip(bounds, -np.pi, np.pi).T
+    n = arm.nominal.n
+    low, high = (np.full(n, -np.pi), np.full(n, np.pi)) if arm.limits is None else np.clip(arm.limits, -np.pi, np.pi).T
     rng = np.random.default_rng(0)
     best: JointTargets | None = None
     for number in range(TRIES):
         start = np.tile((low + high) / 2 if number == 0 else rng.uniform(low, high), (len(goals), 1))
-        new = joint_targets(arm, goals, start, bounds)
+        new = joint_targets(arm, goals, start, arm.limits)
         best = new if best is None else _nearer(best, new)
     assert best is not None, "there is at least one start"
     return best

@@ -9,25 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.joint_targets import joint_targets
 from mbcacq.calibration.place_errors import ArmImprovement, arm_improvement
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.sealed_json import digest
-from mbcacq.calibration.uncertainty import frames, measuring_covariance
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.model.json_text import damage
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.workflow.correct import refuse_uncalibrated
-from mbcacq.workflow.load import as_result, is_run_folder, load_observations
+from mbcacq.workflow.load import as_cell, is_run_folder, load_observations
 
 LARGEST_MM = 25.0  # by which an arm in good order may miss a place; the errors of arms as delivered are below 10 mm
 SAME_PLACE = np.radians(2.0)  # of every joint: nearer, effects of gears aside, an error of the arm is the same
 WITH_EFFECTS = "with-effects"  # folder in that of a run, of the result with what its diagnosis found
 ARRAYS = ("nominal", "corrected", "moved_mm", "noise_mm")
-CalibratedArm = Calibration | CalibratedCell | dict[str, Any] | Path | str
+CalibratedArm = CalibratedCell | dict[str, Any] | Path | str
 
 
 @dataclass(frozen=True)
@@ -89,14 +88,13 @@ def corrected_targets(loaded: LoadedPlan, poses: Sequence[PlannedPose], calibrat
     A simulated calibration steers only fakes. Raises ConfigError where the result is of another arm, holds the nominal arm, is simulated
     and the arm real, where a place cannot be reached within the limits, or the calibrated arm misses one by more than an arm in good order.
     """
-    content = as_result(calibrated)
-    arm = CalibratedCell.from_dict(content)
-    refuse_other_arm("the result is of", arm.robot, arm.preliminary.chain, loaded.cell.robot, "the plan")
+    arm = as_cell(calibrated)
+    refuse_other_arm("the result is of", arm.robot, arm.nominal, loaded.cell.robot, "the plan")
     refuse_uncalibrated(arm, dry_run or on_loopback_only(loaded.plan.robot.options))
     nominal = np.array([p.q for p in poses])
     goals = loaded.cell.robot.chain.flange(nominal)
     found = joint_targets(arm, goals, nominal, loaded.cell.robot.limits)
-    moved_mm = np.linalg.norm(frames(arm, nominal)[:, -1, :3, 3] - goals[:, :3, 3], axis=1)
+    moved_mm = np.linalg.norm(arm.frames(nominal)[:, -1, :3, 3] - goals[:, :3, 3], axis=1)
     for pose, reached, reason, left, moved in zip(poses, found.reached, found.reasons, found.error_mm, moved_mm, strict=True):
         where = f"{loaded.path}:{pose.line}: pose {pose.number} (step '{pose.step_name}', station '{pose.station}')"
         if moved > LARGEST_MM:
@@ -108,15 +106,15 @@ def corrected_targets(loaded: LoadedPlan, poses: Sequence[PlannedPose], calibrat
             raise ConfigError(
                 f"{where}: the calibrated arm stays {left:.3f} mm short of its place, {reason}; move the station or change the view"
             )
-    noise_mm = np.sqrt(np.trace(measuring_covariance(arm, nominal, np.zeros((len(nominal), 3))), axis1=1, axis2=2))
-    return CorrectedTargets(digest(content), nominal, found.q, moved_mm, noise_mm, _took_part(calibrated, nominal))
+    noise_mm = np.sqrt(np.trace(arm.measuring_covariance(nominal, np.zeros((len(nominal), 3))), axis1=1, axis2=2))
+    return CorrectedTargets(digest(arm.to_dict()), nominal, found.q, moved_mm, noise_mm, _took_part(calibrated, nominal))
 
 
 def _took_part(calibrated: CalibratedArm, q: np.ndarray) -> np.ndarray | None:
     """(P,) bool: whether the calibration was made with a pose at joint angles near q (P, n) rad; None where its poses are not known."""
     learnt = None
-    if isinstance(calibrated, Calibration):
-        learnt = calibrated.observations.q
+    if isinstance(calibrated, CalibratedCell):
+        learnt = None if calibrated.own_fit is None else calibrated.own_fit.observations.q
     elif isinstance(calibrated, Path | str):
         place = Path(calibrated)
         folder = place if place.is_dir() else place.parent

@@ -6,12 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.effects.catalogue import Added, with_added
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.workflow.diagnose_recordings import (
     Data,
+    Question,
     checked,
     combined_with_motion,
     diagnose_motion,
@@ -21,13 +24,13 @@ from mbcacq.workflow.diagnose_recordings import (
     provenance,
     to_be_checked,
 )
-from mbcacq.workflow.diagnose_simulation import Question, diagnose_against
+from mbcacq.workflow.diagnose_simulation import diagnose_against
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, is_run_folder
 from mbcacq.workflow.next_plan import with_reachable_advice
 
 
-def diagnose(
+def diagnose(  # noqa: PLR0913 -- one argument an option of its command
     data: Data | Sequence[Data],
     *,
     progress: Callable[[str], None] = lambda text: None,
@@ -37,6 +40,8 @@ def diagnose(
     place: str = "fitted",
     simulation: Data | Sequence[Data] | None = None,
     propose: bool = False,
+    minutes: float | None = OPTIONS.minutes,
+    effects: Sequence[Added] = (),
 ) -> DiagnosisResult:
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
@@ -49,34 +54,46 @@ def diagnose(
     simulator's set for the same poses or motion, one for each recording, or a model file that MuJoCo runs (MJCF, URDF): the mismatch is
     explained against that simulation, and what was found in a model file is written into it (``found.simulation.write("found.xml")``).
     propose: search short formulas for unmodelled effects of one recording of poses (``found.proposals``, ``found.write_effect("folder")``).
+    minutes: when they are over the search ends, and the verdict is ``cannot_tell`` with what was found by then (None: no end).
+    effects: further effects that are tried beside the catalogue: functions ``name(context)`` that return candidates of that name, modules
+    with NAME and ``candidates``, or files with these.
 
     Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
     """
     several = listed(data)
+    how = Question(progress=progress, workers=workers, options=options, check=tuple(check), place=place, minutes=minutes)
     if propose and (len(several) > 1 or simulation is not None or is_trajectory(several[0])):
         raise ConfigError("formulas are proposed for one recording of poses; leave --propose out, or give that recording alone")
-    if simulation is not None:
-        return diagnose_against(several, listed(simulation), Question(progress, workers, options, tuple(check), place))
+    with with_added(effects):
+        if simulation is not None:
+            return diagnose_against(several, listed(simulation), how)
+        return _diagnosed(several, how, propose)
+
+
+def _diagnosed(several: list[Data], how: Question, propose: bool) -> DiagnosisResult:
+    """The diagnosis of recordings by themselves, without another simulation beside them."""
+    check = how.check
     if all(is_trajectory(one) for one in several):
         if not all(is_trajectory(one) for one in check):
             raise ConfigError("what was learnt from trajectories is tried on trajectories; give --check recordings of motion")
-        return diagnose_motion(*([one for one in some if not isinstance(one, Observations)] for some in (several, check)))
+        learnt, others = ([one for one in some if not isinstance(one, Observations)] for some in (several, check))
+        return diagnose_motion(learnt, how, others)
     if len(several) > 1:
-        return diagnose_together(several, progress, workers, options)
+        return diagnose_together(several, how)
     (one,) = several
     if isinstance(one, Trajectory):
         raise TypeError("a trajectory is diagnosed as motion")
     observations = as_observations(one)
     others = to_be_checked(observations, check)
-    found = diagnose_poses(observations, progress, workers, options, propose, fitted=not check)
-    found = replace(found, provenance=provenance(one, check, {"place": place, "workers": workers}))
+    found = diagnose_poses(observations, how, formulas=propose, fitted=not check)
+    found = replace(found, provenance=provenance(one, check, {"place": how.place, "workers": how.workers}))
     if check:
-        found = checked(observations, found, others, place, progress)
+        found = checked(observations, found, others, how.place, how.progress)
     if isinstance(one, Observations):
         return found
     if is_run_folder(Path(one)):
         found = with_reachable_advice(found, Path(one))
-    return combined_with_motion(found, Path(one), progress)
+    return combined_with_motion(found, Path(one), how)
 
 
 def listed(data: Data | Sequence[Data]) -> list[Data]:

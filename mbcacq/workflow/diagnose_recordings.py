@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError, MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
@@ -21,9 +22,19 @@ from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder
 Data = Observations | Trajectory | Path | str
 
 
-def diagnose_together(
-    data: Sequence[Data], progress: Callable[[str], None], workers: int | None, options: CalibrationOptions | None
-) -> DiagnosisResult:
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """How to diagnose, as ``mbcacq.diagnose`` takes it. check: recordings that take no part."""
+
+    progress: Callable[[str], None] = lambda text: None
+    workers: int | None = None
+    options: CalibrationOptions | None = None
+    check: tuple[Data, ...] = ()
+    place: str = "fitted"
+    minutes: float | None = OPTIONS.minutes
+
+
+def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
     """Several recordings of one arm, as one problem; their trajectories, where there are some, together as well. Raises ConfigError."""
     from mbcacq.diagnosis.diagnose import diagnose
     from mbcacq.diagnosis.validation.workers import cores
@@ -31,13 +42,13 @@ def diagnose_together(
     motions = [one for one in data if is_trajectory(one)]
     recordings = [as_observations(one) for one in data if not is_trajectory(one) and not isinstance(one, Trajectory)]
     if len(recordings) == 1:
-        found = diagnose_poses(recordings[0], progress, workers, options)
+        found = diagnose_poses(recordings[0], how)
     else:
-        poses = diagnose(recordings, progress=progress, workers=workers or cores(), options=options)
-        found = DiagnosisResult(poses)
+        poses = diagnose(recordings, progress=how.progress, workers=how.workers or cores(), options=how.options, minutes=how.minutes)
+        found = DiagnosisResult(poses=poses)
     if motions:
-        progress("comparing the motion")
-        found = replace(found, motion=diagnose_motion([m for m in motions if not isinstance(m, Observations)]).motion)
+        how.progress("comparing the motion")
+        found = replace(found, motion=diagnose_motion([m for m in motions if not isinstance(m, Observations)], how).motion)
     return found
 
 
@@ -133,7 +144,9 @@ def _hashed(source: Path) -> list[dict[str, Any]]:
     return out
 
 
-def diagnose_motion(trajectories: Sequence[Trajectory | Path | str], check: Sequence[Trajectory | Path | str] = ()) -> DiagnosisResult:
+def diagnose_motion(
+    trajectories: Sequence[Trajectory | Path | str], how: Question, check: Sequence[Trajectory | Path | str] = ()
+) -> DiagnosisResult:
     """The diagnosis of trajectories of one robot, together. check: further ones, on which what was learnt is tried.
 
     Raises ConfigError where they do not fit together.
@@ -141,28 +154,29 @@ def diagnose_motion(trajectories: Sequence[Trajectory | Path | str], check: Sequ
     from mbcacq.diagnosis.motion.diagnose import check_trajectories, diagnose_trajectories
 
     learnt, others = as_trajectories(trajectories), as_trajectories(check)
-    found = diagnose_trajectories(learnt)
+    found = diagnose_trajectories(learnt, minutes=how.minutes)
     if others:
         names = ["" if isinstance(one, Trajectory) else str(one) for one in check]
         found = replace(found, checks=check_trajectories(learnt, list(zip(names, others, strict=True))))
     return DiagnosisResult(motion=found)
 
 
-def diagnose_poses(
-    observations: Observations,
-    progress: Callable[[str], None],
-    workers: int | None,
-    options: CalibrationOptions | None = None,
-    formulas: bool = False,
-    fitted: bool = True,
-) -> DiagnosisResult:
+def diagnose_poses(observations: Observations, how: Question, *, formulas: bool = False, fitted: bool = True) -> DiagnosisResult:
     """The diagnosis of poses at standstill. fitted: whether the effects are fitted together with the cell. Raises CalibrationError."""
     from mbcacq.diagnosis import diagnose as room
     from mbcacq.diagnosis.validation.workers import cores
 
     refit = partial(fitted_model, observations) if fitted else None
-    found = room.diagnose(observations, progress=progress, workers=workers or cores(), options=options, formulas=formulas, refit=refit)
-    return DiagnosisResult(found, observations=observations)
+    found = room.diagnose(
+        observations,
+        progress=how.progress,
+        workers=how.workers or cores(),
+        options=how.options,
+        formulas=formulas,
+        refit=refit,
+        minutes=how.minutes,
+    )
+    return DiagnosisResult(poses=found, observations=observations)
 
 
 def fitted_model(observations: Observations, model: EffectModel) -> tuple[EffectModel | None, tuple[str, ...]]:
@@ -179,7 +193,7 @@ def fitted_model(observations: Observations, model: EffectModel) -> tuple[Effect
         return model, (f"the effects could not be fitted with the cell: {reason}",)
 
 
-def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Callable[[str], None]) -> DiagnosisResult:
+def combined_with_motion(found: DiagnosisResult, recording: Path, how: Question) -> DiagnosisResult:
     """The diagnosis of the poses with that of the motion between them, where a run recorded torques or joint-side angles."""
     if not (is_run_folder(recording) or recording.suffix == ".rrd"):
         return found
@@ -191,8 +205,8 @@ def combined_with_motion(found: DiagnosisResult, recording: Path, progress: Call
         return found
     from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories  # here, for it imports scipy.signal, which is slow
 
-    progress("comparing the motion between the poses")
-    return replace(found, motion=diagnose_trajectories(stretches))
+    how.progress("comparing the motion between the poses")
+    return replace(found, motion=diagnose_trajectories(stretches, minutes=how.minutes))
 
 
 def is_trajectory(data: Data) -> bool:

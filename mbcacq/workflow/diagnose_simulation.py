@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
-from mbcacq.workflow.diagnose_recordings import Data, checked, diagnose_poses, is_trajectory, provenance
+from mbcacq.workflow.diagnose_recordings import Data, Question, checked, diagnose_poses, is_trajectory, provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
-
-
-@dataclass(frozen=True)
-class Question:
-    """How to diagnose, as ``mbcacq.diagnose`` takes it. check: recordings that take no part."""
-
-    progress: Callable[[str], None] = lambda text: None
-    workers: int | None = None
-    options: CalibrationOptions | None = None
-    check: tuple[Data, ...] = ()
-    place: str = "fitted"
 
 
 def diagnose_against(recorded: Sequence[Data], simulated: Sequence[Data], how: Question) -> DiagnosisResult:
@@ -86,7 +75,7 @@ def _motion_against_sets(recorded: Sequence[Data], simulated: Sequence[Data], ho
     if how.check:
         raise ConfigError("a simulated set knows its own motion alone; give a model file to --simulation, or leave --check out")
     pairs = zip(_trajectories(recorded), _trajectories(simulated), strict=True)
-    return DiagnosisResult(motion=diagnose_trajectories([trajectory_against(r, s) for r, s in pairs]))
+    return DiagnosisResult(motion=diagnose_trajectories([trajectory_against(r, s) for r, s in pairs], minutes=how.minutes))
 
 
 def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -> DiagnosisResult:
@@ -96,7 +85,7 @@ def _poses_against_model(recorded: Sequence[Data], model: Path, how: Question) -
 
     arm = load_arm(model)
     observations = observations_of_model(_one_of_poses(recorded), arm)
-    found = diagnose_poses(observations, how.progress, how.workers, how.options)
+    found = diagnose_poses(observations, how)
     others = [(_name(other), observations_of_model(_one_of_poses([other]), arm)) for other in how.check]
     found = _checked(found, observations, others, how, recorded[0])
     if found.poses is not None:
@@ -120,7 +109,7 @@ def _poses_against_set(recorded: Sequence[Data], simulated: Sequence[Data], how:
     if how.check:
         raise ConfigError("a simulated set knows its own poses alone; give a model file to --simulation, or leave --check out")
     observations = observations_against(_one_of_poses(recorded), _one_of_poses(simulated))
-    found = diagnose_poses(observations, how.progress, how.workers, how.options)
+    found = diagnose_poses(observations, how)
     return _checked(found, observations, [], how, recorded[0])
 
 

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
@@ -18,10 +18,13 @@ from mbcacq.model.json_text import damage, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class DiagnosisResult:
     """What was found. poses: the diagnosis of the poses at standstill; motion: that of the motion; at least one of them is there.
 
@@ -95,6 +98,18 @@ class DiagnosisResult:
         if self.poses is None or self.poses.plot_data is None:
             raise ConfigError("pictures are drawn from the diagnosis of poses, as mbcacq.diagnose returns it")
         return pictures(self.poses)
+
+    def plot(self, curve: int | None = None) -> go.Figure:
+        """The evidence for a mismatch by location and covariate, as a Plotly figure; with ``curve`` the response curve of that number, of
+        the effects found in their order. Raises ConfigError as ``pictures`` does, and where there is no such curve."""
+        from mbcacq.report.figures import diagnosis_figures
+        from mbcacq.report.sources.from_diagnosis import diagnosis_content
+
+        figures = diagnosis_figures(diagnosis_content(self.main.to_json(), self.pictures()))
+        name = "evidence_map" if curve is None else f"response_{curve}"
+        if name not in figures:
+            raise ConfigError(f"there are {sum(k.startswith('response_') for k in figures)} response curves, none has the number {curve}")
+        return figures[name]
 
     def write_html(self, path: Path | str) -> Path:
         """The diagnosis as one HTML page that opens offline."""
@@ -197,8 +212,8 @@ class DiagnosisResult:
         if "channels" in content["fit"]:
             return cls(motion=MotionDiagnosis.from_json(content), simulation=match)
         return cls(
-            Diagnosis.from_json(content),
-            None if motion is None else MotionDiagnosis.from_json(motion),
+            poses=Diagnosis.from_json(content),
+            motion=None if motion is None else MotionDiagnosis.from_json(motion),
             checks=checks,
             provenance=content.get("provenance"),
             simulation=match,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.acquisition.cell_devices import Overrides
+from mbcacq.acquisition.cell_devices import Overrides, create_devices
 from mbcacq.devices import load_driver
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
@@ -38,17 +38,24 @@ def device_overrides(
 ) -> Iterator[Overrides]:
     """Options that replace the plan's own by device: the fake cell's addresses in a dry run, while the fake cell is up; and the answer yes
     to the prompts of a person who moves the artefacts. before: what a run that goes on has measured in the same cell.
+
+    Raises ConfigError where a driver cannot be imported or refuses its options: before a folder is made, a device opened.
     """
     yes = {"assume_yes": True} if assume_yes and loaded.plan.positioner.driver == "manual" else {}
     if not dry_run:
-        yield {"positioner": yes} if yes else {}
+        overrides = {"positioner": yes} if yes else {}
+        create_devices(loaded, overrides)
+        yield overrides
         return
     before = before or MeasuredBefore()
     with load_driver("fakes", "cell")(
         loaded, poses, realtime=False, seed=seed, first_poses=loaded.grown_from, resumed_at_s=before.time_s, poses_before=before.poses
     ) as fake:
         overrides = fake.overrides()
-        yield {**overrides, "positioner": {**overrides.get("positioner", {}), **yes}} if yes else overrides
+        if yes:
+            overrides = {**overrides, "positioner": {**overrides.get("positioner", {}), **yes}}
+        create_devices(loaded, overrides)
+        yield overrides
 
 
 def name_of(dry_run: bool, seed: int) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects import catalogue
@@ -19,7 +19,7 @@ from mbcacq.model.json_text import read_json
 from mbcacq.recording.datasets.yaml_text import RESEMBLES
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
-One = DiagnosisResult | Diagnosis | EffectModel | Calibration | CalibratedCell | Path | str
+One = DiagnosisResult | Diagnosis | EffectModel | CalibratedCell | Path | str
 Effects = One | Sequence[One]
 READABLE = ("mbcacq-diagnosis/3", "mbcacq-result/1", "mbcacq-effect-model/1")
 DIAGNOSIS, RESULT, EFFECT_MODEL = KINDS = ("mbcacq-diagnosis/", "mbcacq-result/", "mbcacq-effect-model/")
@@ -37,7 +37,7 @@ def as_effects(found: Effects) -> EffectModel:
     if isinstance(found, Path | str):
         return _from_file(Path(found))
     diagnosis = found.poses if isinstance(found, DiagnosisResult) else found
-    model = diagnosis.effects if isinstance(diagnosis, Calibration | CalibratedCell) else diagnosis.model if diagnosis else None
+    model = diagnosis.effects if isinstance(diagnosis, CalibratedCell) else diagnosis.model if diagnosis else None
     if not model:
         raise ConfigError("there are no effects in this diagnosis or result that a calibration could take; calibrate without --effects")
     return model

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration import Calibration, CalibrationOptions, Verification, calibrate, verify
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification, calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
@@ -17,13 +17,13 @@ from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import load_observations
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class RunResult:
     """What a run gave. content: that of result.json, with 'verification', 'accuracy_map', 'gaps' and 'files' (recording, result, report).
     limit_mm: the plan's limit of the sphere spacing error, or None. next_step: what to do next in words, and the command for it or ''."""
 
     folder: Path
-    calibration: Calibration
+    calibration: CalibratedCell
     verification: Verification
     content: dict[str, Any]
     limit_mm: float | None = None
@@ -80,7 +80,7 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     if improved is not None:  # it shows what a calibration changed, and need not determine the arm once more
         options = replace(options, refuse=False)
     calibration = calibrate(observations, options)
-    verification = verify(observations, calibration, limit_mm=limit_mm)
+    verification = calibration.verify(observations, limit_mm=limit_mm)
     content = calibration.to_dict() | {
         "verification": verification.to_dict(),
         "accuracy_map": accuracy_map(calibration).to_dict(),
@@ -94,12 +94,14 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     progress("writing the report")
     page = content_of(content, observations, read_run_info(run))
     report = write_report_page(page, run / "report.html")
-    judgement = Judgement(verdict_card(page))
+    judgement = Judgement(text=verdict_card(page))
     if (s := page.spacing) is not None:
-        judgement = Judgement(judgement.text, s.place, s.before, s.after, s.sigma, s.limit)
+        judgement = Judgement(text=judgement.text, place=s.place, before=s.before, error=s.after, sigma=s.sigma, limit=s.limit)
     before = calibration.preliminary if options.kinematics else None  # a fit of the hand-eye transform alone is no state before itself
     log_result(run, observations, calibration.state, before, judgement)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     content = content | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}
     next_step = ("", "") if page.next is None else (page.next.what, page.next.command)
-    return RunResult(run, calibration, verification, content, limit_mm, next_step)
+    return RunResult(
+        folder=run, calibration=calibration, verification=verification, content=content, limit_mm=limit_mm, next_step=next_step
+    )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration import CalibratedCell
 from mbcacq.errors import ConfigError
 from mbcacq.exports.folder import contents, write_folder
 from mbcacq.exports.format import Targets
@@ -14,7 +14,7 @@ from mbcacq.files.atomic_write import write_file
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.load import load_observations, refuse_existing
 
-Source = Calibration | CalibratedCell | Observations | Path | str
+Source = CalibratedCell | Observations | Path | str
 
 
 def export(
@@ -73,9 +73,9 @@ def _results(source: Source, folder: Path, targets: Targets, force: bool, simula
     from mbcacq.exports.result_json import load_result
 
     measured = None
-    if isinstance(source, Calibration | CalibratedCell):
+    if isinstance(source, CalibratedCell):
         result = source.to_dict()
-        measured = source.observations if isinstance(source, Calibration) else None
+        measured = None if source.own_fit is None else source.own_fit.observations
     else:
         path = _path(source, "its calibration")
         result = load_result(path)
@@ -107,9 +107,7 @@ def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, A
     from mbcacq.recording import write_observation_set
 
     if isinstance(source, CalibratedCell):
-        raise ConfigError("a calibrated cell holds no observations; give the recording")
-    if isinstance(source, Calibration):
-        measured = source.observations
+        measured = source.fit.observations
     else:
         measured = source if isinstance(source, Observations) else load_observations(source)
     write_observation_set(measured, folder)

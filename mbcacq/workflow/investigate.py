@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbcacq.acquisition.device_check import refuse_impossible_devices
+from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
 from mbcacq.design.adaptive.investigation import Budget, Decision, refuse_empty
 from mbcacq.design.adaptive.investigation import decisions as decisions_of
 from mbcacq.devices.addresses import on_loopback_only
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 FORMAT = "mbcacq-investigation/1"
 
 
-@dataclass
+@dataclass(kw_only=True)
 class CellInvestigation:
     """An investigation in the folder of a run: an iterator of decisions, each of them on the disk before its visit is measured.
 
@@ -193,15 +193,25 @@ def investigate(  # noqa: PLR0913 -- one argument an option of its command
         return _resumed(Path(resume), dry_run, seed, live, operator)
     if recording is not None:
         folder = Path(recording)
-        return CellInvestigation(_from_run(folder), folder, budget, dry_run, seed, live, operator, begun_from_run=True)
+        return CellInvestigation(
+            loaded=_from_run(folder),
+            folder=folder,
+            budget=budget,
+            dry_run=dry_run,
+            seed=seed,
+            live=live,
+            operator=operator,
+            begun_from_run=True,
+        )
     if plan is None:
         raise ConfigError("there is no plan to investigate with; give one, or --from RUN")
     loaded = as_plan(plan)
     if not dry_run:
         refuse_impossible_devices(loaded)
+        refuse_unattended(loaded, operator.assume_yes)
     folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
     operator.began(folder)
-    return CellInvestigation(loaded, folder, budget, dry_run, seed, live, operator)
+    return CellInvestigation(loaded=loaded, folder=folder, budget=budget, dry_run=dry_run, seed=seed, live=live, operator=operator)
 
 
 def _from_run(folder: Path) -> LoadedPlan:

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbcacq.calibration import Calibration
-from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.joint_file import split_number
 from mbcacq.calibration.result_io import read_result
 from mbcacq.calibration.sealed_json import SEAL
@@ -90,9 +89,14 @@ def as_trajectories(data: Sequence[Trajectory | Path | str]) -> list[Trajectory]
     return [t for one in data for t in ([one] if isinstance(one, Trajectory) else load_trajectories(one))]
 
 
-def as_result(cell: Calibration | CalibratedCell | dict[str, Any] | Path | str) -> dict[str, Any]:
+def as_cell(cell: CalibratedCell | dict[str, Any] | Path | str) -> CalibratedCell:
+    """A calibrated cell as it is, of the content of its result.json, or of the file or run folder that holds it. Raises ConfigError."""
+    return cell if isinstance(cell, CalibratedCell) else CalibratedCell.from_dict(as_result(cell))
+
+
+def as_result(cell: CalibratedCell | dict[str, Any] | Path | str) -> dict[str, Any]:
     """The content of result.json of a calibrated cell, or of the file or run folder that holds it. Raises ConfigError."""
-    if isinstance(cell, Calibration | CalibratedCell):
+    if isinstance(cell, CalibratedCell):
         return cell.to_dict()
     if isinstance(cell, dict):
         return cell

@@ -7,18 +7,18 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration import Calibration, CalibrationOptions, calibrate, verify
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.latest import refuse_plan
-from mbcacq.workflow.diagnose_recordings import diagnose_poses
+from mbcacq.workflow.diagnose_recordings import Question, diagnose_poses
 from mbcacq.workflow.load import is_run_folder, load_observations, unsealed_note
 
 
 def write_report(
-    data: Calibration | Path | str,
+    data: CalibratedCell | Path | str,
     out: Path | str | None = None,
     *,
     diagnose: bool = False,
@@ -33,7 +33,7 @@ def write_report(
     """
     from mbcacq.recording.run_folder.lock import write_lock
 
-    run = None if isinstance(data, Calibration) else Path(data)
+    run = None if isinstance(data, CalibratedCell) else Path(data)
     if out is None and run is None:
         raise ConfigError("a calibration has no folder; say where the report is to go")
     if out is None and run is not None and run.is_file():
@@ -44,13 +44,13 @@ def write_report(
 
 
 def _write(
-    data: Calibration | Path | str, run: Path | None, out: Path | str | None, diagnose: bool, progress: Callable[[str], None]
+    data: CalibratedCell | Path | str, run: Path | None, out: Path | str | None, diagnose: bool, progress: Callable[[str], None]
 ) -> Path:
     """The report; whoever calls holds the lock of the run folder."""
     from mbcacq.report import pdf_from_result, report_from_result
 
     progress("reading the recording")
-    observations = data.observations if isinstance(data, Calibration) else load_observations(data)
+    observations = data.fit.observations if isinstance(data, CalibratedCell) else load_observations(data)
     result = _result(data, observations, progress)
     if run is not None and run.is_dir():
         result["gaps"] = [*_gaps(run), *(unsealed_note(run) if (run / "result.json").exists() else ())]
@@ -66,22 +66,22 @@ def _write(
     return write(result, path=target, observations=observations, run_info=info)
 
 
-def _result(data: Calibration | Path | str, observations: Observations, progress: Callable[[str], None]) -> dict[str, Any]:
+def _result(data: CalibratedCell | Path | str, observations: Observations, progress: Callable[[str], None]) -> dict[str, Any]:
     """The content of result.json with 'accuracy_map': the one that is kept in a run folder, or computed."""
     from mbcacq.exports.result_json import load_result
 
     kept = None
-    if not isinstance(data, Calibration) and Path(data).is_dir() and (Path(data) / "result.json").exists():
+    if not isinstance(data, CalibratedCell) and Path(data).is_dir() and (Path(data) / "result.json").exists():
         kept = load_result(Path(data))
         if "accuracy_map" in kept:
             return kept
-    if isinstance(data, Calibration):
+    if isinstance(data, CalibratedCell):
         calibration = data
     else:
         progress("calibrating")
         calibration = calibrate(observations, options_for(observations, CalibrationOptions()))
     if kept is None:
-        kept = calibration.to_dict() | {"verification": verify(observations, calibration).to_dict()}
+        kept = calibration.to_dict() | {"verification": calibration.verify(observations).to_dict()}
     return kept | {"accuracy_map": accuracy_map(calibration).to_dict()}
 
 
@@ -99,7 +99,7 @@ def _gaps(run: Path) -> list[str]:
 
 def _diagnosis(observations: Observations, run: Path | None, progress: Callable[[str], None]) -> dict[str, Any]:
     """A new diagnosis for the report, kept in the folder of the run where there is one."""
-    found = diagnose_poses(observations, progress, 1)
+    found = diagnose_poses(observations, Question(progress=progress, workers=1))
     if run is not None and is_run_folder(run):
         found.keep(run)
     return {"diagnosis": found.to_dict(), "pictures": found.pictures()}

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbcacq.acquisition.device_check import refuse_impossible_devices
+from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
 from mbcacq.acquisition.event_bus import Subscriber
 from mbcacq.design.planned_scope import scope_sentence
-from mbcacq.devices import load_driver
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError, ConnectError, IdentityError
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
@@ -40,7 +39,7 @@ def refuse_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Operator:
     """Who is asked and informed during a run; the default moves no real arm.
 
@@ -100,6 +99,7 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
     loaded = as_plan(plan)
     if not dry_run:
         refuse_impossible_devices(loaded)
+        refuse_unattended(loaded, operator.assume_yes)
     operator.progress("checking that every pose can be reached and seen")
     poses = expand(loaded)
     refuse_errors(loaded, poses)
@@ -126,15 +126,15 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         operator.progress("")
         if not dry_run:
             operator.allow(acquisition)
-        if folder is None:
-            folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
-            held.enter_context(write_lock(folder, "run"))
-        acquisition.folder = folder
-        operator.began(folder)
         operator.progress("starting the fake cell" if dry_run else "")
         try:
-            known = MeasuredBefore.of(load_observations(folder), done) if dry_run and done else None
+            known = MeasuredBefore.of(load_observations(folder), done) if dry_run and done and folder is not None else None
             with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes, known) as overrides:
+                if folder is None:
+                    folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
+                    held.enter_context(write_lock(folder, "run"))
+                acquisition.folder = folder
+                operator.began(folder)
                 acquisition.execute(overrides, operator.subscribers, live=live, message=operator.message, pause=operator.pause)
         except ConnectError as error:
             raise _with_fakes_named(error, loaded, dry_run) from error
@@ -159,14 +159,6 @@ def _targets(
         )
     operator.progress("")
     return targets
-
-
-def refuse_unknown_drivers(loaded: LoadedPlan) -> None:
-    """Raises ConfigError for the first device whose driver is not installed, before anything that takes long."""
-    plan = loaded.plan
-    used = [("robots", plan.robot), ("scanners", plan.scanner), ("positioners", plan.positioner), *(("sensors", s) for s in plan.sensors)]
-    for kind, use in used:
-        load_driver(kind, use.driver)
 
 
 def _with_fakes_named(error: ConnectError, loaded: LoadedPlan, dry_run: bool) -> ConnectError:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration import CalibratedCell, Calibration
+from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.result_io import effects_of, state_from_dict
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation import forward_model
@@ -22,11 +22,7 @@ from mbcacq.workflow.load import as_plan, as_result
 
 
 def simulate(
-    plan: LoadedPlan | Path | str,
-    cell: Calibration | CalibratedCell | dict[str, Any] | Path | str | None = None,
-    *,
-    noise: bool = False,
-    seed: int = 0,
+    plan: LoadedPlan | Path | str, cell: CalibratedCell | dict[str, Any] | Path | str | None = None, *, noise: bool = False, seed: int = 0
 ) -> Observations:
     """What a plan would record: P planned poses, M expected centres (mm, scanner frame) where the model puts them.
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from cells import kr10, random_errors, scanner_cell
 
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration import CalibratedCell
 from mbcacq.estimation import forward_model
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -78,7 +78,7 @@ def law_name(law: Law) -> str:
     return next(name for name, one in LAWS.items() if one is law)
 
 
-def placed_wrong(found: Calibration, obs: Observations, truth: np.ndarray) -> float:
+def placed_wrong(found: CalibratedCell, obs: Observations, truth: np.ndarray) -> float:
     """3D rms (um) of centres at new places from where they are, after the best rigid motion."""
     frames = found.effects.frames(found.state.chain, obs.q, obs) if found.effects else found.state.chain.frames(obs.q)
     p = se3.apply((frames[:, -1] @ found.state.T_flange_scanner)[obs.pose], obs.xyz)

@@ -106,7 +106,7 @@ def test_the_better_method_is_what_is_published_and_said(shaky, monkeypatch, cho
     assert found.extra["competing_methods"]["chosen"] == chosen
     nominal = np.array_equal(found.state.chain.rows, shaky.observations.cell.robot.chain.rows)
     assert nominal == (chosen == "the nominal arm")
-    assert found.options.kinematics != nominal
+    assert found.fit.options.kinematics != nominal
 
 
 def test_an_arm_as_its_data_sheet_has_it_is_compared_with_nothing():

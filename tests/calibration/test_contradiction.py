@@ -48,7 +48,7 @@ def test_hand_eye_of_arms_with_link_errors_is_as_uncertain_as_it_says(stations):
         error = np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])])
         squares.append(error @ np.linalg.solve(found.covariance[np.ix_(index, index)], error) / 6)
         assert "warnings" not in found.extra
-        assert not found.rejected
+        assert not found.fit.rejected
     assert 0.6 < np.mean(squares) < 1.4
 
 
@@ -62,7 +62,7 @@ def test_an_arm_with_three_times_the_errors_of_a_new_one_contradicts_nothing(see
     cell = scanner_cell(rng, chain=chain, stations=1, per_station=40, errors=errors)
     found = calibrate(cell.observations, HAND_EYE_ALONE)
     assert "warnings" not in found.extra
-    assert not found.rejected
+    assert not found.fit.rejected
 
 
 def test_the_arm_stays_nominal_and_the_stated_accuracy_covers_its_errors():
@@ -180,7 +180,7 @@ def test_one_wrong_pose_that_was_rejected_needs_no_warning():
     xyz = obs.xyz.copy()
     xyz[obs.pose == 17] += [0.5, 0, 0]
     found = calibrate(replace(obs, xyz=xyz))
-    assert [r.pose for r in found.rejected] == [17]
+    assert [r.pose for r in found.fit.rejected] == [17]
     assert "warnings" not in found.extra
 
 
@@ -194,7 +194,7 @@ def test_an_elastic_arm_is_no_accident(seed):
     noise = np.random.default_rng(seed + 50).normal(size=xyz.shape) * NOISE
     found = calibrate(replace(cell.observations, xyz=xyz + noise))
     assert "warnings" not in found.extra
-    assert found.rms_mm < 0.015
+    assert found.fit.rms_mm < 0.015
     assert found.effects is not None
 
 
@@ -219,7 +219,7 @@ def test_an_exact_copy_of_a_pose_is_counted_once_and_said():
         xyz=np.tile(obs.xyz, (2, 1)),
     )
     once, both = (calibrate(o, HAND_EYE_ALONE) for o in (obs, twice))
-    assert both.used.sum() == m
+    assert both.fit.used.sum() == m
     np.testing.assert_allclose(both.covariance, once.covariance, rtol=1e-9)
     assert f"{n} poses are exact copies of earlier ones" in both.extra["warnings"][0]
 

@@ -25,7 +25,7 @@ def test_truth_is_recovered_without_noise():
     np.testing.assert_allclose(found.errors, cell.errors, atol=2e-4)
     np.testing.assert_allclose(found.state.T_flange_scanner, cell.truth.T_flange_scanner, atol=1e-4)
     np.testing.assert_allclose(found.state.T_base_station, cell.truth.T_base_station, atol=2e-3)
-    assert found.rank == 24 + 6 * 8
+    assert found.fit.rank == 24 + 6 * 8
 
 
 @pytest.mark.filterwarnings("error")
@@ -61,7 +61,7 @@ def test_normalised_errors_follow_chi_square(cell):
         arm = slice(0, 24)
         d = off[free][arm]
         values.append(d @ np.linalg.solve(found.covariance[arm, arm], d))
-        factors.append(found.chi2 / found.dof)
+        factors.append(found.fit.chi2 / found.fit.dof)
     assert np.mean(values) == pytest.approx(24, abs=4 * np.sqrt(2 * 24 / 40))
     assert np.mean(factors) == pytest.approx(1.0, abs=0.02)
 
@@ -104,7 +104,7 @@ def test_tracker(orientation):
     off = (found.errors - cell.errors).reshape(-1)[found.layout.blocks[0].free]
     d = off @ np.linalg.solve(found.covariance[: len(off), : len(off)], off)
     assert d < len(off) + 5 * np.sqrt(2 * len(off))
-    assert found.chi2 / found.dof == pytest.approx(1, abs=0.05)
+    assert found.fit.chi2 / found.fit.dof == pytest.approx(1, abs=0.05)
     np.testing.assert_allclose(found.state.T_base_station, cell.truth.T_base_station, atol=0.1)
 
 
@@ -171,7 +171,7 @@ def test_effects_are_estimated_with_everything_else(cell):
     found = calibrate(bent, CalibrationOptions(terms=(scale,)))
     std = np.sqrt(found.covariance[-1, -1])
     assert found.names[-1] == "scale"
-    assert found.coefficients[0][0] == pytest.approx(1e-3, abs=4 * std)
+    assert found.fit.coefficients[0][0] == pytest.approx(1e-3, abs=4 * std)
     assert std < 2e-4
 
 

@@ -23,7 +23,7 @@ def same_as_clean(found, clean):
 
 
 def test_clean_data_lose_nothing(cell):
-    assert calibrate(cell.observations).rejected == ()
+    assert calibrate(cell.observations).fit.rejected == ()
 
 
 def test_a_mistaken_ball_is_found(cell):
@@ -32,7 +32,7 @@ def test_a_mistaken_ball_is_found(cell):
     rows = np.flatnonzero(obs.pose == 10)
     ball[rows[2]], ball[rows[5]] = ball[rows[5]], ball[rows[2]]
     found = calibrate(replace(obs, ball=ball))
-    assert {(r.pose, r.ball) for r in found.rejected} == {(10, ball[rows[2]] + 1), (10, ball[rows[5]] + 1)}
+    assert {(r.pose, r.ball) for r in found.fit.rejected} == {(10, ball[rows[2]] + 1), (10, ball[rows[5]] + 1)}
     assert same_as_clean(found, calibrate(obs))
 
 
@@ -43,7 +43,7 @@ def test_a_bumped_tripod_and_a_wrong_pose_are_found(cell):
         xyz[obs.pose == pose] += [0.4, -0.2, 0.3]
     q[40] += [0, 0.01, 0, 0, 0, 0]
     found = calibrate(replace(obs, xyz=xyz, q=q))
-    assert {(r.pose, r.ball) for r in found.rejected} == {(22, None), (23, None), (40, None)}
+    assert {(r.pose, r.ball) for r in found.fit.rejected} == {(22, None), (23, None), (40, None)}
     assert same_as_clean(found, calibrate(obs))
 
 
@@ -54,7 +54,7 @@ def test_one_percent_of_gross_outliers(cell):
     xyz = obs.xyz.copy()
     xyz[bad] += rng.normal(size=(len(bad), 3)) * 20
     found = calibrate(replace(obs, xyz=xyz))
-    assert set(np.flatnonzero(found.weights.centre == 0)) == set(bad)
+    assert set(np.flatnonzero(found.fit.weights.centre == 0)) == set(bad)
     assert same_as_clean(found, calibrate(obs))
 
 
@@ -63,7 +63,7 @@ def test_gross_outliers_of_a_tracker():
     xyz = obs.xyz.copy()
     xyz[[5, 500]] += [[80.0, 0, 0], [0, -3.0, 2.0]]
     found = calibrate(replace(obs, xyz=xyz))
-    assert {r.pose for r in found.rejected} == {5, 500}
+    assert {r.pose for r in found.fit.rejected} == {5, 500}
 
 
 def test_one_orientation_only_is_refused():

@@ -74,7 +74,7 @@ def found_and_covariance(r, measurement):
     obs = with_estimated_centres(r.observations, "test")
     c = mbcacq.calibrate(obs, ALONE)
     if measurement == TARGET_IN_BASE:
-        return local_error(c.state.T_base_station[0], r.T_base_station), c.station_covariance[0]
+        return local_error(c.state.T_base_station[0], r.T_base_station), c.fit.station_covariance[0]
     at = [c.names.index(f"hand_eye.{k}") for k in HAND_EYE]
     return local_error(c.state.T_flange_scanner, r.T_flange_scanner), c.covariance[np.ix_(at, at)]
 
@@ -82,7 +82,7 @@ def found_and_covariance(r, measurement):
 @pytest.mark.parametrize("measurement", [ARTEFACT_IN_SCANNER, TARGET_IN_BASE])
 @pytest.mark.parametrize("kind", ["certified", "target", "sphere", "uncertified"])
 def test_the_stated_uncertainty_holds_of_every_kind_of_input(kind, measurement):
-    """A short form of benchmarks/hand_eye.py: over recordings the squared error in stated sigmas is a chi square."""
+    """A short form of benchmarks/accuracy.py hand-eye: over recordings the squared error in stated sigmas is a chi square."""
     nees = []
     for seed in range(8):
         error, covariance = found_and_covariance(recording(np.random.default_rng(seed), kind, measurement=measurement), measurement)

@@ -27,7 +27,7 @@ def with_pose_off(obs, pose=3, mm=0.512):
 def test_a_pose_that_hides_in_the_joint_noise_of_a_small_plan_is_named(seed):
     found = calibrate(with_pose_off(ten_poses(seed)), CalibrationOptions(refuse=False))
     content = found.to_dict()
-    assert found.rejected == ()
+    assert found.fit.rejected == ()
     assert found.noise.joint.mean() > 80e-6
     assert content["joint_noise_check"]["pose"] == 3
     assert "Pose 3 is the first to look at" in content["warnings"][0]

@@ -6,8 +6,7 @@ from cells import scanner_cell
 
 from mbcacq.calibration import calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
-from mbcacq.calibration.observability import indices, of_calibration
-from mbcacq.calibration.uncertainty import predict_uncertainty
+from mbcacq.calibration.observability import indices
 
 
 def test_indices_of_a_diagonal_information():
@@ -21,8 +20,8 @@ def test_indices_of_a_diagonal_information():
 
 
 def test_more_orientation_and_more_stations_show_in_the_indices():
-    poor = of_calibration(calibrate(scanner_cell(np.random.default_rng(1), stations=5, per_station=8, tilt_deg=15).observations))
-    rich = of_calibration(calibrate(scanner_cell(np.random.default_rng(1), stations=10, per_station=8, tilt_deg=35).observations))
+    poor = calibrate(scanner_cell(np.random.default_rng(1), stations=5, per_station=8, tilt_deg=15).observations).observability
+    rich = calibrate(scanner_cell(np.random.default_rng(1), stations=10, per_station=8, tilt_deg=35).observations).observability
     # O2 and O4 may fall: they compare with the largest singular value, which grows as well.
     assert all(rich[name] > poor[name] for name in ("O1", "O3", "O5"))
 
@@ -41,7 +40,7 @@ def test_uncertainty_scales_with_the_covariance():
     from dataclasses import replace
 
     found = calibrate(scanner_cell(np.random.default_rng(3), stations=8, per_station=8).observations)
-    q, xyz = found.observations.q[:5], np.zeros((5, 3))
-    once = predict_uncertainty(found, q, xyz)
-    twice = predict_uncertainty(replace(found, covariance=4 * found.covariance), q, xyz)
-    np.testing.assert_allclose(twice, 2 * once)
+    q, xyz = found.fit.observations.q[:5], np.zeros((5, 3))
+    once = found.point_covariance(q, xyz)
+    twice = replace(found, covariance=4 * found.covariance).point_covariance(q, xyz)
+    np.testing.assert_allclose(twice, 4 * once)

@@ -9,7 +9,6 @@ from cells import HAND_EYE, MBC, measure, scanner_cell, tracker_cell
 from mbcacq.calibration import CalibrationOptions, calibrate, verify
 from mbcacq.calibration.staged import angle_adjustment, distance_constraint, hand_eye, method
 from mbcacq.calibration.staged.error_propagation import scanner_noise
-from mbcacq.calibration.uncertainty import distance_uncertainty
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
 
@@ -137,8 +136,8 @@ def test_whole_method_improves_the_bar_and_maximum_likelihood_improves_it_more(c
         "hand-eye translation from orientations",
         "distance constraint",
     ]
-    assert "d_2" in published.held
-    assert "theta_1" not in published.held
+    assert "d_2" in published.layout.held
+    assert "theta_1" not in published.layout.held
 
 
 def test_one_pair_of_balls_is_what_is_printed(cell):
@@ -171,7 +170,7 @@ def test_stated_uncertainty_is_the_scatter_of_repetitions(how, draws):
         a, b = (
             np.array([np.flatnonzero((exact.station[exact.pose] == s) & (exact.ball == ball))[0] for s in range(8, 12)]) for ball in (8, 9)
         )
-        sigma = distance_uncertainty(found, exact.q[exact.pose[a]], exact.xyz[a], exact.q[exact.pose[b]], exact.xyz[b])
+        sigma = found.distance_uncertainty(exact.q[exact.pose[a]], exact.xyz[a], exact.q[exact.pose[b]], exact.xyz[b])
         ratio.append(np.array([p.after_mm for p in places]) / sigma)
     assert np.sqrt(np.mean(np.square(ratio))) == pytest.approx(1, abs=3 / np.sqrt(2 * draws))
 

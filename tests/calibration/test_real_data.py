@@ -9,7 +9,6 @@ from click.testing import CliRunner
 
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.cross_validation import held_out
-from mbcacq.calibration.uncertainty import point_covariance, to_base
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
@@ -23,8 +22,8 @@ pytestmark = [pytest.mark.shared_data, pytest.mark.skipif(not DATA.is_dir(), rea
 def test_independent_simulation_is_explained_down_to_its_noise():
     obs = load_observations(DATA / "example-none")
     found = calibrate(obs)
-    assert found.rejected == ()
-    assert found.chi2 / found.dof == pytest.approx(1, abs=0.05)
+    assert found.fit.rejected == ()
+    assert found.fit.chi2 / found.fit.dof == pytest.approx(1, abs=0.05)
     np.testing.assert_allclose(found.noise.point, obs.cell.noise_mm, rtol=0.12)
     truth = json.loads((DATA / "example-none.truth.json").read_text())
     nominal = obs.cell.robot.chain
@@ -32,11 +31,11 @@ def test_independent_simulation_is_explained_down_to_its_noise():
     # Base and stations may move together (theta_1, d_1): compare how points lie to each other, over the poses measured.
     xyz = np.tile([5.0, -3.0, 2.0], (obs.n_poses, 1))
     there = se3.apply(chain.flange(obs.q) @ np.array(truth["hand_eye"]), xyz)
-    here = to_base(found, obs.q, xyz)
+    here = found.to_base(obs.q, xyz)
     centred = there - there.mean(0), here - here.mean(0)
     R = se3.nearest_rotation(centred[0].T @ centred[1])
     off = centred[1] @ R.T - centred[0]
-    expected = np.sqrt(np.mean(np.trace(point_covariance(found, obs.q, xyz), axis1=1, axis2=2)))
+    expected = np.sqrt(np.mean(np.trace(found.point_covariance(obs.q, xyz), axis1=1, axis2=2)))
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 2 * expected < 0.05
 
 
@@ -69,17 +68,17 @@ def test_blocks_are_judged_only_where_training_knows_the_socket():
 
 def test_iiwa_in_sockets_names_what_a_ball_near_the_last_axis_leaves_open():
     found = calibrate(load_observations(DATA / "iiwa14-sockets"))
-    assert {u.name for u in found.undetermined} == {"a_6", "alpha_6"}
-    assert all(u.harmless for u in found.undetermined)
-    assert {"hand_eye.rx", "hand_eye.ry", "hand_eye.rz", "theta_7"} <= set(found.held)
-    assert found.rms_mm < 0.25
+    assert {u.name for u in found.fit.undetermined} == {"a_6", "alpha_6"}
+    assert all(u.harmless for u in found.fit.undetermined)
+    assert {"hand_eye.rx", "hand_eye.ry", "hand_eye.rz", "theta_7"} <= set(found.layout.held)
+    assert found.fit.rms_mm < 0.25
 
 
 def test_a_target_with_orientation():
     found = calibrate(load_observations(DATA / "ur10-tracker-c"))
-    assert found.residual.shape[1] == 6
-    assert found.rms_mm < 0.52
-    assert found.chi2 / found.dof == pytest.approx(1, abs=0.05)
+    assert found.fit.residual.shape[1] == 6
+    assert found.fit.rms_mm < 0.52
+    assert found.fit.chi2 / found.fit.dof == pytest.approx(1, abs=0.05)
 
 
 def test_command_line():

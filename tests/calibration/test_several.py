@@ -7,7 +7,6 @@ import pytest
 from cells import measure, scanner_cell
 
 from mbcacq.calibration import calibrate
-from mbcacq.calibration.uncertainty import expected_accuracy
 from mbcacq.cli import tables
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import Station
@@ -30,10 +29,10 @@ def test_eight_balls_and_the_long_bar_together(cell):
     """The bar, end by end, holds the arm's lengths: with it in the fit every length is better known, and right."""
     obs = cell.observations
     both, alone = calibrate(replace(obs, phase=None)), calibrate(obs)
-    assert {s.artefact for i, s in enumerate(obs.cell.stations) if i in both.observations.station} == {"mbc", "bar"}
+    assert {s.artefact for i, s in enumerate(obs.cell.stations) if i in both.fit.observations.station} == {"mbc", "bar"}
     d, n = normalised(both, cell.errors)
     assert d < n + 4 * np.sqrt(2 * n)
-    assert expected_accuracy(both) < 0.6 * expected_accuracy(alone)
+    assert both.expected_accuracy() < 0.6 * alone.expected_accuracy()
     for name in ("a_2", "d_4", "a_1"):
         std = [np.sqrt(c.covariance[c.names.index(name), c.names.index(name)]) for c in (both, alone)]
         assert std[0] < 0.8 * std[1]
@@ -59,8 +58,8 @@ def test_parameters_that_cannot_be_told_apart_are_named():
         beta=np.zeros(6),
     )
     found = calibrate(scanner_cell(np.random.default_rng(73), chain=chain, errors=np.zeros((6, 5)), stations=5, per_station=5).observations)
-    named = {frozenset((a, b)): r for a, b, r in found.correlated}
-    held = " ".join(found.held.values())
+    named = {frozenset((a, b)): r for a, b, r in found.fit.correlated}
+    held = " ".join(found.layout.held.values())
     assert abs(named.get(frozenset(("d_2", "d_3")), 0.0)) > 0.99 or "d_3" in held or "d_2" in held
     lines = tables.remarks(found.to_dict())
     assert any("d_2" in line and "d_3" in line for line in lines)

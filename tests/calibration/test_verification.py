@@ -53,9 +53,8 @@ def test_verdicts_keep_clear_of_the_limit():
 
 def test_figures_after_the_guideline(cell):
     obs = replace(cell.observations, rms_mm=np.full(cell.observations.n_centres, 0.01), n_points=np.full(cell.observations.n_centres, 2000))
-    figures = {
-        f.name.split(" (")[0]: f for f in judge(obs, calibrate(obs), Limits(sphere_spacing_error_mm=0.5, length_measuring_error_mm=1e-4))
-    }
+    found, limits = calibrate(obs), Limits(sphere_spacing_error_mm=0.5, length_measuring_error_mm=1e-4)
+    figures = {f.name.split(" (")[0]: f for f in judge(obs, found.state, found.effects, limits, found.verify(obs))}
     assert figures["sphere spacing error"].verdict == "pass"
     assert figures["sphere spacing error"].count == 5
     assert figures["length measuring error"].verdict == "fail"

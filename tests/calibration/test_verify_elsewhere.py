@@ -13,6 +13,7 @@ from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.cli.verify import command
 from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.quantities import micrometres
 from mbcacq.recording import write_observation_set
 
 NOISE, JOINT_NOISE = (0.005, 0.005, 0.009), 8e-6
@@ -131,9 +132,12 @@ def test_figures_are_said_once_where_there_are_no_effects_and_chi2_with_them(res
     (found,) = json.loads(as_json.stdout)["transfers"]
     learnt, own = found["geometry_alone"], found["own_geometry"]
     assert found["with_effects"] == learnt
-    assert f": {learnt['rms_mm']:.4f} mm with the learnt geometry; {own['rms_mm']:.4f} mm with a geometry fitted there." in done.stdout
     assert (
-        f"chi2 per degree of freedom, under the noise that was learnt: {learnt['chi2_dof']:.2f} with the learnt geometry; "
+        f": {micrometres(learnt['rms_mm'])} with the learnt geometry; {micrometres(own['rms_mm'])} with a geometry fitted there."
+        in done.stdout
+    )
+    assert (
+        f"χ² per degree of freedom, under the noise that was learnt: {learnt['chi2_dof']:.2f} with the learnt geometry; "
         f"{own['chi2_dof']:.2f} with a geometry fitted there\n" in done.stdout
     )
     assert "effects" not in done.stdout

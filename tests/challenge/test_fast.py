@@ -77,7 +77,7 @@ def test_the_twin_of_the_nominal_cell_is_what_the_nominal_model_predicts(tmp_pat
     assert all(s.T_base_station is None for s in observations.cell.stations)
     found = calibrate(observations, CalibrationOptions(kinematics=False))
     np.testing.assert_allclose(found.state.T_flange_scanner, observations.cell.T_flange_scanner, atol=1e-6)
-    assert found.rms_mm < 1e-6
+    assert found.fit.rms_mm < 1e-6
     again = CliRunner().invoke(command, [str(PLANS / "quick.yaml"), "--out", str(tmp_path / "twin")])
     assert isinstance(again.exception, ConfigError)
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from mbcacq.challenge.power import INFORMED_LEVEL, least_gain, ninety_percent_point, reports, search_multiple, with_interval
+from detection_power import INFORMED_LEVEL, least_gain, ninety_percent_point, reports, search_multiple, with_interval
 
 
 def test_one_coefficient_needs_the_sum_of_two_normal_quantiles():

@@ -7,12 +7,14 @@ from session import play, program_of, written_plan
 
 
 @pytest.fixture(scope="session")
-def rehearsed(tmp_path_factory):
-    """Folder with plan.yaml, its program and the clouds of a session without mistakes."""
-    folder = tmp_path_factory.mktemp("session")
-    plan = written_plan(folder)
-    play(plan, program_of(plan, folder / "program"), folder / "clouds")
-    return folder
+def rehearsed(made_once):
+    """Folder with plan.yaml, its program and the clouds of a session without mistakes; to be looked at only."""
+
+    def make(folder):
+        plan = written_plan(folder)
+        play(plan, program_of(plan, folder / "program"), folder / "clouds")
+
+    return made_once("rehearsed-session", make)
 
 
 @pytest.fixture

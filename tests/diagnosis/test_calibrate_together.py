@@ -71,7 +71,7 @@ def test_two_days_give_one_arm_and_its_compliance(together):
     assert one.effects.terms[0].coefficients[0] == other.effects.terms[0].coefficients[0]
     assert abs(one.effects.terms[0].coefficients[0] - COMPLIANCE) < 4 * one.effects.terms[0].std[0]
     for calibration in together:
-        assert calibration.chi2 / calibration.dof == pytest.approx(1.0, abs=0.15)
+        assert calibration.fit.chi2 / calibration.fit.dof == pytest.approx(1.0, abs=0.15)
 
 
 def test_the_arm_of_two_days_holds_on_a_third_within_its_uncertainty(plan, together):
@@ -97,14 +97,14 @@ def test_what_differs_from_day_to_day_is_stated_with_it(plan, model):
     assert entry["p_value"] < 1e-6
     assert term.std[0] > 0.99 * np.hypot(entry["between_std"], entry["common_std"] * 0.5)
     assert abs(term.coefficients[0] - 3e-6) < 2 * term.std[0]
-    assert all(0.8 < one.chi2 / one.dof < 1.2 for one in found)
+    assert all(0.8 < one.fit.chi2 / one.fit.dof < 1.2 for one in found)
 
 
 def test_effects_that_are_held_stay_as_they_are(same, model):
     known = model.with_coefficients([np.array([COMPLIANCE])], [np.zeros(1)])
     found = calibrate_together(same, OPTIONS, known, hold=True)
     assert all(effects_of(one)[0].coefficients[0] == COMPLIANCE for one in found)
-    assert all(one.chi2 / one.dof == pytest.approx(1.0, abs=0.15) for one in found)
+    assert all(one.fit.chi2 / one.fit.dof == pytest.approx(1.0, abs=0.15) for one in found)
     assert not any(name.startswith("joint_compliance") for name in found[0].names)
 
 

@@ -34,7 +34,7 @@ def content(plan, tmp_path_factory):
     here = Covariates(plan)
     groups = [unmodelled.group(here, at, on) for at, on in (("A2", "q2"), ("base", "gravity_torque_2"), ("mount", "time"))]
     model = EffectModel(plan.cell.robot, tuple(groups), LearntRecording.of(plan))
-    found = DiagnosisResult(replace(FOUND, model=model), provenance=provenance(folder, (), {"workers": 1}))
+    found = DiagnosisResult(poses=replace(FOUND, model=model), provenance=provenance(folder, (), {"workers": 1}))
     return json.loads(found.to_json())
 
 

@@ -68,14 +68,14 @@ def test_effects_are_fitted_with_the_geometry(recording, fitted):
     soft, gear = fitted.effects.terms
     assert abs(soft.coefficients[0] - COMPLIANCE) < 4 * soft.std[0]
     assert np.all(np.abs(gear.coefficients - GEAR) < 4 * gear.std)
-    assert fitted.chi2 / fitted.dof < 1.1
-    assert fitted.extra["geometry_alone"]["rms_mm"] > 1.5 * fitted.rms_mm
+    assert fitted.fit.chi2 / fitted.fit.dof < 1.1
+    assert fitted.extra["geometry_alone"]["rms_mm"] > 1.5 * fitted.fit.rms_mm
 
 
 def test_held_effects_keep_their_coefficients(recording, fitted):
     held = calibrate_with_effects(recording, OPTIONS, fitted.effects, hold=True)
     np.testing.assert_array_equal(held.effects.terms[0].coefficients, fitted.effects.terms[0].coefficients)
-    assert held.rms_mm == pytest.approx(fitted.rms_mm, rel=0.02)  # other parameters are determined
+    assert held.fit.rms_mm == pytest.approx(fitted.fit.rms_mm, rel=0.02)  # other parameters are determined
     assert not any("compliance" in name for name in held.names)
 
 
@@ -90,8 +90,6 @@ def test_a_result_that_was_written_places_points_as_before(recording, fitted):
 
 
 def test_the_derivative_by_a_coefficient_is_that_of_the_placed_point(fitted):
-    from mbcacq.calibration.uncertainty import point_columns
-
     rng = np.random.default_rng(1)
     q, xyz = rng.uniform(-1, 1, (6, 6)), rng.uniform(-30, 30, (6, 3))
     column = fitted.names.index(fitted.effects.terms[0].names[0])
@@ -99,7 +97,7 @@ def test_the_derivative_by_a_coefficient_is_that_of_the_placed_point(fitted):
     moved = replace(fitted.effects.terms[0], coefficients=fitted.effects.terms[0].coefficients + step)
     other = replace(fitted, effects=replace(fitted.effects, terms=(moved, *fitted.effects.terms[1:])))
     slope = (other.to_base(q, xyz) - fitted.to_base(q, xyz)) / step
-    np.testing.assert_allclose(point_columns(fitted, q, xyz)[:, :, column], slope, rtol=2e-3, atol=1e-3 * np.abs(slope).max())
+    np.testing.assert_allclose(fitted.point_columns(q, xyz)[:, :, column], slope, rtol=2e-3, atol=1e-3 * np.abs(slope).max())
 
 
 def test_an_arm_and_its_effects_hold_on_another_day(plan, recording, fitted):
@@ -144,7 +142,7 @@ def test_a_check_of_another_arm_is_refused_before_the_diagnosis(recording):
 
 def test_with_known_places_nothing_is_fitted(recording, fitted):
     tried = check_transfer(recording, fitted, place="known")
-    assert tried.with_effects.rms_mm == pytest.approx(fitted.rms_mm, rel=0.05)  # balls as certified
+    assert tried.with_effects.rms_mm == pytest.approx(fitted.fit.rms_mm, rel=0.05)  # balls as certified
     assert tried.geometry_alone.rms_mm > 2 * tried.with_effects.rms_mm
     elsewhere = tuple(replace(s, id=f"elsewhere {s.id}") for s in recording.cell.stations)
     moved = replace(recording, cell=replace(recording.cell, stations=elsewhere))
@@ -172,8 +170,8 @@ def test_groups_nobody_needs_vanish_and_others_find_their_size(plan, recording):
     found = calibrate_with_effects(recording, OPTIONS, model)
     kept = {t.where[0] for t in found.effects.terms}
     assert {"A2", "A4"} <= kept
-    assert found.chi2 / found.dof < 1.15
-    assert found.rms_mm < 0.7 * calibrate(recording, replace(OPTIONS, discrepancy=False)).rms_mm
+    assert found.fit.chi2 / found.fit.dof < 1.15
+    assert found.fit.rms_mm < 0.7 * calibrate(recording, replace(OPTIONS, discrepancy=False)).fit.rms_mm
 
 
 def test_sizes_found_by_some_of_the_poses_lead_to_the_coefficients_of_all(plan, recording, monkeypatch):
@@ -182,11 +180,11 @@ def test_sizes_found_by_some_of_the_poses_lead_to_the_coefficients_of_all(plan, 
     whole = calibrate_with_effects(recording, OPTIONS, model)
     monkeypatch.setattr(with_effects, "OPTIONS", replace(with_effects.OPTIONS, most_poses=64))
     found = calibrate_with_effects(recording, OPTIONS, model)
-    assert found.observations.n_poses == recording.n_poses
+    assert found.fit.observations.n_poses == recording.n_poses
     (a,), (b,) = whole.effects.terms, found.effects.terms
     assert np.all(np.abs(a.coefficients - b.coefficients) < 0.5 * a.std)
     np.testing.assert_allclose(b.std, a.std, rtol=0.3)
-    np.testing.assert_allclose(found.rms_mm, whole.rms_mm, rtol=0.1)
+    np.testing.assert_allclose(found.fit.rms_mm, whole.fit.rms_mm, rtol=0.1)
 
 
 def moved_to(plan, seed, size):

@@ -41,7 +41,7 @@ def hose_between_two_angles(s):
 
 
 def found_at(where, on):
-    return EffectFound(UNMODELLED, (where,), {}, 0.0, 1.0, depends_on=on)
+    return EffectFound(name=UNMODELLED, where=(where,), parameters={}, p_value=0.0, held_out_gain=1.0, depends_on=on)
 
 
 def terms_at(problem, places):
@@ -109,7 +109,7 @@ def test_one_cube_is_preferred_to_a_pair_that_nearly_is_one(plan):
 def test_the_draft_is_found_by_its_name_and_explains_the_recording(proposals, recording, tmp_path):
     _, module = write_draft(proposals[:1], tmp_path / "draft")
 
-    with catalogue.with_files([module]):
+    with catalogue.with_added([module]):
         found = model_fit.fit_model(model_fit.prepare(recording))
 
     assert [(c.name, c.where) for c, _ in found.model.effects] == [("a1_by_q3", ("A1",))]
@@ -202,5 +202,5 @@ def test_a_file_that_is_no_effect_is_refused_in_a_sentence(text, words, tmp_path
     file = tmp_path / "effect.py"
     file.write_text(text)
 
-    with pytest.raises(ConfigError, match=words), catalogue.with_files([file]):
+    with pytest.raises(ConfigError, match=words), catalogue.with_added([file]):
         pass

@@ -56,7 +56,7 @@ def observed(plan):
 def test_both_commands_write_one_cell_although_the_search_begins_with_more_centres(observed, tmp_path):
     write_observation_set(observed, tmp_path / "set")
     read = load_observations(tmp_path / "set")
-    assert prepare(read).linear.keep.sum() > calibrate(read, HELD).used.sum()
+    assert prepare(read).linear.keep.sum() > calibrate(read, HELD).fit.used.sum()
 
     calibrated, found, printed = by_the_commands(tmp_path / "set", tmp_path, "--even-if-undetermined")
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import simulated
+from detection_power import likelihood_ratio, with_estimated_hypers
 from scipy.stats import chi2, kstest
 
-from mbcacq.challenge.power import likelihood_ratio, with_estimated_hypers
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.effect_set import EffectSet
 

@@ -18,8 +18,8 @@ def test_the_uncertainty_of_an_rms_is_that_of_the_chi_square_distribution():
 
 def test_a_model_within_the_uncertainty_of_the_noise_reaches_it():
     assert NoiseFloor.of(0.0133, 0.0129, 512).distance == "down to the measured noise"
-    assert NoiseFloor.of(0.0145, 0.0129, 512).distance == "to 1.6 µm (12%) above the measured noise"
-    assert NoiseFloor.of(0.0145, 0.0129, 512).noise == "(12.9 ± 0.5) µm"
+    assert NoiseFloor.of(0.0145, 0.0129, 512).distance == "to 1.60 ± 0.47 µm (k = 2; 12%) above the measured noise"
+    assert NoiseFloor.of(0.0145, 0.0129, 512).noise == "12.90 ± 0.47 µm"
     assert NoiseFloor.of(0.0145, 0.0129, 0).noise == "12.9 µm"
 
 
@@ -38,13 +38,44 @@ def test_an_effect_below_its_expanded_uncertainty_is_a_trend(parameters, trend):
 
 
 def test_what_is_beyond_what_machines_have_was_not_tested():
-    absurd = ExclusionLimit("mount_compliance", ("mount",), "compliance_mm_per_N", 0.35, None, None, 350.0, tested=False)
-    absorbed = ExclusionLimit("base_compliance", ("base",), "compliance_rad_per_Nm", None, None, None, None, tested=False)
+    absurd = ExclusionLimit(
+        name="mount_compliance",
+        where=("mount",),
+        parameter="compliance_mm_per_N",
+        value=0.35,
+        workspace_mm=None,
+        length_mm=None,
+        in_usual_sizes=350.0,
+        tested=False,
+    )
+    absorbed = ExclusionLimit(
+        name="base_compliance",
+        where=("base",),
+        parameter="compliance_rad_per_Nm",
+        value=None,
+        workspace_mm=None,
+        length_mm=None,
+        in_usual_sizes=None,
+        tested=False,
+    )
     step = ExclusionLimit(
-        "joint_step", ("A6",), "A6.step_deg", 0.0078, 0.22, 0.19, 1.4, holds_for=ExclusionBand("at_pose", 3, 118, (17, 33))
+        name="joint_step",
+        where=("A6",),
+        parameter="A6.step_deg",
+        value=0.0078,
+        workspace_mm=0.22,
+        length_mm=0.19,
+        in_usual_sizes=1.4,
+        holds_for=ExclusionBand("at_pose", 3, 118, (17, 33)),
     )
     slow = ExclusionLimit(
-        "gear_transmission_error", ("A2",), "A2.amplitude_deg", 0.004, None, None, holds_for=ExclusionBand("order", 1.0, 1.5)
+        name="gear_transmission_error",
+        where=("A2",),
+        parameter="A2.amplitude_deg",
+        value=0.004,
+        workspace_mm=None,
+        length_mm=None,
+        holds_for=ExclusionBand("order", 1.0, 1.5),
     )
     lines = limit_lines([step, slow, absurd, absorbed])
     assert lines == [

@@ -17,7 +17,7 @@ def assert_same_cell(observations):
     problem = prepare(observations)
     state = problem.linear.state
 
-    np.testing.assert_array_equal(problem.linear.obs.pose_id, calibrated.observations.pose_id)
+    np.testing.assert_array_equal(problem.linear.obs.pose_id, calibrated.fit.observations.pose_id)
     for name in ("point", "joint"):
         np.testing.assert_array_equal(getattr(problem.noise, name), getattr(calibrated.noise, name))
     np.testing.assert_array_equal(state.chain.rows, calibrated.state.chain.rows)

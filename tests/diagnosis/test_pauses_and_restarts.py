@@ -22,7 +22,9 @@ def test_a_pause_is_found_with_the_temperatures_on_either_side():
 
 
 def test_a_change_at_the_pause_is_said_to_be_confounded():
-    shift = EffectFound("mount_shift", ("mount",), {"mount.at_pose": ParameterEstimate(17.0, 0.5)}, 1e-9, 0.5)
+    shift = EffectFound(
+        name="mount_shift", where=("mount",), parameters={"mount.at_pose": ParameterEstimate(17.0, 0.5)}, p_value=1e-9, held_out_gain=0.5
+    )
     (sentence,) = confounded_pauses(paused(15), [shift])
     assert "the change at pose 17 may be a displacement, thermal growth or a new mastering" in sentence
 

@@ -105,7 +105,7 @@ def compared(*sets):
 
     none = Hypothesis((), None, 0.0)
     found = [Hypothesis(tuple(member(label) for label in labels), None, log) for log, labels in sets]
-    return EvidenceFit(tuple(sorted([*found, none], key=lambda h: -h.log_posterior)), none, 50.0, 0.7, None)
+    return EvidenceFit(tuple(sorted([*found, none], key=lambda h: -h.log_posterior)), none, 50.0, 0.7, linear=None)
 
 
 @pytest.mark.parametrize(("odds", "claimed"), [(10.0, False), (30.0, True)])

@@ -32,13 +32,13 @@ FOUND = Diagnosis(
     mismatch=(MismatchEntry("A2", "gravity_torque_2", 0.71, 1e-12),),
     effects=(
         EffectFound(
-            "gear_transmission_error",
-            ("A2", "A3"),
-            {"A2.order": ParameterEstimate((1.0, 100.0), (0.01, 0.02)), "A3.order": ParameterEstimate(2.0, 0.01)},
-            1e-12,
-            0.83,
-            (Alternative("joint_scale", ("A2",), 0.12, 0.003),),
-            "q2",
+            name="gear_transmission_error",
+            where=("A2", "A3"),
+            parameters={"A2.order": ParameterEstimate((1.0, 100.0), (0.01, 0.02)), "A3.order": ParameterEstimate(2.0, 0.01)},
+            p_value=1e-12,
+            held_out_gain=0.83,
+            alternatives=(Alternative("joint_scale", ("A2",), 0.12, 0.003),),
+            depends_on="q2",
         ),
     ),
     fit=FitSummary(FitFigures(0.061, 0.013, 19.0, 1.02), HeldOutFigures(0.064, 0.014, 20.1, 1.1, "station"), 0.012),
@@ -47,7 +47,7 @@ FOUND = Diagnosis(
     dropped={"payload": "no masses"},
     notes=("a note",),
     exclusion_limits=(
-        ExclusionLimit("joint_scale", ("A6",), "A6.ratio", 2e-4, 0.05, 0.03),
+        ExclusionLimit(name="joint_scale", where=("A6",), parameter="A6.ratio", value=2e-4, workspace_mm=0.05, length_mm=0.03),
         ExclusionLimit(
             name="joint_step",
             where=("A6",),
@@ -59,7 +59,7 @@ FOUND = Diagnosis(
             tested=False,
             holds_for=ExclusionBand("at_pose", 3.0, 90.0, (17.0,)),
         ),
-        ExclusionLimit("station_drift", ("stationp1",), "shift_mm", None, None, None),
+        ExclusionLimit(name="station_drift", where=("stationp1",), parameter="shift_mm", value=None, workspace_mm=None, length_mm=None),
     ),
     noise_depends_on=(
         NoiseDependence(

@@ -7,9 +7,9 @@ import pytest
 import simulated
 
 from mbcacq.calibration.several import calibrate_together
-from mbcacq.diagnosis.output.between_recordings import summarised
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.errors import ConfigError
+from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.estimation.options import CalibrationOptions
 
 OPTIONS = CalibrationOptions(refuse=False)
@@ -27,8 +27,8 @@ def test_two_days_have_one_arm_and_their_own_tool_and_noise(two_days):
     np.testing.assert_array_equal(one.state.chain.rows, other.state.chain.rows)
     assert np.linalg.norm(one.state.T_flange_scanner[:3, 3] - other.state.T_flange_scanner[:3, 3]) > 0.1
     assert 3.0 < np.mean(other.noise.joint / one.noise.joint) < 5.0
-    assert one.chi2 / one.dof == pytest.approx(1.0, abs=0.1)
-    assert other.chi2 / other.dof == pytest.approx(1.0, abs=0.1)
+    assert one.fit.chi2 / one.fit.dof == pytest.approx(1.0, abs=0.1)
+    assert other.fit.chi2 / other.fit.dof == pytest.approx(1.0, abs=0.1)
 
 
 def test_two_days_determine_the_arm_better_than_either(two_days):
@@ -65,7 +65,7 @@ def test_the_variance_between_recordings_is_that_of_the_values():
     for _ in range(400):
         std = rng.uniform(0.5, 1.5, 8)
         values = 10.0 + rng.normal(0, 2.0, 8) + std * rng.normal(size=8)
-        b = summarised("x", ("A1",), "p", values, std)
+        b = BetweenRecordings.of("x", ("A1",), "p", values, std)
         found.append(b.between_std)
         inside += abs(b.common - 10.0) < 2.0 * b.common_std
 
@@ -74,7 +74,7 @@ def test_the_variance_between_recordings_is_that_of_the_values():
 
 
 def test_equal_values_have_no_variance_between_recordings():
-    b = summarised("x", ("A1",), "p", np.array([1.0, 1.01, 0.99]), np.array([0.1, 0.1, 0.1]))
+    b = BetweenRecordings.of("x", ("A1",), "p", np.array([1.0, 1.01, 0.99]), np.array([0.1, 0.1, 0.1]))
 
     assert b.between_std == 0.0
     assert b.p_value > 0.9

@@ -19,6 +19,10 @@ from mbcacq_fakes.cell.ports import free_port
 
 from mbcacq.recording.rrd import rerun_program
 
+sys.path.insert(0, str(ROOT / "docs" / "_make"))
+
+from printed import MARKED, faults  # noqa: E402
+
 WITH_COMMANDS = [page for page in pages() if page.script.strip()]
 # What a reader does once for the computer is done by the continuous integration itself.
 INSTALLING = re.compile(r"python3 -m venv \.venv|\bpip install\b|\bapt-get install\b|^sudo |\bpython -m pytest\b")
@@ -37,6 +41,8 @@ def desk(tmp_path: Path) -> Path:
     text = quick.read_text(encoding="utf-8").replace("port: 49152", f"port: {free_port()}")
     ports = ", ".join(f"{name}_port: {free_port()}" for name in ("control", "health", "data"))
     quick.write_text(text.replace("options: {address: 127.0.0.1}", f"options: {{address: 127.0.0.1, {ports}}}"), encoding="utf-8")
+    arm = tmp_path / "plans" / "ur.yaml"  # 168 clouds, whose points are a millimetre apart here: their number is the fact, not their size
+    arm.write_text(f"{arm.read_text(encoding='utf-8')}\nfake: {{pitch_mm: 1.0}}\n", encoding="utf-8")
     for entry in ("docs", "benchmarks", "tests", "mbcacq", "drivers", "fakes", "pyproject.toml", "mkdocs.yml"):
         (tmp_path / entry).symlink_to(ROOT / entry)
     bin = tmp_path / ".venv" / "bin"
@@ -81,7 +87,7 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun]) ->
             lines.append(f"{line} --poses 24")
         elif found := DRY_RUN.match(line.strip()):
             run = finished_run(found[1].replace("concealed", "kuka"))
-            lines.append(f"cp -a '{run.desk / 'runs'}' .")
+            lines.append(f"cp -a '{run.desk / 'runs'}' . && cat '{run.desk / 'stdout'}'")
             if found[2]:
                 lines.append(f"mv 'runs/{run.folder.name}' 'runs/{found[2]}' && ln -sfn '{found[2]}' runs/latest")
         else:
@@ -117,6 +123,7 @@ def test_commands_of_a_page_work_when_pasted(page: Page, desk: Path, finished_ru
                 os.killpg(shell.pid, signal.SIGKILL)  # nothing that a page starts in the background outlives it
             shell.wait()
     assert shell.returncode == 0, f"{page.name}: exit {shell.returncode}\n{script}\n---\n{printed.read_text()[-6000:]}"
+    assert faults(page.text, printed.read_text()) == [], f"run python docs/_make/printed.py {page.name}"
 
 
 @pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
@@ -127,3 +134,15 @@ def test_commands_are_shown_only_where_they_are_executed(page: Page):
     for language, body in re.findall(r"^```(\w*).*?\n(.*?)^```$", page.text, flags=re.DOTALL | re.MULTILINE):
         if language not in ("sh", "text"):
             assert not re.search(r"^\$? ?(\.venv/bin/)?mbcacq ", body, flags=re.MULTILINE), f"{page.name}: tag this block sh"
+
+
+def test_numbers_are_compared_to_the_digits_that_matter():
+    page = "<!-- printed -->\n```text\nFit: 68 centres, residual 7.0 µm\n...\nagrees within 3.4e-13 mm\n```\n"
+    assert faults(page, "first\nFit: 68 centres, residual 7.4 µm\nmore\nagrees within 9e-14 mm\n") == []
+    assert faults(page, "Fit: 68 centres, residual 9.4 µm\nagrees within 1e-5 mm\n") == page.splitlines()[2:5:2]
+    assert faults(page, "Fit: 68 poses, residual 7.0 µm\nagrees within 0 mm\n") == ["Fit: 68 centres, residual 7.0 µm"]
+
+
+@pytest.mark.parametrize("page", [page for page in pages() if MARKED.search(page.text)], ids=lambda page: page.name)
+def test_a_page_with_printed_blocks_has_the_commands_that_print_them(page: Page):
+    assert without_installing(page.script).strip()

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.calibration import CalibratedCell
-from mbcacq.calibration.uncertainty import frames
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
@@ -93,7 +92,7 @@ def test_the_page_computes_what_the_program_computes_within_a_nanometre():
     page: dict = {}
     exec(re.search(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[1], page)  # noqa: S102
     cell = CalibratedCell.from_dict(content)
-    ours = frames(cell, q)[:, -1]
+    ours = cell.frames(q)[:, -1]
     theirs = np.stack([page["flange"](content, row) for row in q])
     assert np.abs(cell.state.chain.flange(q) - ours)[:, :3, 3].max() > 0.1
     assert np.abs(theirs - ours)[:, :3, 3].max() < 1e-6

@@ -8,8 +8,8 @@ import pytest
 from cases import CASES
 from mbcacq_fakes.dynamics.faults import FAULTS
 from mbcacq_fakes.effects import CATALOGUED as INJECTED
+from motion_challenge import catalogued_in_motion
 
-from mbcacq.challenge.motion import catalogued_in_motion
 from mbcacq.challenge.scenarios import catalogued
 from mbcacq.effects import catalogue
 

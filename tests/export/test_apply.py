@@ -14,6 +14,7 @@ from mbcacq.exports.format import chains
 from mbcacq.exports.scan_correction import place_scan
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
+from mbcacq.quantities import uncertainty
 
 ONE_POINT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
 Q = np.radians([10.0, -60, 95, 15, 35, 20])
@@ -90,9 +91,9 @@ def test_the_uncertainty_of_the_cloud_is_printed(solved, result_file, tmp_path):
     )
     _, placed = place_scan(solved[0], Q, np.array([[1.0, 2, 3]]))
     assert outcome.exit_code == 0
-    assert f"3D {placed.rms_mm:.4f} mm" in outcome.stdout
+    assert f"3D {2e3 * placed.rms_mm:.0f} µm in the middle" in outcome.stdout
     for sigma in placed.total_mm:
-        assert f"{sigma:.4f}" in outcome.stdout
+        assert uncertainty(2e3 * sigma) in outcome.stdout
 
 
 def test_the_command_keeps_what_the_cloud_carries(solved, result_file, tmp_path):

@@ -10,7 +10,6 @@ import pytest
 from click.testing import CliRunner
 
 from mbcacq.calibration import CalibratedCell
-from mbcacq.calibration.uncertainty import frames
 from mbcacq.cli.app import app
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
@@ -139,7 +138,7 @@ def test_the_corrected_angles_reach_the_nominal_places(tmp_path):
     done = correct(program, result(), tmp_path / "out.csv")
     written = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True, encoding="utf-8", dtype=None)
     corrected = np.stack([written[f"corrected_q{i}_deg"] for i in range(1, 7)], axis=1)
-    there = frames(CalibratedCell.from_dict(result()), np.radians(corrected))[:, -1]
+    there = CalibratedCell.from_dict(result()).frames(np.radians(corrected))[:, -1]
     assert np.abs(there - goals_of(q))[:, :3, 3].max() < 5e-5  # six decimals of a degree
     assert np.abs(there - goals_of(q))[:, :3, :3].max() < 1e-7
     assert done.found.error_mm.max() < 1e-3

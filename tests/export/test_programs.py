@@ -10,7 +10,6 @@ from click.testing import CliRunner
 from test_correct import arm, goals_of, result
 
 from mbcacq.calibration import CalibratedCell
-from mbcacq.calibration.uncertainty import frames
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
 from mbcacq.exports.programs import read_program
@@ -258,7 +257,7 @@ def test_the_corrected_targets_of_every_language_reach_the_nominal_places(tmp_pa
     path.write_text(text)
     before = read_program(path, 6)[0].q
     after = read_program(correct(path, result()).file, 6)[0].q
-    there = frames(CalibratedCell.from_dict(result()), after)[:, -1]
+    there = CalibratedCell.from_dict(result()).frames(after)[:, -1]
     assert np.abs(there - goals_of(np.degrees(before)))[:, :3, 3].max() < 5e-5
     assert np.abs(after - before).max() > 1e-5
 

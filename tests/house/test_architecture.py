@@ -100,3 +100,27 @@ def test_no_docstring_and_no_page_opens_a_sentence_with_a_genitive():
         paragraphs = re.split(r"\n\s*\n|\n[-*|#] ?", page.read_text(encoding="utf-8"))
         found += [f"{page.relative_to(ROOT)}: {m[0]}" for p in paragraphs for m in OPENING.finditer(re.sub(r"\s+", " ", p).strip())]
     assert sorted(found) == []
+
+
+def called(node: ast.Call) -> str:
+    return node.func.id if isinstance(node.func, ast.Name) else node.func.attr if isinstance(node.func, ast.Attribute) else ""
+
+
+def test_no_call_passes_eight_arguments_by_position():
+    """Nobody sees what the sixth of them is. The fields of a packed structure have no names."""
+    found = []
+    for path, tree in sources().items():
+        many = [n for n in ast.walk(tree) if isinstance(n, ast.Call) and len(n.args) >= 8 and called(n) not in ("pack", "pack_into")]
+        found += [f"{path.relative_to(ROOT)}:{n.lineno}: {called(n)}" for n in many]
+    assert sorted(found) == []
+
+
+def test_options_are_given_by_name():
+    found = []
+    for path, tree in sources().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef) and node.name.endswith(("Options", "Limits", "Settings", "Result", "Diagnosis")):
+                made = [ast.unparse(d) for d in node.decorator_list if "dataclass" in ast.unparse(d)]
+                fields = [s for s in node.body if isinstance(s, ast.AnnAssign)]
+                found += [f"{path.relative_to(ROOT)}: {node.name}" for d in made if len(fields) > 5 and "kw_only=True" not in d]
+    assert sorted(found) == []

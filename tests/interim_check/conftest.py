@@ -14,9 +14,12 @@ PLAN = Path(__file__).parents[2] / "plans" / "kuka.yaml"
 
 
 @pytest.fixture(scope="session")
-def learnt(tmp_path_factory):
-    loaded = load(PLAN)
-    observations, _ = observe(loaded, expand(loaded), Scenario(0, "none", 3, (), 1, 1.0), [])
-    path = tmp_path_factory.mktemp("learnt") / "result.json"
-    path.write_text(sealed_text(mbcacq.calibrate(observations).to_dict() | {"simulated": True}))
-    return path
+def learnt(made_once):
+    """Its result.json; to be looked at only."""
+
+    def make(folder):
+        loaded = load(PLAN)
+        observations, _ = observe(loaded, expand(loaded), Scenario(0, "none", 3, (), 1, 1.0), [])
+        (folder / "result.json").write_text(sealed_text(mbcacq.calibrate(observations).to_dict() | {"simulated": True}))
+
+    return made_once("learnt", make) / "result.json"

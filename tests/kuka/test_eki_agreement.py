@@ -107,7 +107,7 @@ def test_both_systems_run_the_same_logic():
 
 def test_the_numbers_in_the_data_list_are_the_drivers_defaults():
     data = text("eki_kss/mbcacq_eki.dat")
-    options = EkiOptions("1.2.3.4", ((-5.0, 5.0),) * 6, (1.0,) * 6)
+    options = EkiOptions(address="1.2.3.4", limits_deg=((-5.0, 5.0),) * 6, speed_deg_s=(1.0,) * 6)
     found = dict(re.findall(r"(mb_\w+)=(-?[\d.]+)$", data, re.M))
     assert (int(found["mb_tool"]), int(found["mb_base"])) == (options.tool, options.base)
     assert (int(found["mb_max_acc"]), float(found["mb_max_path"])) == (options.acceleration_percent, options.path_speed_mm_s)

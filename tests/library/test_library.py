@@ -72,7 +72,7 @@ def test_a_calibration_survives_pickling(cell, data):
 def test_a_cell_read_from_json_measures_as_the_calibration_does(cell, data, tmp_path, by):
     (tmp_path / "result.json").write_text(cell.to_json(), encoding="utf-8")
     source = {"text": cell.to_json(), "file": tmp_path / "result.json", "folder": str(tmp_path)}[by]
-    again = mbcacq.Calibration.from_json(source)
+    again = mbcacq.CalibratedCell.from_json(source)
     q, xyz = data.q[data.pose], data.xyz
     np.testing.assert_allclose(again.to_base(q, xyz), cell.to_base(q, xyz), atol=1e-9)
     np.testing.assert_allclose(
@@ -103,16 +103,21 @@ def test_a_calibration_knows_which_poses_took_part(cell, data):
 
     other = replace(data, q=data.q + 1e-3)
     assert not cell.took_part(other)
-    again = mbcacq.Calibration.from_json(cell.to_json())
+    again = mbcacq.CalibratedCell.from_json(cell.to_json())
     assert again.took_part(data) is None  # the same stations; result.json does not list poses
 
 
 def test_verification_goes_to_json_and_back(cell):
     from mbcacq.calibration.verification import VerifiedPair
 
-    made = mbcacq.Verification((VerifiedPair("b1", (1, 2), 735.0, 0.4, 0.02, 0.03),), 0.1, True, ({"name": "x"},))
+    made = mbcacq.Verification(
+        places=(VerifiedPair(station="b1", balls=(1, 2), certified_mm=735.0, before_mm=0.4, after_mm=0.02, expected_mm=0.03),),
+        limit_mm=0.1,
+        independent=True,
+        figures=({"name": "x"},),
+    )
     assert mbcacq.Verification.from_dict(json.loads(json.dumps(made.to_dict()))) == made
-    assert mbcacq.Verification.from_dict(mbcacq.Verification(()).to_dict()) == mbcacq.Verification(())
+    assert mbcacq.Verification.from_dict(mbcacq.Verification(places=()).to_dict()) == mbcacq.Verification(places=())
     assert pickle.loads(pickle.dumps(made)) == made
 
 
@@ -126,7 +131,7 @@ def test_comparison_is_a_sequence_that_goes_to_json_and_back(data):
 
 def test_results_show_themselves_in_a_notebook(cell, data):
     rows = mbcacq.compare(data, ["nominal"], held_out=False)
-    for shown in (cell, mbcacq.Calibration.from_json(cell.to_json()), mbcacq.verify(data, cell), rows):
+    for shown in (cell, mbcacq.CalibratedCell.from_json(cell.to_json()), mbcacq.verify(data, cell), rows):
         assert shown._repr_html_().startswith("<table>")
         assert len(repr(shown)) < 200
     assert "hand_eye.x" in cell._repr_html_()
@@ -198,9 +203,9 @@ def test_a_dry_run_returns_the_calibrated_cell(plan, tmp_path):
     seen = []
     done = mbcacq.run(plan, dry_run=True, seed=5, out=tmp_path / "run", operator=mbcacq.Operator(subscribers=(seen.append,)))
     assert done.folder == tmp_path / "run"
-    assert json.loads((done.folder / "result.json").read_text())["fit"]["rms_mm"] == done.calibration.rms_mm
+    assert json.loads((done.folder / "result.json").read_text())["fit"]["rms_mm"] == done.calibration.fit.rms_mm
     alone = mbcacq.calibrate(done.folder, mbcacq.CalibrationOptions(kinematics=False))  # what one station determines
-    assert done.calibration.rms_mm == alone.rms_mm
+    assert done.calibration.fit.rms_mm == alone.fit.rms_mm
     assert not done.calibration.errors.any()
     assert seen
     assert mbcacq.verify(done.folder, done.folder).places == done.verification.places

@@ -33,7 +33,7 @@ def test_joint_side_angles_are_explained_to_five_thousandths_of_a_degree(kr300):
 
 @pytest.mark.parametrize(("axis", "rms"), [("A1", 200), ("A2", 350), ("A3", 235), ("A4", 50), ("A5", 50), ("A6", 40)])
 def test_torque_is_explained_as_well_as_by_a_fit_that_knows_load_and_balancer(kr300, axis, rms):
-    """N m, held out; such a fit (benchmarks/rigid_arm_fit.py) leaves 187, 301, 228, 50, 50, 28."""
+    """N m, held out; such a fit (benchmarks/peer_fits.py kr300) leaves 187, 301, 228, 50, 50, 28."""
     after = {c.at: c.held_out.after_rms for c in kr300.channels if c.channel == "tau"}
     assert after[axis] < rms
 

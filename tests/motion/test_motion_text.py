@@ -36,7 +36,7 @@ def test_a_phase_that_may_be_anywhere_is_not_given_as_a_number(std, said):
 
 def test_the_same_of_poses():
     parameters = {"A2.phase_deg": ParameterEstimate((10.0, 20.0), (120.0, 200.0)), "A2.amplitude_deg": ParameterEstimate(0.01, 0.001)}
-    lines = describe(EffectFound("gear_transmission_error", ("A2",), parameters, 1e-9, 0.1))
+    lines = describe(EffectFound(name="gear_transmission_error", where=("A2",), parameters=parameters, p_value=1e-9, held_out_gain=0.1))
     assert "  A2 phase is not determined" in lines
     assert "  A2 amplitude (0.0100 ± 0.0020)°" in lines
 

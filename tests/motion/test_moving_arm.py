@@ -8,8 +8,8 @@ pytest.importorskip("mujoco")
 
 from mbcacq_fakes.dynamics.bodies import Bodies
 from mbcacq_fakes.dynamics.recorded import recorded
+from motion_challenge import score_motion
 
-from mbcacq.challenge.motion_score import score_motion
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.gravity import gravity_torque

@@ -44,6 +44,10 @@ IMPOSSIBLE = [
     (OPTIONS, "options: {address: 172.31.1.147, acceleration_percent: 50}", "unknown option"),
     ("options: {address: 127.0.0.1}", "options: {address: 127.0.0.1, cycle_ms: 12}", "unknown option 'cycle_ms'"),
     ("options: {address: 127.0.0.1}", "options: {}", "the option address is missing"),
+    ("options: {address: 127.0.0.1}", "options: {address: no such host}", "must be a host name or an IP address"),
+    (OPTIONS, OPTIONS.replace("49152", "1:30"), "it is '1:30'"),
+    (OPTIONS, OPTIONS.replace("12}", "1e6}"), "option cycle_ms must be 4 or 12, it is 1000000"),
+    ("positioner: {driver: manual}", "positioner: {driver: modbus, options: {port: 70000}}", "less than or equal to 65535"),
 ]
 
 
@@ -104,12 +108,39 @@ def test_the_schema_for_editors_knows_each_drivers_options():
             "scanner.noise_mm[0]: input should be less than or equal to 10",
         ),
         ("exposures: 3", "exposures: 1000000000000", "exposures: input should be less than or equal to 1000"),
+        ("exposures: 3", "exposures: 1e12", "exposures: input should be less than or equal to 1000"),
+        ("exposures: 3", "exposures: 2.5", "exposures: input should be a valid integer, not 2.5"),
+        ("exposure_us: 8000", "exposure_us: 1e12", "scanner.exposure_us: input should be less than or equal to 100000000"),
+        ("scan_time_s: 1.0", "scan_time_s: 1e9", "scanner.scan_time_s: input should be less than or equal to 3600"),
+        ("settle_s: 0.3 ", "settle_s: 1e9 ", "robot.settle_s: input should be less than or equal to 3600"),
+        ("speed: 0.3 ", "speed: 0.00001 ", "robot.speed: input should be greater than or equal to 0.001, not 1e-05"),
+        ("mass_kg: 2.3", "mass_kg: -2.3", "robot.payload.mass_kg: input should be greater than or equal to 0"),
     ],
 )
-def test_what_no_scanner_has_is_named(plan, old, new, says):
-    done = CliRunner().invoke(app, ["plan", "check", str(plan(old, new)), "--quick"])
+def test_what_no_scanner_and_no_arm_has_is_named_with_its_line(plan, old, new, says):
+    path = plan(old, new)
+    done = CliRunner().invoke(app, ["plan", "check", str(path), "--quick"])
     assert done.exit_code == 2
-    assert says in done.stderr
+    line = next(i for i, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1) if new.strip() in text)
+    assert f"{path}:{line}: {says}" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "value"),
+    [
+        ("exposures: 3", "exposures: 5.", lambda plan: plan.exposures == 5),
+        ("exposures: 3", "exposures: 1e1", lambda plan: plan.exposures == 10),
+        ("exposures: 3", "exposures: 1_000", lambda plan: plan.exposures == 1000),
+        (OPTIONS, OPTIONS.replace("49152", "5e4"), lambda plan: plan.robot.options["port"] == 50000),
+        (OPTIONS, OPTIONS.replace("49152", "49_153."), lambda plan: plan.robot.options["port"] == 49153),
+        (OPTIONS, OPTIONS.replace("12}", "1.2e1}"), lambda plan: plan.robot.options["cycle_ms"] == 12),
+        ("speed: 0.3 ", "speed: 3E-1 ", lambda plan: plan.robot.speed == 0.3),
+    ],
+)
+def test_a_number_is_read_as_people_write_it(plan, old, new, value):
+    loaded = load(plan(old, new))
+    assert value(loaded.plan)
+    assert list(device_findings(loaded)) == []
 
 
 def test_a_scanner_of_coarse_noise_is_checked_to_the_end(plan):

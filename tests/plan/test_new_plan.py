@@ -18,6 +18,7 @@ from mbcacq.model import shipped
 from mbcacq.plan import expand, load
 from mbcacq.plan.expansion import expand_reachable
 from mbcacq.plan.feasibility import check
+from mbcacq.plan.inverse_kinematics import inverse_kinematics
 
 FOUR_BALLS = """\
 id: four
@@ -29,6 +30,7 @@ balls:
 """
 
 
+ARTEFACT = shipped.named_file("artefacts", "mbc-8")
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "plan-from-nothing.md"
 
 
@@ -71,6 +73,24 @@ def test_a_new_plan_needs_balls_that_show_an_orientation(tmp_path):
     request = NewPlan(shipped.robot_file("kr6_r900_2"), shipped.named_file("scanners", "gocator-3210"), artefact, tmp_path / "plan.yaml")
     with pytest.raises(ConfigError, match="2 balls leave its orientation open; three at least are needed"):
         list(write_new_plan(request))
+
+
+def test_a_plan_never_replaces_a_file_that_it_names(tmp_path):
+    request = NewPlan(
+        shipped.named_file("robots", "panda"), shipped.named_file("scanners", "gocator-3210"), ARTEFACT, tmp_path / "panda.yaml"
+    )
+    with pytest.raises(ConfigError, match="the name of a file that the plan itself needs"):
+        list(write_new_plan(request))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_arm_without_a_closed_form_is_sampled_without_losing_a_target():
+    """What is left out to save time are branches of one target, never a target."""
+    robot, rng = shipped.robot("panda"), np.random.default_rng(1)
+    targets = robot.chain.flange(rng.uniform(robot.limits[:, 0], robot.limits[:, 1], (20, robot.n)))
+    for q, target in zip(inverse_kinematics(robot, sampled=True).solutions(targets), targets, strict=True):
+        assert len(q)
+        np.testing.assert_allclose(robot.chain.flange(q), np.broadcast_to(target, (len(q), 4, 4)), atol=1e-5)
 
 
 def test_names_that_are_no_file_are_answered_with_the_choices():

@@ -94,17 +94,17 @@ def pose(rng: np.random.Generator, number: int, time_s: float, points: int = 500
     yield events.PoseDone(
         time_s + 0.3,
         *about,
-        q + 1e-9 * rng.normal(size=6),
-        direction,
-        time_s + 0.04 + rng.random(),
-        found,
-        40 * rng.normal(size=(k, 3)),
-        rng.integers(100, 200, k),
-        rng.random(k),
-        rng.random((k, 3)),
-        2,
-        rng.normal(size=6),
-        {"air_C": 20 + rng.random(), "humidity_percent": 45.5},
+        q=q + 1e-9 * rng.normal(size=6),
+        direction=direction,
+        robot_time_s=time_s + 0.04 + rng.random(),
+        ball=found,
+        xyz=40 * rng.normal(size=(k, 3)),
+        n_points=rng.integers(100, 200, k),
+        rms_mm=rng.random(k),
+        scatter_mm=rng.random((k, 3)),
+        n_exposures=2,
+        current=rng.normal(size=6),
+        sensors={"air_C": 20 + rng.random(), "humidity_percent": 45.5},
     )
 
 

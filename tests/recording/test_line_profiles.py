@@ -38,7 +38,7 @@ def shown():
 def error_and_stated(obs, shown, measurement):
     found = mbcacq.calibrate(obs, ALONE)
     if measurement == TARGET_IN_BASE:
-        return local_error(found.state.T_base_station[0], shown.T_hand_eye), found.station_covariance[0]
+        return local_error(found.state.T_base_station[0], shown.T_hand_eye), found.fit.station_covariance[0]
     at = [found.names.index(name) for name in SIX]
     return local_error(found.state.T_flange_scanner, shown.T_hand_eye), found.covariance[np.ix_(at, at)]
 
@@ -56,7 +56,7 @@ def test_a_circle_is_found_beside_what_is_no_sphere(shown):
 
 @pytest.mark.parametrize("measurement", [ARTEFACT_IN_SCANNER, TARGET_IN_BASE])
 def test_the_stated_uncertainty_holds_of_profiles(measurement):
-    """A short form of benchmarks/hand_eye.py: the chi square of 18 degrees of freedom is below 2.35 times these, at 1e-3."""
+    """A short form of benchmarks/accuracy.py hand-eye: the chi square of 18 degrees of freedom is below 2.35 times these, at 1e-3."""
     nees = []
     for seed in range(3):
         made = profiles(np.random.default_rng(seed), sweeps=6, steps=6, measurement=measurement)

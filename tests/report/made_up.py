@@ -84,11 +84,11 @@ def devices(seed=0):
     late = np.zeros(5000)
     late[4000:] = 1
     return Devices(
-        late,
-        4 + rng.gamma(1.0, 0.05, 4999),
-        4.0,
-        rng.gamma(20, 0.05, 200),
-        [("moving", 120.0), ("scanning", 300.0)],
-        ["pose 7 left out: 2 of 8 balls found"],
-        [("scanner: temperature_C", "40", "45", "44")],
+        late=late,
+        period_ms=4 + rng.gamma(1.0, 0.05, 4999),
+        nominal_ms=4.0,
+        exposure_s=rng.gamma(20, 0.05, 200),
+        state_s=[("moving", 120.0), ("scanning", 300.0)],
+        gaps=["pose 7 left out: 2 of 8 balls found"],
+        health=[("scanner: temperature_C", "40", "45", "44")],
     )

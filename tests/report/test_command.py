@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from made_up import devices, diagnosis, pictures
-from test_report import Page, make_observations, make_result
+from result_page import Page, make_observations, make_result
+from run_events import pose_done
 
 from mbcacq.acquisition import events
 from mbcacq.cli.app import app
@@ -78,25 +79,7 @@ def test_calibrate_and_report_name_the_gaps_of_a_recording(a_set, tmp_path):
         journal(events.RunStarted(0.0, "x", "2026-11-21T10:00:00+00:00", "", "", 25, {}))
         journal(events.Gap(1.0, "cycles", "3 cycles of the controller were lost after pose 4", 4))
         for pose in range(24):
-            none = np.zeros(0)
-            journal(
-                events.PoseDone(
-                    time_s=2.0,
-                    pose=pose,
-                    station="s0",
-                    phase="position",
-                    step="s",
-                    q=none,
-                    direction=none,
-                    robot_time_s=0.0,
-                    ball=none,
-                    xyz=none,
-                    n_points=none,
-                    rms_mm=none,
-                    scatter_mm=none,
-                    n_exposures=1,
-                )
-            )
+            journal(pose_done(pose, "s0"))
     shown = CliRunner().invoke(app, ["calibrate", str(run)], standalone_mode=False)
     assert shown.exception is None, shown.exception
     said = json.loads(CliRunner().invoke(app, ["calibrate", str(run), "--json"], standalone_mode=False).stdout)["gaps"]

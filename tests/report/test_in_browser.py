@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from chromium import Browser, program
 from made_up import devices, diagnosis, pictures
-from test_report import make_observations, make_result
+from result_page import make_observations, make_result
 
 from mbcacq.report import report_from_result
 
@@ -87,3 +87,40 @@ def test_it_prints_with_every_figure_at_the_width_of_the_paper(whole_page, tmp_p
             <= 671
         )
         assert browser.console == []
+
+
+@pytest.fixture(scope="module")
+def fleet_page(tmp_path_factory):
+    """Three arms, each measured on five days; one drifts. Nothing of it was measured on a real arm."""
+    from mbcacq.fleet.control_chart import arm_types, outliers
+    from mbcacq.fleet.page import fleet_content
+    from mbcacq.report.page import render_fleet
+
+    rows = [
+        {
+            "recording": f"runs/{a}/day-{k}", "arm": f"welding cell {a}", "time": f"2026-0{k + 1}-03T10:00:00+00:00", "status": "evaluated",
+            "robot": "R", "nominal": [0.0] * 30, "error.theta_2": 1e-4 * k * (a == 1) + 1e-6 * a, "std.theta_2": 1e-5, "simulated": True,
+            "names": ["theta_2"], "covariance": [1e-10], "poses": 96, "rms_mm": 0.0093, "spacing_max_mm": 0.022,
+        }
+        for a in range(3)
+        for k in range(5)
+    ]  # fmt: skip
+    kinds = arm_types(rows)
+    path = tmp_path_factory.mktemp("fleet") / "fleet.html"
+    path.write_text(render_fleet(fleet_content(rows, kinds, outliers(kinds)), "Fleet"), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 900, False), (390, 844, True)])
+def test_the_page_of_a_fleet_is_uncut_names_its_lines_and_has_dates(fleet_page, width, height, mobile):
+    with Browser(width, height, mobile) as browser:
+        browser.open(fleet_page)
+        assert browser.console == []
+        assert browser.run(TOO_WIDE) == []
+        assert browser.run(CUT_OFF) == []
+        drawn = browser.run("Array.from(document.querySelectorAll('[id*=drift_0] text')).map(t => t.textContent)")
+        assert "welding cell 1" in drawn
+        assert any("2026-0" in text for text in drawn)
+        listed = browser.run("document.getElementById('recordings').nextElementSibling.querySelectorAll('tr').length")
+        assert listed == 16
+        assert "simulated" in browser.run("document.querySelector('.caveat').textContent")

@@ -50,7 +50,7 @@ def stand_in():
 @pytest.fixture
 def runs(tmp_path):
     """A folder with one verified run."""
-    from test_report import make_result
+    from result_page import make_result
 
     folder = tmp_path / "runs" / "monday"
     folder.mkdir(parents=True)

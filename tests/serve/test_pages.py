@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("flask")
 
-from test_report import make_result
+from result_page import make_result
 
 from mbcacq.serve.application import create_application
 

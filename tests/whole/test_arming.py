@@ -1,10 +1,17 @@
 """A real arm moves only after --arm and a typed sentence; a stepped run waits for keys."""
 
+import fcntl
+import os
+import pty
+import select
+import signal
+import subprocess
+import termios
 import time
 
 import pytest
 from terminal_session import Terminal
-from typed_command import mbcacq, one_sentence, plan_file
+from typed_command import MBCACQ, mbcacq, one_sentence, plan_file
 
 from mbcacq.devices.addresses import on_loopback_only
 
@@ -80,12 +87,12 @@ def test_the_sentence_names_what_will_move_and_must_be_typed(tmp_path, typed, co
 
 def test_a_stepped_run_waits_before_each_pose_until_it_is_let_go(tmp_path):
     terminal = Terminal("run", plan_file(tmp_path, lambda plan: None), "--dry-run", "--step", "--out", tmp_path / "run")
-    terminal.wait_for("next: pose 0 of 0 to 9")
+    terminal.wait_for("next: pose 0 (")
     journal = tmp_path / "run" / "journal.jsonl"
     time.sleep(0.5)
     assert "pose_done" not in journal.read_text()
     terminal.type("")
-    terminal.wait_for("next: pose 1 of 0 to 9")
+    terminal.wait_for("next: pose 1 (")
     assert journal.read_text().count("pose_done") == 1
     terminal.type("q")
     assert terminal.end() == 5
@@ -93,3 +100,35 @@ def test_a_stepped_run_waits_before_each_pose_until_it_is_let_go(tmp_path):
     done = mbcacq("run", "plans/quick.yaml", "--dry-run", "--step", "--out", tmp_path / "other")
     assert done.returncode == 2
     assert "not a terminal" in one_sentence(done)
+
+
+def test_a_stepped_run_hears_ctrl_c_even_where_its_parent_ignored_it(tmp_path):
+    """Shells start what runs in the background deaf to Ctrl-C, and that is inherited; who sits at the keyboard must be able to stop an arm."""
+    mine, theirs = pty.openpty()
+
+    def at_the_keyboard():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        fcntl.ioctl(theirs, termios.TIOCSCTTY, 0)
+
+    words = [MBCACQ, "run", plan_file(tmp_path, lambda plan: None), "--dry-run", "--step", "--out", tmp_path / "run"]
+    process = subprocess.Popen(
+        list(map(str, words)), stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True, preexec_fn=at_the_keyboard
+    )
+    os.close(theirs)
+    text, typed = b"", False
+    while process.poll() is None or select.select([mine], [], [], 0.1)[0]:
+        if not select.select([mine], [], [], 0.2)[0]:
+            continue
+        try:
+            text += os.read(mine, 65536)
+        except OSError:  # the other side is closed
+            break
+        if b"next: pose 0 (" in text and not typed:
+            os.write(mine, b"\x03")
+            typed = True
+    assert process.wait(timeout=900) == 130, text.decode()
+    os.close(mine)
+    lines = [line.strip() for line in text.decode().splitlines() if line.strip()]
+    shown = " ".join(lines[-2:])
+    assert "next: go on where it ended: " in shown
+    assert shown.endswith(f"mbcacq run --dry-run --step --resume {tmp_path / 'run'}")

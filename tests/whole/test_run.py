@@ -124,6 +124,38 @@ def test_a_scanner_that_is_not_there(tmp_path):
     assert sentence.endswith(f"mbcacq fakes {tmp_path}/plan.yaml")
 
 
+def test_a_person_who_must_be_asked_and_is_not_there_is_missed_before_anything_is_opened(tmp_path, monkeypatch):
+    """Not after the devices were connected: no device, no folder, nothing to resume."""
+
+    def opened(self):
+        raise AssertionError("a device was connected")
+
+    monkeypatch.setattr("mbcacq.acquisition.cell_devices.CellDevices.connect", opened)
+    done = mbcacq("run", plan_file(tmp_path, lambda plan: None), "--out", tmp_path / "run")
+    assert done.returncode == 2
+    assert "standard input is not a terminal; run in a terminal, or use --yes" in one_sentence(done)
+    assert not (tmp_path / "run").exists()
+    assert "next:" not in done.stderr
+
+
+def test_a_driver_that_cannot_be_imported_leaves_no_folder(tmp_path, monkeypatch):
+    from mbcacq.acquisition import cell_devices
+    from mbcacq.devices import ConfigError
+
+    made = cell_devices.create
+
+    def create(kind, name, model, options):
+        if kind == "scanners":
+            raise ConfigError("driver 'acme' (acme:Scanner) cannot be imported: No module named 'acme_sdk'; install what it needs")
+        return made(kind, name, model, options)
+
+    monkeypatch.setattr(cell_devices, "create", create)
+    done = mbcacq("run", plan_file(tmp_path, lambda plan: None), "--dry-run", "--out", tmp_path / "run")
+    assert done.returncode == 2
+    assert "acme_sdk" in one_sentence(done)
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize("keep", [0.3, 0.9])
 def test_truncated_recording(finished_run, tmp_path, keep):
     torn = tmp_path / "torn.rrd"

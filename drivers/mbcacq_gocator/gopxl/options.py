@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from mbcacq.devices import ConfigError
+from mbcacq.devices import ConfigError, is_host
 
 _TEXTS = ("address", "job", "source", "broadcast")
 _FLAGS = ("uniform", "right_handed", "allow_aligned", "restore")
@@ -22,7 +22,7 @@ _NUMBERS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GoPxLOptions:
     """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. data_port: 0 takes the one that the sensor names.
 
@@ -77,6 +77,8 @@ class GoPxLOptions:
 
 def _problem(key: str, value: Any) -> str:
     """What a value should be instead, '' where it is right."""
+    if key in ("address", "broadcast") and isinstance(value, str) and value.strip() and not is_host(value.strip()):
+        return "a host name or an IP address, such as 192.168.1.10"
     if key in _TEXTS:
         return "" if isinstance(value, str) else "a text"
     if key in _FLAGS:

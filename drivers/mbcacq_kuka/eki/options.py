@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from mbcacq.devices import ConfigError
+from mbcacq.devices import ConfigError, is_host
 from mbcacq_kuka.controller_flags import COUNT, FIRST, LARGEST
 from mbcacq_kuka.option_values import array, check_limits, check_numbers, check_positive, refuse_unknown
 
@@ -30,7 +30,7 @@ _RANGES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EkiOptions:
     """Everything a plan may say about the EKI connection, and the cell it expects at the other end.
 
@@ -98,6 +98,10 @@ def _converted(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     values = dict(given)
     if not isinstance(values.get("address"), str) or not values["address"].strip():
         raise ConfigError(f"robot '{name}': option address is missing; give the controller's IP address")
+    if not is_host(values["address"].strip()):
+        raise ConfigError(
+            f"robot '{name}': option address must be a host name or an IP address, such as 172.31.1.147, not {values['address']!r}"
+        )
     for key, what in (("limits_deg", "joint limits, six pairs in deg"), ("speed_deg_s", "the axes' largest speeds, deg/s")):
         if values.get(key) is None:
             raise ConfigError(f"robot '{name}': option {key} ({what}) is missing, and the robot file does not say it either")

@@ -34,7 +34,7 @@ _RANGES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RsiOptions:
     """Everything a plan may say about the RSI connection.
 

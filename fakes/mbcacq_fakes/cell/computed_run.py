@@ -21,7 +21,7 @@ from mbcacq_fakes.world.world import World
 OBSERVED = 7
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ComputedRun:
     """Poses: q (P, n) rad as reported, station (P,) index into the cell's stations, time_s (P,), direction (P, n), air_C, robot_C
     (P,). Centres: pose (M,), ball (M,) index over all balls of the cell, xyz (M, 3) mm in the scanner frame. outlier: (M,) bool.

@@ -22,7 +22,7 @@ UNOBSERVABLE = 1e-10  # eigenvalue of the scaled normal equations, as a share of
 __all__ = ["PairDistances", "Identified", "identify", "pairs"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Identified:
     """chain with its errors, hand-eye; rms_before, rms_after: mm of the distances; covariance (g, g) of the free parameters, with
     the noise of ``propagation``, zero in the directions ``unobservable`` (g, u), unit vectors; free: (5 n + 6,) bool."""

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.calibration.result import Calibration
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.observation_fit import ObservationFit
 from mbcacq.calibration.staged import distance_constraint
 from mbcacq.calibration.staged.ball_pairs import PairDistances, one_pair, several_balls
 from mbcacq.calibration.staged.error_propagation import Measured, scanner_noise
@@ -25,7 +26,7 @@ from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 
-def calibrate_paper(observations: Observations, options: CalibrationOptions) -> Calibration:
+def calibrate_paper(observations: Observations, options: CalibrationOptions) -> CalibratedCell:
     """The published method on a recording. Raises CalibrationError where its stages lack what they need."""
     whole = select_phases(observations, options)
     if whole.cell.measurement == TARGET_IN_BASE or not np.any(np.abs(whole.xyz) > 1e-9):
@@ -57,7 +58,7 @@ def calibrate_paper(observations: Observations, options: CalibrationOptions) -> 
         },
     ]
     state = with_all_stations(obs, replace(first, chain=found.chain, T_flange_scanner=found.T_flange_scanner))
-    return _as_calibration(obs, options, layout, state, first, found, stages)
+    return _as_cell(obs, options, layout, state, first, found, stages)
 
 
 def constraint(obs: Observations, how: str) -> PairDistances:
@@ -113,22 +114,17 @@ def published_layout(obs: Observations, options: CalibrationOptions) -> Paramete
     )
 
 
-def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibration:
+def _as_cell(obs, options, layout, state, first, found, stages) -> CalibratedCell:
     lineariser = Lineariser(obs, layout, replace(options, terms=()))
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     at = system(lineariser, Estimate(state), found.noise, weights)
     rank = int(found.free.sum()) - found.unobservable.shape[1] + 6 * len(lineariser.rows.stations)
     whitened = at.whitened_residual
-    return Calibration(
+    fit = ObservationFit(
         observations=obs,
         options=options,
-        layout=layout,
-        state=state,
-        preliminary=first,
         coefficients=(),
-        covariance=found.covariance,
         station_covariance=np.zeros((len(obs.cell.stations), 6, 6)),
-        noise=found.noise,
         weights=weights,
         residual=at.linear.residual,
         whitened=whitened,
@@ -136,5 +132,7 @@ def _as_calibration(obs, options, layout, state, first, found, stages) -> Calibr
         dof=whitened.size - rank,
         rank=rank,
         iterations=found.iterations,
-        extra={"stages": stages},
+    )
+    return CalibratedCell.fitted(
+        fit=fit, state=state, preliminary=first, layout=layout, covariance=found.covariance, noise=found.noise, extra={"stages": stages}
     )

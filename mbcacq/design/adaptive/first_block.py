@@ -20,7 +20,7 @@ def first_block(loaded: LoadedPlan, options: AdaptiveOptions = OPTIONS) -> Loade
     for station in dict.fromkeys(s.id for s in loaded.cell.stations):
         here = [p for p in chosen if p.station == station]
         if here:
-            visits.append(Visit(station, tuple(shortest_order(loaded, here)), 0.0, 0.0, 0.0, 1))
+            visits.append(Visit(station=station, poses=tuple(shortest_order(loaded, here)), gain=0.0, value=0.0, seconds=0.0, moves=1))
     data = yaml12.load(loaded.text)
     data["steps"] = steps_of(loaded, visits)
     text = yaml12.dump(data, allow_unicode=True, width=140, default_flow_style=None)

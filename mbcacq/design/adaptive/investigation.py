@@ -43,7 +43,7 @@ class Budget:
     limit_mm: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Decision:
     """One look and what follows from it.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AdaptiveOptions:
     """Times in s. ``benchmarks/investigate.md`` tries all of it together."""
 

@@ -38,7 +38,7 @@ class SetToTell:
     log_odds: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SetComparison:
     """Two sets, one of which is true. differs: column by which their displacements differ; model: columns of the other set, in prior
     sigmas; weight: how probable the first is to be true; known: log odds in its favour as they stand.
@@ -61,7 +61,7 @@ class SetComparison:
         return own - np.sum(across * taken, axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Questions:
     """columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects that could hide, by weights and names
     (K - pairs,).
@@ -124,12 +124,12 @@ def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: boo
     names, weights, hidden = _hidden(look, linear, timeless)
     shape = (*linear.residual.shape, 0)
     return Questions(
-        tuple(sets),
-        tuple(comparisons),
-        np.concatenate([np.zeros(shape), *columns, *hidden], axis=2),
-        pairs,
-        np.array(weights),
-        tuple(names),
+        sets=tuple(sets),
+        comparisons=tuple(comparisons),
+        columns=np.concatenate([np.zeros(shape), *columns, *hidden], axis=2),
+        pairs=pairs,
+        weights=np.array(weights),
+        names=tuple(names),
     )
 
 
@@ -180,7 +180,9 @@ def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell]
         columns.append((moved[0] - moved[b])[:, :, None])
         for one, other in ((0, b), (b, 0)):
             known = float(logs[one] - logs[other])
-            comparisons.append(SetComparison(start, model[other], float(probability[one]), known, one, other))
+            comparisons.append(
+                SetComparison(differs=start, model=model[other], weight=float(probability[one]), known=known, a=one, b=other)
+            )
         start += 1
     return sets, comparisons, columns
 

@@ -40,7 +40,7 @@ class VisitCosts:
         return self.look_s + self.moves(station) * self.move_s + poses * self.pose_s
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Visit:
     """poses: to be measured at the station, in this order. gain: log odds between sets that are expected to be gained, as far as they are
     needed; value: with all else that it shows; seconds: it takes; moves: of the artefact, 0 or 1.
@@ -187,7 +187,9 @@ class VisitChoice:
         chosen, gain, value = self._of_station(before, here, costs, station, most)
         index = [int(here[k]) for k in chosen]
         poses = tuple(self._pool[k] for k in index)
-        return Visit(name, poses, gain, value, costs.seconds(station, len(index)), costs.moves(station)), index
+        return Visit(
+            station=name, poses=poses, gain=gain, value=value, seconds=costs.seconds(station, len(index)), moves=costs.moves(station)
+        ), index
 
     def _of_one_station(self, before: MeasuredInformation, here: np.ndarray) -> tuple[MeasuredInformation, InformationBlocks]:
         """What is known, and poses (indices) of one station, in the parameters that these poses depend on: a few times fewer than all. What

@@ -15,6 +15,7 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.hypothesis import EvidencePoint, Hypothesis, Member, SetPrior, estimated, first_order, key_of, under
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 
 LEAST_LOG_E_VALUE = float(np.log(OPTIONS.least_e_value))  # above which there is an effect, at any look at a recording that grows
 
@@ -24,7 +25,7 @@ class EvidenceSearch:
     """The candidates of a recording, and every hypothesis that was estimated, by the keys of its effects.
 
     alternatives: whether sets with another effect in the place of one of the best set's are compared as well. narrow: one set is followed
-    instead of a beam.
+    instead of a beam. budget: when it is spent, what was compared by then is all that is compared; ``cut_short`` says so.
     """
 
     most_effects: ClassVar[int] = OPTIONS.most_effects
@@ -33,6 +34,8 @@ class EvidenceSearch:
     prior: SetPrior
     alternatives: bool = False
     narrow: bool = False
+    budget: TimeBudget = UNLIMITED
+    cut_short: bool = False
     known: dict[tuple, Hypothesis] = field(default_factory=dict)
 
     # What a kind of recording says
@@ -81,6 +84,8 @@ class EvidenceSearch:
             best = self.begun(best)
         best = self.climbed_to_the_best(best)
         for _ in range(self.passes if self.alternatives else 0):
+            if self.out_of_time():
+                break
             self.exchange(best)
             if self.ranked()[0].key == best.key:
                 break
@@ -88,6 +93,11 @@ class EvidenceSearch:
         for h in self.known.values():
             h.forget()
         return self.ranked()
+
+    def out_of_time(self) -> bool:
+        """Whether the search must end here."""
+        self.cut_short = self.cut_short or self.budget.spent
+        return self.cut_short
 
     def restarted(self, start: EvidencePoint, begin: Hypothesis) -> EvidencePoint:
         """The start at the noise of a set of another linearisation."""
@@ -107,7 +117,7 @@ class EvidenceSearch:
         that share their load, say. So a beam whose best set is not excluded goes on by one more effect, where the search looks ahead.
         """
         beam, ahead = [best], False
-        while self.goes_on(beam[0]):
+        while self.goes_on(beam[0]) and not self.out_of_time():
             before, beam = beam, self.grown(beam, candidates)
             for h in before:
                 h.forget()
@@ -177,6 +187,8 @@ class EvidenceSearch:
     def exchange(self, best: Hypothesis) -> None:
         """Sets with another effect in the place of one of the best set's: what else it could be."""
         for rest in without_each(best.members):
+            if self.out_of_time():
+                break
             node = self.looked_at(rest, best)
             self.known.setdefault(node.key, node)
             for log, member in self.extensions(node, self.candidates)[: OPTIONS.estimated]:
@@ -198,13 +210,14 @@ class EvidenceSearch:
 @dataclass(frozen=True)
 class RankedSets:
     """All sets that were compared, the most probable first, the empty one (``none``) among them. log_e_value: of all effects together
-    against none; above ``least`` there is an effect.
+    against none; above ``least`` there is an effect. cut_short: time ran out before all was compared.
     """
 
     hypotheses: tuple[Hypothesis, ...]
     none: Hypothesis
     log_e_value: float
     least: float
+    cut_short: bool = False
 
     @property
     def significant(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from mbcacq.estimation.variance_components import pack
 class EvidenceFit(RankedSets):
     """The sets of effects of poses. linear: the linearisation of the best one, without discrepancy."""
 
-    linear: LinearProblem
+    linear: LinearProblem = field(kw_only=True)
 
 
 def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
@@ -33,6 +33,8 @@ def fit_evidence(problem: DiagnosisProblem) -> EvidenceFit:
     linear = problem.linear.restricted(readmitted(problem))
     fit = compared(problem, linear, pack(problem.noise))
     for _ in range(OPTIONS.passes):
+        if fit.cut_short:
+            break
         before = fit.best.key
         kept = judged_centres(fit)
         if not fit.best.members and np.array_equal(kept, linear.keep):
@@ -68,9 +70,10 @@ def compared(
         unmodelled=blocks,
         context=problem.context,
         staged=staged,
+        budget=problem.budget,
     )
     ranked = search.run(NoisePoint(linear, problem.prior_noise, theta), begin)
-    return EvidenceFit(tuple(ranked), search.known[()], log_e_value(ranked), LEAST_LOG_E_VALUE, linear)
+    return EvidenceFit(tuple(ranked), search.known[()], log_e_value(ranked), LEAST_LOG_E_VALUE, search.cut_short, linear=linear)
 
 
 def readmitted(problem: DiagnosisProblem) -> np.ndarray:

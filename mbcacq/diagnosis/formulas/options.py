@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FormulaOptions:
     """Dictionary of formulas and effort of their search; ``benchmarks/formulas.md`` measures all of it together."""
 

@@ -92,7 +92,7 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
     alike = tuple(pair for fit in fits if fit.sets is not None for pair in pairs_not_separable(fit.sets))
     not_separable = (*alike, *loads)
     return MotionDiagnosis(
-        verdict="cannot_tell" if not_separable else _verdict(fits, effects, channels),
+        verdict="cannot_tell" if not_separable or cut_short(fits) else _verdict(fits, effects, channels),
         mismatch=tuple(sorted(mismatch, key=lambda m: -m.share)),
         effects=tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
         channels=tuple(channels),
@@ -102,6 +102,11 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
         inertial=tuple(b for fit in fits for b in _inertial(fit)),
         evidence=tuple(ChannelEvidence(fit.group.name, summarized(fit.sets)) for fit in fits if fit.sets is not None),
     )
+
+
+def cut_short(fits: list[MotionFit]) -> bool:
+    """Whether time ran out before all sets of effects were compared."""
+    return any(fit.sets is not None and fit.sets.cut_short for fit in fits)
 
 
 def _verdict(fits: list[MotionFit], effects: list[MotionEffect | UnmodelledMotionEffect], channels: list[ChannelFit]) -> str:

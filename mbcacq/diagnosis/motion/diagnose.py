@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.assemble import assemble, checked_channels
+from mbcacq.diagnosis.motion.assemble import assemble, checked_channels, cut_short
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.description_check import suspicions
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
@@ -21,11 +21,14 @@ from mbcacq.diagnosis.motion.segments import Part, held_out_parts
 from mbcacq.diagnosis.motion.signals import prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.diagnosis.motion.transmitted_torque import with_load
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.time_budget import OUT_OF_TIME, UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.quantities import K, measured
 
 OPTIONAL = (
     "q_set",
@@ -43,16 +46,22 @@ OPTIONAL = (
 )
 
 
-def diagnose_trajectories(trajectories: Sequence[Trajectory], cross_validation: bool = True) -> MotionDiagnosis:
+def diagnose_trajectories(
+    trajectories: Sequence[Trajectory], cross_validation: bool = True, minutes: float | None = OPTIONS.minutes
+) -> MotionDiagnosis:
     """Diagnose one or several recordings of one robot. Raises ConfigError where they do not fit together.
 
     The held-out errors of the result's channels are of held-out parts (a trajectory, or a block of the only one), not used in selecting
     or fitting anything; without ``cross_validation``, in a third of the time, of parts that took part in selecting.
+    minutes: when they are over the search ends, the verdict is ``cannot_tell``, and what was compared by then is reported (None: it takes
+    the time that it needs).
     """
-    recordings = _Recordings(trajectories)
+    budget = TimeBudget.of_minutes(minutes)
+    recordings = _Recordings(trajectories, budget=budget)
     fits, runs = recordings.explain()
     found = assemble(fits, runs, recordings.cross_validate() if cross_validation else None)
-    return replace(found, suspicions=(*suspicions(recordings.runs), *_other_payload(found, recordings.robot)))
+    late = [OUT_OF_TIME] if cut_short(fits) else []
+    return replace(found, suspicions=(*late, *suspicions(recordings.runs), *_other_payload(found, recordings.robot)))
 
 
 def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None) -> list[MotionFit]:
@@ -74,7 +83,8 @@ def _other_payload(found: MotionDiagnosis, robot: RobotModel) -> list[str]:
     """In words, by how much the load on the flange is not as described, where that was found."""
     masses = [e.parameters["mass_kg"] for e in found.named_effects if catalogue.declaration(e.name).adds_body]
     described = float(robot.payload_mass)
-    return [f"with {m['value'] - described:+.3g} +- {m['std']:.2g} kg at the flange the torque is explained better" for m in masses]
+    extra = (measured(m["value"] - described, K * m["std"], "kg") for m in masses)
+    return [f"with a load that differs by {kg} (k = 2) at the flange the torque is explained better" for kg in extra]
 
 
 def check_trajectories(learnt: Sequence[Trajectory], others: Sequence[tuple[str, Trajectory]]) -> tuple[MotionCheck, ...]:
@@ -111,9 +121,11 @@ def check_trajectories(learnt: Sequence[Trajectory], others: Sequence[tuple[str,
 
 
 class _Recordings:
-    """Signals of recordings of one robot. learnt: number of those, the first ones, from which anything is learnt (None: all)."""
+    """Signals of recordings of one robot. learnt: number of those, the first ones, from which anything is learnt (None: all).
+    budget: of the time for everything; the search of all recordings has a part of it."""
 
-    def __init__(self, trajectories: Sequence[Trajectory], learnt: int | None = None) -> None:
+    def __init__(self, trajectories: Sequence[Trajectory], learnt: int | None = None, budget: TimeBudget = UNLIMITED) -> None:
+        self.budget = budget
         if not trajectories:
             raise ConfigError("no trajectory was given")
         if len({t.robot.n for t in trajectories}) > 1:
@@ -134,7 +146,8 @@ class _Recordings:
             )
         fits: list[MotionFit] = []
         for group in groups:
-            selection = EffectSelection(MotionModel(group, runs, held, self.learnt))
+            budget = self.budget.for_the_search if held is None else self.budget
+            selection = EffectSelection(MotionModel(group, runs, held, self.learnt), budget=budget)
             selection.run()
             fits.append(fit_selected(selection))
             if group.name == "tau":
@@ -144,7 +157,7 @@ class _Recordings:
     def cross_validate(self) -> dict[str, np.ndarray]:
         """Mean squares (2, J) before and after by kind of mismatch, each part predicted by what was selected and fitted on the others."""
         parts = held_out_parts(self.runs)[0]
-        # A thread sees the effects of files (``catalogue.with_files``) in a copy of the context alone, each in its own.
+        # A thread sees the effects of files (``catalogue.with_added``) in a copy of the context alone, each in its own.
         contexts = [copy_context() for _ in parts]
         with ThreadPoolExecutor(NUMBERS.workers) as pool:
             passes = list(pool.map(lambda number: contexts[number].run(self.explain, number)[0], range(len(parts))))

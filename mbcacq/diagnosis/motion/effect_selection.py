@@ -19,6 +19,7 @@ from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect, Variant
+from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionCandidate
 
@@ -29,8 +30,9 @@ TRIED = 5  # effects of the most evidence that are compared, each with the colou
 class EffectSelection:
     """Selects effects for a model. start: (J,) held-out mean square of the model's base alone. sets: what was compared last."""
 
-    def __init__(self, model: MotionModel, candidates: list[MotionCandidate] | None = None) -> None:
-        """candidates: what may be selected, None for the whole catalogue."""
+    def __init__(self, model: MotionModel, candidates: list[MotionCandidate] | None = None, budget: TimeBudget = UNLIMITED) -> None:
+        """candidates: what may be selected, None for the whole catalogue. budget: when it is spent, the set is not changed any more."""
+        self.budget = budget
         self.model = model
         self.pool = CandidatePool(model, catalogue.motion_candidates(model.group, model.runs) if candidates is None else candidates)
         periodic = catalogue.periodic_in(model.group.name)
@@ -46,6 +48,8 @@ class EffectSelection:
         self.model.selected = [self._selected(variants[len(variants) // 2]) for variants in self.pool.usual()]
         settle = True
         for _ in range(MOST_PASSES):
+            if self.budget.spent and not settle:
+                break
             best = self._compared(settle=settle).hypotheses[0]
             before, after = self._forms(), frozenset(m.candidate.form for m in best.members)
             if not settle and after == before:
@@ -90,6 +94,7 @@ class EffectSelection:
             narrow=True,
             periodic=self._periodic,
             settle=settle,
+            budget=self.budget,
         )
         alone = np.asarray(store.base, dtype=int)
         # Where the search starts matters: from much more noise than there is, the noise of no effect would not settle in a few rounds.
@@ -97,7 +102,9 @@ class EffectSelection:
         members = tuple(Member(t, None, self._mass.get(t.form, 0.0), t.sizes) for t in mine)
         there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
         ranked = search.run(start, there)
-        return RankedSets(tuple(ranked), search.known[()], log_e_value(ranked) - log_prior_mass(terms), LEAST_LOG_E_VALUE)
+        return RankedSets(
+            tuple(ranked), search.known[()], log_e_value(ranked) - log_prior_mass(terms), LEAST_LOG_E_VALUE, cut_short=self.budget.spent
+        )
 
     def _grown(self, best: Hypothesis) -> Hypothesis:
         """The set with the further effect that makes it more probable by most, each with the colour of the residual that it would leave.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MotionNumbers:
     """Numbers of ``diagnose_trajectories``, for which the figures in benchmarks/trajectories.md hold."""
 

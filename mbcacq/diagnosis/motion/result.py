@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, ComparedEffect, ComparedSet, EvidenceSummary, NotSeparable, plain
-from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.errors import ConfigError
 
 Json = dict[str, Any]
@@ -311,7 +311,15 @@ def _mean(errors: list[ErrorBeforeAfter]) -> dict[str, float]:
 
 
 def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
-    return "; ".join(f"{name} = {p['value']} +- {p['std']}" for name, p in effect.parameters.items())
+    """In words with units, ± U (k = 2)."""
+    return "; ".join(parameter_in_words(name, _estimate(p)) for name, p in effect.parameters.items())
+
+
+def _estimate(content: Mapping[str, Any]) -> ParameterEstimate:
+    def component(value: Any) -> Any:
+        return tuple(map(_number, value)) if isinstance(value, list | tuple) else _number(value)
+
+    return ParameterEstimate(component(content["value"]), component(content["std"]))
 
 
 def _alternative(content: Json) -> Alternative:
@@ -324,10 +332,7 @@ def _evidence(content: Json) -> EvidenceSummary:
 
 
 def _compared(content: Json) -> ComparedEffect:
-    def component(value: Any) -> Any:
-        return tuple(map(_number, value)) if isinstance(value, list | tuple) else _number(value)
-
-    parameters = {name: ParameterEstimate(component(p["value"]), component(p["std"])) for name, p in content["parameters"].items()}
+    parameters = {name: _estimate(p) for name, p in content["parameters"].items()}
     return ComparedEffect(content["name"], tuple(content["where"]), parameters, content["tried"])
 
 

@@ -12,10 +12,9 @@ import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import EACH_RECORDING
-from mbcacq.diagnosis.result import BetweenRecordings
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.effects.effect import Candidate
-from mbcacq.estimation.meta_analysis import random_effect
+from mbcacq.estimation.meta_analysis import BetweenRecordings
 
 
 def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
@@ -28,7 +27,7 @@ def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
     for candidate, values, std in values_of_recordings(full, shared):
         for name, value in values.items():
             if np.all(std[name] > 0):
-                out.append(summarised(candidate.name, candidate.where, name, value, std[name]))
+                out.append(BetweenRecordings.of(candidate.name, candidate.where, name, value, std[name]))
     return tuple(out)
 
 
@@ -66,10 +65,3 @@ def values_of_recordings(
         std = {name: np.concatenate([np.atleast_1d(r[name].std) for r in reports]) for name in single}
         out.append((candidate, values, std))
     return out
-
-
-def summarised(name: str, where: tuple[str, ...], parameter: str, values: np.ndarray, std: np.ndarray) -> BetweenRecordings:
-    """The common value and the standard deviation between recordings of values (R,) with standard deviations (R,)."""
-    found = random_effect(values, std)
-    each = tuple(values.tolist()), tuple(std.tolist())
-    return BetweenRecordings(name, where, parameter, *each, found.common, found.common_std, found.between_std, found.p_value)

@@ -141,14 +141,28 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
     if full.everywhere:
         first = full.cells[0]
         parameters, p_value = _rms_parameters(size, ranked[:12]), _bayes_p(first.log_bayes_factor)
-        effect = EffectFound(UNKNOWN, (first.location,), parameters, p_value, proof.unmodelled_gain, depends_on=first.depends_on)
+        effect = EffectFound(
+            name=UNKNOWN,
+            where=(first.location,),
+            parameters=parameters,
+            p_value=p_value,
+            held_out_gain=proof.unmodelled_gain,
+            depends_on=first.depends_on,
+        )
         return [(False, contributions.of(contributions.unmodelled), effect)]
     out = list[Ranked]()
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
         evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
         gain = proof.gain(f"{UNKNOWN}:{at}")
-        effect = EffectFound(UNKNOWN, (at,), _rms_parameters(size, mine), _bayes_p(evidence), gain, depends_on=mine[0][1])
+        effect = EffectFound(
+            name=UNKNOWN,
+            where=(at,),
+            parameters=_rms_parameters(size, mine),
+            p_value=_bayes_p(evidence),
+            held_out_gain=gain,
+            depends_on=mine[0][1],
+        )
         out.append((False, contributions.of(contributions.groups_at(full, at)), effect))
     return out
 

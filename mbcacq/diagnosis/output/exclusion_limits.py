@@ -36,7 +36,7 @@ ABSORBED = 1e-6  # information on a typical size below which the geometry absorb
 ASCENTS = 12  # towards the direction of the largest limit; each is nearer by far more than half
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BandLimit:
     """The limit of one parameter over a band. coefficients (k,): as large as the limit, where it is largest; inf where the geometry absorbs
     them.
@@ -119,13 +119,31 @@ def limits_of_band(problem: CandidateScoring, candidate: Candidate, band: LimitB
         coefficients = np.zeros(candidate.k)
         coefficients[which] = sizes[h] * direction[h] / unit * candidate.typical[which]
         usual = float(sizes[h] / np.max(unit))
-        out.append(BandLimit(candidate, own, name, float(sizes[h]), own.values[h], coefficients, usual))
+        out.append(
+            BandLimit(
+                candidate=candidate,
+                band=own,
+                parameter=name,
+                value=float(sizes[h]),
+                hyper=own.values[h],
+                coefficients=coefficients,
+                in_usual_sizes=usual,
+            )
+        )
     return out
 
 
 def absorbed(candidate: Candidate, band: LimitBand, parameter: str) -> BandLimit:
     """No limit: the geometry absorbs the effect at every value of the band."""
-    return BandLimit(candidate, band, parameter, np.inf, band.values[0], np.full(candidate.k, np.inf), np.inf)
+    return BandLimit(
+        candidate=candidate,
+        band=band,
+        parameter=parameter,
+        value=np.inf,
+        hyper=band.values[0],
+        coefficients=np.full(candidate.k, np.inf),
+        in_usual_sizes=np.inf,
+    )
 
 
 def in_typical_sizes(problem: CandidateScoring, candidate: Candidate, band: LimitBand) -> tuple[np.ndarray, np.ndarray]:
@@ -194,15 +212,17 @@ def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Els
         if gone and (catalogue.declaration(limit.candidate.name).acts_in_time or harmless(there, limit.sized)):
             continue
         tested = limit.in_usual_sizes <= OPTIONS.largest_usual
+        workspace_mm, length_mm = errors_elsewhere(there, limit.sized) if tested else (None, None)
         one = ExclusionLimit(
-            limit.candidate.name,
-            limit.candidate.where,
-            limit.parameter,
-            None if gone else limit.value,
-            *(errors_elsewhere(there, limit.sized) if tested else (None, None)),
-            None if gone else limit.in_usual_sizes,
-            tested,
-            holds_for(context, limit),
+            name=limit.candidate.name,
+            where=limit.candidate.where,
+            parameter=limit.parameter,
+            value=None if gone else limit.value,
+            workspace_mm=workspace_mm,
+            length_mm=length_mm,
+            in_usual_sizes=None if gone else limit.in_usual_sizes,
+            tested=tested,
+            holds_for=holds_for(context, limit),
         )
         out.setdefault((one.name, one.where, one.parameter, one.holds_for), one)
     return tuple(sorted(out.values(), key=lambda e: (not e.tested, -(e.workspace_mm or 0.0), e.in_usual_sizes or np.inf)))

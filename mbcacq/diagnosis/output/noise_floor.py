@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.quantities import K, fixed, micrometres
+from mbcacq.quantities import K, measured, micrometres
 
 NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
 
@@ -34,16 +34,15 @@ class NoiseFloor:
     @property
     def noise(self) -> str:
         """The rms that noise alone would leave, with its uncertainty."""
-        if not self.expanded_mm:
-            return micrometres(self.floor_mm)
-        return f"({fixed(1e3 * self.floor_mm, 1)} ± {fixed(1e3 * self.expanded_mm, 1)}) µm"
+        return measured(1e3 * self.floor_mm, 1e3 * self.expanded_mm, "µm") if self.expanded_mm else micrometres(self.floor_mm)
 
     @property
     def distance(self) -> str:
         """How near the model comes to the noise: 'down to the measured noise', or how far above it."""
         if not self.above_mm:
             return "down to the measured noise"
-        return f"to {micrometres(self.above_mm)} ({self.above_mm / self.floor_mm:.0%}) above the measured noise"
+        above = measured(1e3 * self.above_mm, 1e3 * self.expanded_mm, "µm") if self.expanded_mm else micrometres(self.above_mm)
+        return f"to {above} (k = 2; {self.above_mm / self.floor_mm:.0%}) above the measured noise"
 
 
 def is_trend(parameters: Mapping[str, tuple[Iterable[float | None], Iterable[float | None]]]) -> bool:

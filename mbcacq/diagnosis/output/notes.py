@@ -78,8 +78,8 @@ def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
         return None
     instrument = "scanner" if linear.width == 3 and linear.obs.cell.measurement != "target_in_base" else "instrument"
     found = np.sqrt(np.mean(full.noise.point**2))
-    factor = f"{ratio:.2g} times" if ratio > 1 else f"1/{1 / ratio:.2g} of"
-    return f"the noise of the {instrument} is {factor} what is stated: {found:.2g} mm an axis; correct noise_mm in cell.yaml"
+    factor = f"{significant(ratio, 2)} times" if ratio > 1 else f"1/{significant(1 / ratio, 2)} of"
+    return f"the noise of the {instrument} is {factor} what is stated: {micrometres(float(found))} an axis; correct noise_mm in cell.yaml"
 
 
 def noise_in_words(found: Sequence[NoiseDependence], weighted: bool = True) -> list[str]:

@@ -8,18 +8,10 @@ import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
-from mbcacq.diagnosis.result import (
-    Alternative,
-    BetweenRecordings,
-    Diagnosis,
-    EffectFound,
-    ExclusionLimit,
-    GeometryAlone,
-    NotSeparable,
-    Proposal,
-)
+from mbcacq.diagnosis.result import Alternative, Diagnosis, EffectFound, ExclusionLimit, GeometryAlone, NotSeparable, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
+from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, significant, split_unit, uncertainty, with_unit
 
 VERDICTS = {

@@ -36,7 +36,7 @@ MEASUREMENTS = {
 _BALL = re.compile(r"^([xyz])_?(\d+)$")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TableOptions:
     """What is said of a table beside its headings; None: by the headings, or by the data.
 

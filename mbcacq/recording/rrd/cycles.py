@@ -12,7 +12,7 @@ from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 DRAW_PERIOD_S = 0.04  # of the drawn arm, on the controller's clock
 CURVE_EVERY = 5  # cycles to a point of a curve; the extremes of what is left out are kept where they matter
-LIVE_PERIOD_S, SHOW_PERIOD_S = 0.5, 4.0  # between two batches for display, watched or not: each costs a chunk of 2 kB per entity
+LIVE_PERIOD_S, SHOW_PERIOD_S = 0.5, 60.0  # at most between two batches for display, watched or not: each is a chunk of 2 kB per entity
 OTHER_CLOCK_S = 10.0
 
 
@@ -44,6 +44,11 @@ class CycleWriter:
         if time_s - self._shown >= self._period_s:
             self._shown = time_s
             self.show(cell)
+
+    @property
+    def draws(self) -> bool:
+        """Whether cycles come, by which the arm is drawn."""
+        return self._shown > -np.inf
 
     def show(self, cell: Cell | None) -> None:
         """Curves and drawn arm of everything written since the last call."""

@@ -13,6 +13,8 @@ from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.rrd import layout, scan_colouring, scene
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
+from mbcacq.recording.rrd.drawn_later import DrawnLater
+from mbcacq.recording.rrd.stand import Stand
 from mbcacq.spheres.found import SphereOptions
 
 DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
@@ -23,9 +25,10 @@ SEGMENT_POINTS = 8  # of a segment straight in joint space
 class Drawing:
     """Draws the events that matter for display; the owner of the stream sets the times on it. artefact: at the station, or None."""
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
+    def __init__(self, stream: DrawnLater) -> None:
         self._rec = stream
         self._cell: Cell | None = None
+        self._stand: Stand | None = None
         self._route: list[int] = []
         self.artefact: Artefact | None = None
         self._scan: Scan | None = None
@@ -35,6 +38,7 @@ class Drawing:
 
     def start(self, cell: Cell, event: events.RunStarted) -> None:
         self._cell, self._route = cell, list(event.route)
+        self._stand = Stand.of(event.plan_yaml)
         scene.log_obstacles(self._rec, event.plan_yaml)
         scene.log_ball_series(self._rec, cell)
         scene.log_limits(self._rec)
@@ -50,6 +54,8 @@ class Drawing:
         if self._cell is None:
             return
         self.artefact = self._cell.artefact(event.artefact)
+        if self._stand is not None:
+            self._stand.log(self._rec, event.station)
         for other in self._balls:
             scene.fade_balls(self._rec, other, bright=other == event.station)
 
@@ -74,6 +80,8 @@ class Drawing:
         coloured = scan_colouring.colour_scan(self._scan.points, self.artefact, event.ball, event.xyz)
         self._scan = None
         self._form.append(_by_ball(self._cell, event.ball, np.stack([coloured.form_um, coloured.radius_um], axis=1)))
+        if event.exposure:
+            return  # the first exposure of a pose is drawn
         on_balls = rr.Points3D(coloured.on_balls.astype(np.float32), colors=coloured.colours, radii=rr.Radius.ui_points(1.6))
         self._rec.log(layout.ON_BALLS, on_balls)
         background = rr.Points3D(coloured.background.astype(np.float32), colors=[scan_colouring.GREY], radii=rr.Radius.ui_points(0.8))

@@ -33,7 +33,7 @@ CYCLES = "cycles"  # mbcacq.Cycles, one row a controller cycle
 JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"  # Scalars: deg, deg, percent
 AXES_KEY = "joints/names"  # Points2D: names and colours of the axes, beside their curves
 SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"  # Scalars: deg; ms by controller, by this computer; count
-SCAN = "world/scan"  # Points3D (scanner frame), Transform3D (T_base_scanner), mbcacq.Scan
+SCAN = "world/scan"  # Transform3D (T_base_scanner), mbcacq.Scan with the packed points (scanner frame); whole clouds as Points3D
 ON_BALLS, BACKGROUND = "world/scan/on_balls", "world/scan/beside"  # Points3D for display: by distance to the ball; the rest
 EXPOSURE = "exposure"  # mbcacq.Centres of one exposure
 OBSERVATION = "observation"  # mbcacq.Pose and mbcacq.Centres: mean over the exposures; what load_observations reads
@@ -60,6 +60,7 @@ SCANNER = "world/robot/scanner"  # Transform3D T_base_scanner; frustum and housi
 STATIONS = "world/stations"  # world/stations/ID: balls where they were measured, base frame
 PATH = "world/path"  # LineStrips3D of the flange, one a pose: done and to come
 OBSTACLES = "world/obstacles"  # Boxes3D
+STAND = "world/stand"  # Cylinders3D of a motorised stand at the station that it is at
 
 # The result, in a file of its own with the same recording id.
 RESIDUAL = "result/residual_um"  # result/residual_um/after, before: Scalars, mean of a pose along x, y, z

@@ -8,6 +8,7 @@ import rerun as rr
 from mbcacq.acquisition import events
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import digest_of_values
+from mbcacq.recording.rrd.packed_cloud import packed
 from mbcacq.recording.rrd.rows import named, row
 
 
@@ -16,15 +17,15 @@ def text_row(text: str) -> rr.DynamicArchetype:
     return row(layout.TEXT_ARCHETYPE, **{layout.DIGEST: digest_of_values({"text": text})})
 
 
-def scan_row(event: events.ScanTaken) -> rr.DynamicArchetype:
-    """Everything of a scan except its points, which the same entity has as Points3D."""
+def scan_row(event: events.ScanTaken, *, pack: bool) -> rr.DynamicArchetype:
+    """Everything of a scan; its points only where they are packed, else the same entity has them as Points3D."""
     scan = event.scan
+    cloud = packed(scan) if pack else {"intensity": scan.intensity, "pixel": scan.pixel}
     return row(
         layout.SCAN_ARCHETYPE,
         pose=event.pose,
         exposure=event.exposure,
-        intensity=scan.intensity,
-        pixel=scan.pixel,
+        **cloud,
         shape=scan.shape,
         time_s=float(scan.time_s),
         frame=scan.frame,

@@ -18,6 +18,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import digest_of_values, is_as_written
 from mbcacq.recording.rrd.library_reader import LibraryReader
+from mbcacq.recording.rrd.packed_cloud import unpacked
 from mbcacq.recording.rrd.process_reader import ProcessReader
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
@@ -110,21 +111,26 @@ class Recording:
     def scans(self) -> Iterator[RecordedScan]:
         """Every scan in the order taken, one at a time."""
         for row in _rows(self._reader.stream(layout.SCAN)):
-            if "positions" in row and "exposure_us" in row:
-                yield RecordedScan(
-                    int(row["pose"][0]),
-                    int(row["exposure"][0]),
-                    Scan(
-                        points=row["positions"].reshape(-1, 3),
-                        intensity=row.get("intensity"),
-                        shape=tuple(row["shape"].tolist()),
-                        pixel=row.get("pixel"),
-                        time_s=float(row["time_s"][0]),
-                        frame=int(row["frame"][0]),
-                        exposure_us=float(row["exposure_us"][0]),
-                        measurements=_mapping(row, "measurements"),
-                    ),
+            if ("positions" in row or "packed_points" in row) and "exposure_us" in row:
+                scan = Scan(
+                    points=row.get("positions", np.zeros(0, np.float32)).reshape(-1, 3),
+                    intensity=row.get("intensity"),
+                    shape=tuple(row["shape"].tolist()),
+                    pixel=row.get("pixel"),
+                    time_s=float(row["time_s"][0]),
+                    frame=int(row["frame"][0]),
+                    exposure_us=float(row["exposure_us"][0]),
+                    measurements=_mapping(row, "measurements"),
                 )
+                yield RecordedScan(int(row["pose"][0]), int(row["exposure"][0]), self._unpacked(scan, row))
+
+    def _unpacked(self, scan: Scan, row: Row) -> Scan:
+        if "packed_points" not in row:
+            return scan
+        try:
+            return unpacked(scan, row)
+        except ValueError as error:
+            raise RecordingError(f"{self.path}: the scan of pose {int(row['pose'][0])}: {error}; see mbcacq recover --check") from error
 
     def observed(self) -> list[Row]:
         """The pose observations that are as they were written, in the order made."""

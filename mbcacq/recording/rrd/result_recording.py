@@ -31,7 +31,7 @@ AXES = ("x", "y", "z")
 HAND_EYE_ALONE = "The hand-eye transform alone was fitted, the arm is taken as nominal."
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Judgement:
     """What the verification says. text: Markdown of the verdict; place: k names; error, sigma: (k,) mm, of each certified length and its
     standard uncertainty; before: (k,) mm; limit: mm, or None."""

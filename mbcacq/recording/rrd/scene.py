@@ -16,6 +16,7 @@ from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.datasets import quaternions
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
+from mbcacq.recording.rrd.drawn_later import Stream
 
 ARM, JOINT, FLANGE, BASE = (240, 106, 22), (52, 56, 64), (176, 182, 190), (84, 90, 100)
 HOUSING, VIEW, BALL, BAR, PALE = (38, 70, 112), (86, 180, 233), (232, 236, 242), (150, 158, 168), (62, 68, 78)
@@ -79,7 +80,7 @@ def log_axes_key(rec: rr.RecordingStream, n: int) -> None:
     rec.log(layout.AXES_KEY, rr.Points2D(places, colors=(CURVES * 2)[:n], radii=8.0, labels=names, show_labels=True), static=True)
 
 
-def log_ball_series(rec: rr.RecordingStream, cell: Cell) -> None:
+def log_ball_series(rec: Stream, cell: Cell) -> None:
     """Names, colours and markers of the curves that have one value a ball."""
     names = [f"ball {b}" for b in cell.ball_ids]
     k = len(names)
@@ -89,7 +90,7 @@ def log_ball_series(rec: rr.RecordingStream, cell: Cell) -> None:
         rec.log(entity, rr.SeriesPoints(names=names, colors=colours, markers=markers, marker_sizes=[2.5] * k), static=True)
 
 
-def log_obstacles(rec: rr.RecordingStream, plan_yaml: str) -> None:
+def log_obstacles(rec: Stream, plan_yaml: str) -> None:
     """The plan's boxes, as outlines; those that would only frame the whole scene (a floor) are left to the grid."""
     try:
         given = yaml12.load(plan_yaml)["obstacles"]
@@ -144,7 +145,7 @@ def log_texts(rec: rr.RecordingStream, plan_yaml: str, cell_yaml: str) -> None:
         rec.log(entity, drawn_text(text, markdown=False), static=True)
 
 
-def log_balls(rec: rr.RecordingStream, station: str, artefact: Artefact, balls: dict[int, np.ndarray]) -> None:
+def log_balls(rec: Stream, station: str, artefact: Artefact, balls: dict[int, np.ndarray]) -> None:
     """Measured balls of one station: id -> centre (3,) mm in the base frame. Two of them are joined by their bar."""
     entity = f"{layout.STATIONS}/{rr.escape_entity_path_part(station)}"
     centres = np.array(list(balls.values()))
@@ -165,14 +166,14 @@ def log_balls(rec: rr.RecordingStream, station: str, artefact: Artefact, balls: 
         rec.log(f"{entity}/bar", rr.LineStrips3D([centres], colors=[BAR], radii=[float(radius.min()) * 0.4]))
 
 
-def fade_balls(rec: rr.RecordingStream, station: str, bright: bool) -> None:
+def fade_balls(rec: Stream, station: str, bright: bool) -> None:
     """Another colour for the balls of a station, and for its bar: bright where the arm is, pale elsewhere."""
     entity = f"{layout.STATIONS}/{rr.escape_entity_path_part(station)}"
     rec.log(entity, rr.Ellipsoids3D.from_fields(colors=[BALL if bright else PALE]))
     rec.log(f"{entity}/bar", rr.LineStrips3D.from_fields(colors=[BAR if bright else PALE]))
 
 
-def log_limits(rec: rr.RecordingStream) -> None:
+def log_limits(rec: Stream) -> None:
     """Names and colours of the limits that the spheres are judged by."""
     for name, label in (("rms", "limit"), ("points", "fewest"), ("zero", "zero")):
         colour = BASE if name == "zero" else CURVES[3]

@@ -24,9 +24,11 @@ from mbcacq.recording.rrd.choice_panel import WeighedPoses, log_choice
 from mbcacq.recording.rrd.cycles import CycleWriter
 from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.drawing import Drawing
+from mbcacq.recording.rrd.drawn_later import POSES, DrawnLater
 from mbcacq.recording.rrd.kept_cloud import kept_cloud
 from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, text_row
 from mbcacq.recording.rrd.new_stream import send_default_blueprint
+from mbcacq.recording.rrd.packed_cloud import packable
 from mbcacq.recording.rrd.run_header import RunHeader, read_run_header, write_run_header
 from mbcacq.recording.rrd.sink import Sink
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
@@ -74,6 +76,8 @@ class Recorder:
         self.recording_id = header.recording_id if header else str(uuid.uuid4())
         self._sink = Sink(self.path, self.recording_id, live=live, port=port, blueprint=blueprint(live=live))
         self._rec = self._sink.stream
+        self._drawn = DrawnLater(self._rec, at_once=live)
+        self._live = live
         self._cycles = CycleWriter(self._rec, live=live)
         self._all_points, self._weighed = all_points, weighed
         self._held: events.ScanTaken | None = None  # a cloud whose balls are not known yet
@@ -85,7 +89,8 @@ class Recorder:
         self._started_s: float | None = None  # POSIX time of run time 0
         self._cell: Cell | None = None
         self._T_base_scanner = np.eye(4)
-        self._drawing = Drawing(self._rec)
+        self._drawing = Drawing(self._drawn)
+        self._said_health: dict[str, int | None] = {}  # device -> pose
         self._n_poses, self._done = 0, 0
         self._failed = False
 
@@ -117,7 +122,14 @@ class Recorder:
     def close(self) -> None:
         """Complete the file. Idempotent."""
         with self._lock:
+            if not self._failed:
+                self._draw()
             self._sink.close()
+
+    def _draw(self) -> None:
+        """Write what was kept back for display."""
+        self._cycles.show(self._cell)
+        self._drawn.write()
 
     def __enter__(self) -> Recorder:
         return self
@@ -126,13 +138,13 @@ class Recorder:
         self.close()
 
     def _set_times(self, time_s: float) -> None:
-        self._rec.set_time(layout.TIME, duration=time_s + self._offset)
+        self._drawn.set_time(layout.TIME, duration=time_s + self._offset)
         if self._started_s is not None:
-            self._rec.set_time(layout.CLOCK, timestamp=self._started_s + time_s + self._offset)
+            self._drawn.set_time(layout.CLOCK, timestamp=self._started_s + time_s + self._offset)
         if self._step is not None:
-            self._rec.set_time(layout.STEP_INDEX, sequence=self._step)
+            self._drawn.set_time(layout.STEP_INDEX, sequence=self._step)
         if self._pose is not None:
-            self._rec.set_time(layout.POSE, sequence=self._pose)
+            self._drawn.set_time(layout.POSE, sequence=self._pose)
 
     @singledispatchmethod
     def _write(self, event: events.Event) -> None:
@@ -220,9 +232,12 @@ class Recorder:
 
     @_write.register
     def _(self, event: events.HealthReceived) -> None:
+        if self._pose is not None and self._said_health.get(event.device) == self._pose:
+            return  # once a pose says it: every further row costs 2 kB
+        self._said_health[event.device] = self._pose
         for name, value in event.values.items():
             entity = "/".join(rr.escape_entity_path_part(part) for part in (layout.HEALTH, event.device, name))
-            self._rec.log(entity, rr.Scalars(float(value)))
+            self._drawn.log(entity, rr.Scalars(float(value)))
         self._drawing.temperatures(event.values)
 
     @_write.register
@@ -235,10 +250,12 @@ class Recorder:
     def _(self, event: events.PoseReached) -> None:
         self._pose = event.pose
         self._set_times(event.time_s)
-        self._cycles.show(self._cell)
+        if self._live:
+            self._cycles.show(self._cell)
         if self._cell is not None:
             self._T_base_scanner = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
-            self._log_arm(self._cell, event.q)
+            if not self._cycles.draws:
+                self._log_arm(self._cell, event.q)
             self._drawing.reached(event)
 
     @_write.register
@@ -259,9 +276,10 @@ class Recorder:
 
     def _write_scan(self, event: events.ScanTaken) -> None:
         move = scene.transforms(self._T_base_scanner[None])
-        self._rec.log(layout.SCAN, rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0]))
-        points = rr.Points3D(event.scan.points)
-        self._rec.log(layout.SCAN, points, scan_row(event))
+        pack = not self._all_points and packable(event.scan)
+        points = [] if pack else [rr.Points3D(event.scan.points)]
+        place = rr.Transform3D(translation=move["translation"][0], quaternion=move["quaternion"][0])
+        self._rec.log(layout.SCAN, place, *points, scan_row(event, pack=pack))
 
     @_write.register
     def _(self, event: events.CentresFound) -> None:
@@ -277,19 +295,21 @@ class Recorder:
         self._let_go()
         self._rec.log(layout.OBSERVATION, *observation_rows(event, self._part, event.time_s + self._offset))
         self._drawing.done(event)
-        self._rec.log(layout.BALLS_FOUND, rr.Scalars(len(event.ball)))
+        self._drawn.log(layout.BALLS_FOUND, rr.Scalars(len(event.ball)))
         if len(event.ball):
-            self._rec.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))
-            self._rec.log(layout.SCATTER, rr.Scalars(1e3 * float(np.sqrt(np.mean(np.square(event.scatter_mm))))))
-        self._sink.flush(event.pose)
+            self._drawn.log(layout.FIT_RMS, rr.Scalars(1e3 * float(np.mean(event.rms_mm))))
+            self._drawn.log(layout.SCATTER, rr.Scalars(1e3 * float(np.sqrt(np.mean(np.square(event.scatter_mm))))))
         self._done += 1
+        if self._done % POSES == 0:
+            self._draw()
+        self._sink.flush(event.pose)
         if self._done == FORECAST_AFTER:
             self._sink.check_predicted_size(self._done, self._n_poses)
 
     @_write.register
     def _(self, event: events.RunStopped) -> None:
         self._let_go()
-        self._cycles.show(self._cell)
+        self._draw()
         level = "INFO" if event.exit_status == "success" else "ERROR"
         self._rec.log(layout.RUN, rows.row(layout.RUN_ARCHETYPE, exit_status=event.exit_status, reason=event.reason))
         self._say(event.time_s, f"run ended: {event.exit_status}: {event.reason}", level)

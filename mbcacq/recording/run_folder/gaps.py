@@ -70,16 +70,19 @@ def _interruptions(entries: list[dict[str, Any]]) -> list[str]:
     """One sentence for each interruption, and one for all the times that poses were added to a run whose poses were all measured."""
     out: list[str] = []
     added: list[str] = []
-    last = None
+    last, done = None, set()
     for before, now in pairwise(entries):
         if before.get("event") == "pose_done":
             last = before.get("pose")
+            done.add(last)
         if now.get("event") == "run_started":
             if before.get("event") == "run_stopped" and before.get("exit_status") == "success":
                 added.append(str(last))
                 continue
             why = before.get("reason", "") if before.get("event") == "run_stopped" else "it was killed"
-            where = "before its first pose" if last is None else f"after pose {last}"
+            where = (
+                "before its first pose" if last is None else f"after {len(done)} pose{'s' * (len(done) != 1)}, the last of them pose {last}"
+            )
             out.append(f"the run was interrupted {where} ({why}) and went on at {now.get('started', 'an unknown time')}")
     return [*out, f"poses were added to the run after pose {', '.join(added)}"] if added else out
 

@@ -10,7 +10,7 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import publish
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.checksums import blocks, digest_of_file, note_made, read_stretches
-from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.rrd.reader import Recording, opened
 from mbcacq.recording.run_folder.lock import LOCK_FILE, write_lock
 
 WHOLE = "whole.rrd"
@@ -150,7 +150,7 @@ def _verified(path: Path) -> bool:
 
 
 def _summary(source: Path, output: Path) -> Recovered:
-    recording = Recording(output)
+    recording = opened(output)
     try:
         recording.text(layout.CELL)
     except RecordingError as error:  # whole as a file, but cut before its cell was in it

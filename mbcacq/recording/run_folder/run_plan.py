@@ -21,7 +21,7 @@ COPY_OF = {PLAN: layout.PLAN, FILES: layout.PLAN_FILES}
 SHOWN = 60  # characters of a value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class KeptPlan:
     """plan: its YAML; files: name -> text of the files it names; cell: which cell was driven. None for what neither the folder nor its
     recordings say. path: where the plan was read from, in runs of today. corrected: of a run that a calibrated arm steers, its targets.
@@ -98,7 +98,7 @@ def read_kept_plan(folder: Path) -> KeptPlan:
             repairs.append(f"{folder / name} {what}, and no recording holds a copy; it is taken to be as in this run")
     kept = json.loads(found[FILES]) if FILES in found else {}
     read = {key: kept.get(key) for key in ("path", "corrected", "grown_from")}
-    return KeptPlan(found.get(PLAN), kept.get("files"), kept.get("cell"), tuple(repairs), **read)
+    return KeptPlan(plan=found.get(PLAN), files=kept.get("files"), cell=kept.get("cell"), repairs=tuple(repairs), **read)
 
 
 def fault_of(folder: Path, name: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import plotly.graph_objects as go
 
@@ -9,6 +11,7 @@ from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
 from mbcacq.report.content import ArmTypeContent, FleetChart
 
 MOST_ARMS = 60  # rows of the overview; of more arms those that are farthest out
+MOST_NAMES, NAME_APART = 12, 0.05  # of arms at their lines; their distance as a share of the axis
 GREY = "#9aa3a8"
 
 
@@ -19,7 +22,7 @@ def overview(kind: ArmTypeContent) -> go.Figure:
     if len(shown) > MOST_ARMS:
         shown = np.sort(np.argsort(-np.nanmax(np.nan_to_num(ratio), axis=1))[:MOST_ARMS])
     figure = go.Figure(
-        go.Heatmap(
+        name=go.Heatmap(
             z=ratio[shown],
             x=[chart.title.translate(ESCAPES) for chart in kind.charts],
             y=[kind.arms[a].translate(ESCAPES) for a in shown],
@@ -60,23 +63,20 @@ def drift(kind: ArmTypeContent) -> go.Figure:
         figure.add_scatter(
             x=_broken(x, gaps),
             y=_broken(y.tolist(), gaps),
-            text=_broken(text, gaps),
+            customdata=_broken(text, gaps),
             mode="lines+markers",
             line={"color": GREY, "width": 0.7},
             marker={"color": AFTER, "size": 5},
             name="recording",
             visible=k == 0,
-            hovertemplate="%{text}<br>%{x}: %{y:.4f}<extra></extra>",
+            hovertemplate="%{customdata}<br>%{x}: %{y:.4f}<extra></extra>",
         )
         out = [j for j, i in enumerate(order) if chart.outside[i]]
         figure.add_scatter(
             x=[x[j] for j in out],
             y=[float(y[j]) for j in out],
-            text=[kind.arms[chart.arm[order[j]]].translate(ESCAPES) for j in out],
             customdata=[text[j] for j in out],
-            mode="markers+text" if len(out) <= 12 else "markers",
-            textposition="top center",
-            textfont={"size": 10, "color": LIMIT},
+            mode="markers",
             marker={"color": LIMIT, "size": 9, "symbol": "diamond"},
             name="outside the limits",
             visible=k == 0,
@@ -93,8 +93,20 @@ def drift(kind: ArmTypeContent) -> go.Figure:
             visible=k == 0,
             hoverinfo="skip",
         )
-    figure.update_xaxes(title=title)
-    return _chosen(figure, kind, 3, "difference from the arm's centre line")
+        named = _named_at_the_end(kind, chart, order)
+        figure.add_scatter(
+            x=[times[i] for i in named],
+            y=[float(chart.deviation[i]) for i in named],
+            text=[kind.arms[chart.arm[i]].translate(ESCAPES) for i in named],
+            mode="text",
+            textposition="top left",  # ends at the last recording, within the frame
+            textfont={"size": 10, "color": LINE},
+            showlegend=False,
+            visible=k == 0,
+            hoverinfo="skip",
+        )
+    figure.update_xaxes(title=title, **_axis(times))
+    return _chosen(figure, kind, 4, "difference from the arm's centre line")
 
 
 def side_by_side(kind: ArmTypeContent) -> go.Figure:
@@ -156,10 +168,27 @@ def _farthest(chart: FleetChart, arm: int) -> float:
     return float(np.max(np.abs(chart.deviation[here]) / chart.limit[here])) if here.any() else np.nan
 
 
+def _named_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int]) -> list[int]:
+    """The last recording of each arm that is named there; those that are farthest out first, and none over another."""
+    last = {int(chart.arm[i]): i for i in order}
+    apart = NAME_APART * float(np.nanmax(chart.deviation) - np.nanmin(chart.deviation)) if np.isfinite(chart.deviation).any() else 0.0
+    named: list[int] = []
+    for arm in sorted(last, key=lambda a: -np.nan_to_num(_farthest(chart, a))):
+        away = [abs(chart.deviation[last[arm]] - chart.deviation[other]) for other in named]
+        if len(named) < MOST_NAMES and all(distance > apart for distance in away):
+            named.append(last[arm])
+    return named
+
+
+def _axis(times: list) -> dict[str, Any]:
+    """Of dates, or of numbers."""
+    return {"type": "date", "tickformat": "%Y-%m-%d", "nticks": 6} if times and isinstance(times[0], str) else {"rangemode": "tozero"}
+
+
 def _times(kind: ArmTypeContent) -> tuple[list, str]:
     """Abscissa of the recordings: their time, or their number within the arm where one has none."""
     if all(kind.times):
-        return list(kind.times), "time"
+        return list(kind.times), "date"
     arm = kind.charts[0].arm
     return [int(np.sum(arm[:i] == arm[i])) + 1 for i in range(len(arm))], "recording of the arm"
 

@@ -38,7 +38,9 @@ def joint_coverage(data: Coverage) -> go.Figure:
 def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> go.Figure:
     """Where flange or balls were, xyz (k, 3) mm in the base with phase (k,) str, from above (axis 1) or from the side (axis 2)."""
     figure = go.Figure()
-    for k, name in enumerate(dict.fromkeys(phase)):
+    names = list(dict.fromkeys(phase))
+    for name in sorted(names, key=lambda name: -np.count_nonzero(phase == name)):  # few points stand on many
+        k = names.index(name)
         of_phase = xyz[phase == name]
         of_phase = of_phase[thinned(np.zeros(len(of_phase)))]
         figure.add_scatter(
@@ -46,7 +48,13 @@ def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> go.Figur
             y=of_phase[:, axis],
             mode="markers",
             name=str(name).translate(ESCAPES) or "all poses",
-            marker={"color": PHASES[k % len(PHASES)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 5, "opacity": 0.75},
+            legendrank=k,
+            marker={
+                "color": PHASES[k % len(PHASES)],
+                "symbol": SYMBOLS[k % len(SYMBOLS)],
+                "size": 6,
+                "line": {"color": "#ffffff", "width": 0.6},
+            },
             hovertemplate="%{x:.0f}, %{y:.0f} mm<extra></extra>",
         )
     add_base(figure)
@@ -60,7 +68,7 @@ def accuracy(data: AccuracyGrid, axis: int) -> go.Figure:
     x, y, z = _projected(data, axis)
     low, top = (1e3 * float(np.nanpercentile(z, share)) for share in (1, 97))  # a scale of its own: where it is better, and where worse
     figure = go.Figure(
-        go.Heatmap(
+        name=go.Heatmap(
             x=x,
             y=y,
             z=1e3 * z,

@@ -38,9 +38,9 @@ def devices_of(run: str | Path) -> Devices | None:
     except MbcacqError:
         return None
     return Devices(
-        late,
-        period,
-        nominal,
+        late=late,
+        period_ms=period,
+        nominal_ms=nominal,
         exposure_s=exposures if len(exposures) else None,
         state_s=sorted(states.items(), key=lambda item: -item[1]),
         gaps=gaps_and_warnings(run),

@@ -64,14 +64,14 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     earlier = spacing_of(geometry) if folder else None
     earlier = earlier if earlier is not None and spacing is not None and earlier.place == spacing.place else None
     verdict = verdict_of(spacing, result, earlier)
-    diagnosis = run_info.get("diagnosis")
+    diagnosis, name = run_info.get("diagnosis"), str(run_info.get("folder") or "RUN")
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
         verdict=verdict,
         instrument=_instrument(result),
         headlines=headlines(spacing, result, earlier),
-        next=next_action(verdict, spacing, result, diagnosis, str(run_info.get("folder") or "RUN"), folder),
+        next=next_action(verdict, spacing, result, diagnosis, name, folder, str(run_info.get("plan_path") or "")),
         facts=_facts(result, run_info),
         fit=_fit(result),
         spacing=spacing,

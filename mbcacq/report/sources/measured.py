@@ -58,7 +58,15 @@ def coverage(observations: Observations, state: CellState) -> Coverage:
     balls, phase = None, None
     if obs.cell.measurement != TARGET_IN_BASE and obs.n_centres:
         balls, phase = se3.apply((T @ state.T_flange_scanner)[obs.pose], obs.xyz), _phase(obs)[obs.pose]
-    return Coverage(np.degrees(obs.q), np.degrees(obs.cell.robot.limits), _phase(obs), T[:, :3, 3], balls, phase, _arm(obs, state))
+    return Coverage(
+        q_deg=np.degrees(obs.q),
+        limits_deg=np.degrees(obs.cell.robot.limits),
+        phase=_phase(obs),
+        flange=T[:, :3, 3],
+        balls=balls,
+        ball_phase=phase,
+        arm=_arm(obs, state),
+    )
 
 
 def _arm(obs: Observations, state: CellState) -> np.ndarray | None:

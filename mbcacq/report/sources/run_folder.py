@@ -24,7 +24,7 @@ WITH_EFFECTS = "with-effects"  # folder of the result of the cell with what its 
 
 
 def read_run_identity(folder: str | Path) -> dict[str, Any]:
-    """name, started, versions and plan_yaml of a run folder, as far as it has them; nothing for an observation set or a .rrd."""
+    """name, started, versions, plan_yaml and plan_path of a run folder, as far as it has them; nothing for an observation set or a .rrd."""
     folder = Path(folder)
     info: dict[str, Any] = {}
     try:
@@ -38,7 +38,8 @@ def read_run_identity(folder: str | Path) -> dict[str, Any]:
         pass
     try:
         info["plan_yaml"] = (folder / "plan.yaml").read_bytes()[:MAX_BYTES].decode("utf-8", "replace")
-    except OSError:
+        info["plan_path"] = str(json.loads((folder / "plan.files.json").read_text(encoding="utf-8"))["path"])
+    except (OSError, ValueError, LookupError, TypeError):
         pass
     return info
 

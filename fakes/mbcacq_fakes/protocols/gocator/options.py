@@ -19,7 +19,7 @@ class Ports(NamedTuple):
     data: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FakeGocatorOptions:
     """A port of 0 is any free one. discovery: answer on udp ``discovery_port`` with replies sent to ``broadcast``.
 

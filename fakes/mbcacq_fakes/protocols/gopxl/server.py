@@ -34,7 +34,7 @@ class GoPxLPorts(NamedTuple):
     data: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FakeGoPxLOptions:
     """Where the sensor listens (0: any free port), and what it is.
 

@@ -11,7 +11,7 @@ TYPES = ("INT", "REAL", "BOOL", "STRING", "FRAME")
 _PLACEHOLDER = re.compile(r"\$\$(\w+):(\w+)\$\$")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EkiConfig:
     """received: name under which KRL asks -> (path, type). sent: paths in order (KSS) or names -> type of the template's places.
 
@@ -95,13 +95,13 @@ def _iiqka(root) -> EkiConfig:
     management = root.find("Behavior/ConnectionManagement")
     lost = re.fullmatch(r"\$FLAG\[(\d+)\]", management.get("CommErrorEvent", "") if management is not None else "")
     return EkiConfig(
-        "iiqka",
-        int(server.get("Port", "0")),
-        separator,
-        received,
-        sent,
-        {separator: int(event[1])} if event else {},
-        int(root.find("Buffering").get("Size", "16")),
+        system="iiqka",
+        port=int(server.get("Port", "0")),
+        root=separator,
+        received=received,
+        sent=sent,
+        flags={separator: int(event[1])} if event else {},
+        limit=int(root.find("Buffering").get("Size", "16")),
         lost=int(lost[1]) if lost else None,
         template=message,
     )

@@ -45,7 +45,7 @@ COUNTED = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EkiSettings:
     """sources: name -> text of the KRL programs and data lists, of which ``program`` runs in the robot interpreter and ``link`` has the
     two entries mbcacq_link_init and mbcacq_link_step for the submit interpreter. channel: text of the EKI channel's XML.

@@ -35,7 +35,7 @@ FAULTS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class KrcSettings:
     """client: where the telegrams go. realtime: 4 ms by the clock, or lock-step as fast as the answers come. stretch: by the clock, a
     second of the robot takes so many seconds. answer_wait_s: in lock-step, how long an answer is waited for, and

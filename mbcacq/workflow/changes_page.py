@@ -1,0 +1,61 @@
+"""The page "two recordings compared": what changed, with the report's own charts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mbcacq.errors import command_line
+from mbcacq.report import write_changes_page
+from mbcacq.report.content import Action, ChangeRow, ChangesContent
+from mbcacq.report.sources.from_result import spacing_of
+from mbcacq.workflow.compare_runs import RunComparison, best_result
+
+CHARTS = (("Lengths of arm and hand-eye transform", "lengths", "mm"), ("Angles of arm and hand-eye transform", "angles", "deg"))
+
+
+def write_page(found: RunComparison, path: Path | str, results: tuple[Mapping[str, Any], Mapping[str, Any]] | None = None) -> Path:
+    """Write the page of a comparison. results: of the two recordings (default: read again by the names of the comparison).
+
+    Raises RecordingError where it cannot be written.
+    """
+    first, second = results or tuple(best_result(Path(name)) for name in found.names)
+    return write_changes_page(_content(found, first, second), path)
+
+
+def _content(found: RunComparison, first: Mapping[str, Any], second: Mapping[str, Any]) -> ChangesContent:
+    geometry = [row for row in found.rows if row.what in ("parameter", "hand-eye")]
+    groups = [(title, name, [row for row in geometry if row.unit == unit]) for title, name, unit in CHARTS]
+    effects: dict[str, list] = {}
+    for row in found.rows:
+        if row.what == "effect":
+            effects.setdefault(row.unit, []).append(row)
+    groups += [(f"Effects, {unit}", f"effects-{k}", rows) for k, (unit, rows) in enumerate(effects.items())]
+    drawn = {
+        name: [
+            ChangeRow(name=row.title, unit=row.unit, change=row.change[0], expanded=row.change[1], marked=row.significant)
+            for row in rows
+            if row.change is not None and row.change[1] is not None
+        ]
+        for _, name, rows in groups
+    }
+    drawn = {name: rows for name, rows in drawn.items() if rows}
+    spacings = [(name, spacing_of(result)) for name, result in zip(found.names, (first, second), strict=True)]
+    headline, *reasons = found.sentences
+    return ChangesContent(
+        title=f"{found.robot}: two recordings compared",
+        names=found.names,
+        headline=headline,
+        reason=" ".join(f"{reason}." for reason in reasons),
+        changed=bool(found.changed),
+        next=Action(
+            "Ask what the later recording says of the cause", "An effect has a name and a place.", command_line("diagnose", found.names[1])
+        ),
+        charts=[(title, name) for title, name, _ in groups if name in drawn],
+        rows=drawn,
+        spacings=[(name, spacing) for name, spacing in spacings if spacing is not None],
+        table=found.table,
+        caveats=["Simulated: the fake cell or a model made these data."] if first.get("simulated") or second.get("simulated") else [],
+        footer=found.how,
+    )
