@@ -1,8 +1,9 @@
 """What an ordered plan shows with half of the poses: power of its first 64 against all 128 of another plan, over the catalogue.
 
-    python benchmarks/plan_order.py OLD.yaml NEW.yaml [--count 3] [--seed 300]
+    mbcacq plan design plans/seeing.yaml --order --out plans/seeing_ordered.yaml
+    python benchmarks/plan_order.py plans/seeing.yaml plans/seeing_ordered.yaml [--count 3] [--seed 300]
 
-Each effect of the catalogue is injected at several places, as strong as a test that knows it needs to find it nine times in ten with OLD's
+Each effect of the catalogue is injected at several places, as strong as a test that knows it needs to find it nine times in ten with the first plan's
 128 poses, times 2.5, which is what a search over the catalogue needs. Both plans record the same cell by the array path, and a look weighs
 all explanations. Rows go to runs/plan-order-benchmark, so that a call goes on where another ended; the last line counts them.
 """
@@ -13,10 +14,11 @@ import argparse
 import json
 from pathlib import Path
 
+import bench
 import numpy as np
+from detection_power import least_gain
 from threadpoolctl import threadpool_limits
 
-from mbcacq.challenge.power import least_gain
 from mbcacq.challenge.run import Challenger
 from mbcacq.challenge.scenarios import Scenario, catalogued
 from mbcacq.challenge.simulated_cells import observe
@@ -24,7 +26,7 @@ from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.effects.catalogue import declaration
 
-KEPT = Path("runs") / "plan-order-benchmark"
+KEPT = bench.ROOT / "runs" / "plan-order-benchmark"
 FIRST = 64
 MULTIPLE = 2.5
 
