@@ -21,11 +21,13 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from disturbed_run import preload
 from interrupted_runs import Disk, Record, records
 from strike_commands import Case, Work, cases, make_inputs, make_run
+from strike_sessions import Tools, sessions, strike_session
 
 PAGE = Path(__file__).with_suffix(".md")
 KILLED = -int(signal.SIGKILL)
@@ -245,14 +247,20 @@ def main() -> int:
     library.fault_below.argtypes = library.fault_record.argtypes[:1]
     place = tempfile.TemporaryDirectory(prefix="strikes-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None)
     work = Path(place.name)
-    commands = cases(work)
-    wanted = given.only.split(",") if given.only else list(commands)
-    make_inputs(work, in_child)
-    if any(commands[name].run_folder or "diagnose" in name for name in wanted):
+    commands, growing = cases(work), sessions(work)
+    wanted = given.only.split(",") if given.only else [*commands, *growing]
+    if any(name in commands for name in wanted):
+        make_inputs(work, in_child)
+    if any(name in commands and (commands[name].run_folder or "diagnose" in name) for name in wanted):
         make_run(work, in_child)
     lines, bad = ["| command | strike | exit | old | new | between | neither |", "|---|---|---|---|---|---|---|"], 0
     for name in wanted:
-        found = strike(name, commands[name], work, given.moments, random.Random(f"{given.seed} {name}"), library)
+        rng = random.Random(f"{given.seed} {name}")
+        if name in growing:
+            moments = partial(drawn, rng=rng)
+            found = strike_session(name, growing[name], work, moments, in_child, Tools(library, killed_at, rng))
+        else:
+            found = strike(name, commands[name], work, given.moments, rng, library)
         for kind, code in sorted({(kind, code) for kind, code, _ in found}, key=str):
             here = {what: n for (k, c, what), n in found.items() if (k, c) == (kind, code)}
             neither = {what: n for what, n in here.items() if what.startswith("neither")}

@@ -2,6 +2,7 @@
 
     python benchmarks/fault_injection.py [--only NAME ...] [--most N] [--json FILE]
     python benchmarks/fault_injection.py --only "whole run" --most 6
+    python benchmarks/fault_injection.py --only "whole run over EKI, GoPxL, Modbus, serial" --draw 60 --seed 1
 
 A man in the middle hurts one message of a small piece of work (connect, use twice, close): drop, delay, truncate, duplicate,
 garbage, close. Afterwards the device must rest and the next driver must work. 'whole run' does the
@@ -13,36 +14,47 @@ from __future__ import annotations
 
 import argparse
 import json
+import random
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "conformance"))
 
 from benches import BENCHES  # noqa: E402
-from whole_run import WholeRun  # noqa: E402
+from whole_run import BUSES, WholeRun  # noqa: E402
 
-from mbcacq.conformance import ACTIONS, InjectionVerdict, cases, inject, survey  # noqa: E402
+from mbcacq.conformance import ACTIONS, Case, InjectionVerdict, cases, inject, survey  # noqa: E402
 
-WHOLE = "whole run"
+WHOLE = {"whole run": "", f"whole run over {BUSES}": BUSES}
 
 
-def examine(name: str, most: int) -> list[InjectionVerdict]:
+def drawn(counts: Mapping[tuple[str, Any], int], number: int, seed: int) -> Iterator[Case]:
+    """So many faults at messages drawn at random, each link and sender as likely as any other."""
+    rng, links = random.Random(seed), [link for link, count in sorted(counts.items()) if count]
+    for _ in range(number):
+        link, sender = rng.choice(links)
+        yield Case(link, sender, rng.randrange(counts[link, sender]), rng.choice(ACTIONS))
+
+
+def examine(name: str, most: int, draw: int = 0, seed: int = 0) -> list[InjectionVerdict]:
     verdicts: list[InjectionVerdict] = []
-    if name == WHOLE:
-        run = WholeRun()
+    if name in WHOLE:
+        run = WholeRun(WHOLE[name])
         counts, one = run.counts, run.inject
     else:
         counts, one = survey(BENCHES[name]), partial(inject, BENCHES[name])
     began = time.monotonic()
-    for case in cases(counts, most):
+    for case in drawn(counts, draw, seed) if draw else cases(counts, most):
         verdict = one(case)
         verdicts.append(verdict)
         if not verdict.good:
             print(f"  NOT GOOD: {name}: {case}: {verdict.result}: {verdict.detail}", flush=True)
-    if name == WHOLE:
+    if name in WHOLE:
         run.close()
     slowest = max((v.seconds for v in verdicts), default=0.0)
     print(
@@ -69,12 +81,14 @@ def table(verdicts: list[InjectionVerdict]) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    known = [*(name for name in BENCHES if name != "manual"), WHOLE]
+    known = [*(name for name in BENCHES if name != "manual"), *WHOLE]
     parser.add_argument("--only", nargs="+", choices=known, default=known, metavar="NAME")
     parser.add_argument("--most", type=int, default=12, help="messages of each link and sender that are hurt (default 12)")
+    parser.add_argument("--draw", type=int, default=0, help="instead, so many faults at messages drawn at random")
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="write every verdict here")
     given = parser.parse_args()
-    found = {name: examine(name, given.most) for name in given.only}
+    found = {name: examine(name, given.most, given.draw, given.seed) for name in given.only}
     if given.json:
         given.json.write_text(
             json.dumps(

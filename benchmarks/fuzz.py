@@ -1,6 +1,6 @@
 """Mutated inputs for every parser of bytes from outside: one of our errors or a value, never anything else, in bounded memory.
 
-    python benchmarks/fuzz.py [--only NAME ...] [--inputs N] [--minutes M] [--seed S] [--keep DIR] [--totals FILE]
+    python benchmarks/fuzz.py [--only NAME ...] [--inputs N] [--minutes M] [--seed S] [--rounds R] [--keep DIR] [--totals FILE]
     python benchmarks/fuzz.py --grow [--only NAME ...]         # new inputs for tests/conformance/corpus, guided by coverage
     python benchmarks/fuzz.py --show FILE                      # the table of all that stands in a file of totals
     python benchmarks/fuzz.py --atheris NAME [--inputs N]      # guided by coverage in libFuzzer, where atheris is installed
@@ -12,6 +12,7 @@ second of processor time, slowest input, growth of the process' memory, largest 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import random
@@ -88,13 +89,15 @@ class Outcome:
         self.largest, self.faults = max(self.largest, other.largest), {**other.faults, **self.faults}
 
 
-def fuzz(target: Target, inputs: int, seconds: float, seed: int, keep: Path | None) -> Outcome:
+def fuzz(target: Target, inputs: int, seconds: float, seed: int, keep: Path | None, traced: int = TRACED) -> Outcome:
     """Mutated inputs until there are so many or the time is over."""
     known = (*target.seeds, *corpus(target.name))
     rng = random.Random(f"{seed} {target.name}")
     for valid in known:
         target.run(valid)
-    outcome = Outcome(target.name, seed, largest=trace(target, known, random.Random(f"{seed} {target.name} traced")))
+    outcome = Outcome(target.name, seed, largest=trace(target, known, random.Random(f"{seed} {target.name} traced"), traced))
+    gc.freeze()  # what was imported need not be looked at again
+    gc.set_threshold(20_000, 50, 50)
     memory, began, run, clock = resident_MB(), time.process_time(), target.run, time.process_time
     start = began
 
@@ -180,11 +183,11 @@ def arcs(target: Target, data: bytes) -> set[tuple[object, int, int]]:
     return found
 
 
-def trace(target: Target, known: Sequence[bytes], rng: random.Random) -> int:
-    """The largest number of bytes that one of a thousand inputs had allocated at a time."""
+def trace(target: Target, known: Sequence[bytes], rng: random.Random, inputs: int) -> int:
+    """The largest number of bytes that one of these inputs had allocated at a time."""
     largest = 0
     tracemalloc.start()
-    for _ in range(TRACED):
+    for _ in range(inputs):
         data = mutate(rng.choice(known), known, rng)
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]
@@ -228,6 +231,11 @@ def guided(name: str, inputs: int) -> None:
     atheris.Fuzz()
 
 
+def noted(totals: Path) -> set[tuple[str, int]]:
+    """Parser and seed of each line in a file of totals."""
+    return {(entry["name"], entry["seed"]) for entry in map(json.loads, totals.read_text().splitlines())}
+
+
 def show(totals: Path) -> None:
     """The table of all runs in a file of totals, the parsers in their order."""
     sums = {name: Outcome(name, 0) for name in targets()}
@@ -247,6 +255,8 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=1_000_000)
     parser.add_argument("--minutes", type=float, default=1e9, help="processor time for each parser")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rounds", type=int, default=1, help="of successive seeds; those that stand in the file of totals are left out")
+    parser.add_argument("--untraced", action="store_true", help="leave out the thousand inputs under tracemalloc, the slowest of all")
     parser.add_argument("--keep", type=Path, help="write inputs that break a parser here")
     parser.add_argument("--totals", type=Path, help="append a line for each parser")
     parser.add_argument("--show", type=Path)
@@ -268,8 +278,12 @@ def main() -> int:
     bounded_memory()
     print(HEAD)
     faults = 0
-    for name in given.only:
-        outcome = fuzz(targets()[name], given.inputs, 60 * given.minutes, given.seed, given.keep)
+    for seed, name in [(seed, name) for seed in range(given.seed, given.seed + given.rounds) for name in given.only]:
+        if given.totals and given.totals.exists() and (name, seed) in noted(given.totals):
+            continue  # a campaign that was stopped goes on
+        outcome = fuzz(
+            targets()[name], given.inputs, 60 * given.minutes, seed, given.keep, 0 if given.untraced or seed > given.seed else TRACED
+        )
         print(outcome.row(), flush=True)
         for key, data in outcome.faults.items():
             print(f"    {key}\n        {data[:300]!r}", flush=True)

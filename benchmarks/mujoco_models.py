@@ -159,7 +159,7 @@ def fitted_by_peer(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer
     everything = sysid.ParameterDict()
 
     def free(name, start, low, high, change):
-        everything.add(sysid.Parameter(name=name, nominal=start, min_value=low, max_value=high, modifier=lambda s, p: change(s, p.value)))
+        everything.add(sysid.Parameter(name, nominal=start, min_value=low, max_value=high, modifier=lambda s, p: change(s, p.value)))
 
     for j in JOINTS:
         free(f"{j} friction", 10.0, 0.0, 100.0, lambda s, v, j=j: setattr(s.joint(j), "frictionloss", float(v[0])))

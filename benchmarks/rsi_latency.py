@@ -2,9 +2,9 @@
 
 Ours against RSIPI (PyPI ``rsipi``) and against a C program of 60 lines that does nothing but answer, which is the floor of what this
 machine can do. The controller is a C program, too, so that its own time does not count. Each round lets every program answer for the
-given time, one after the other, so that all of them see the same machine. With --witness the C program runs beside each of them with a
-controller of its own: a virtual machine is stopped for some cycles now and then, and what both miss within the same moment is not the
-program's. Medians are to be taken without a witness, which keeps the processor awake.
+given time, one after the other, so that all of them see the same machine. With --together one controller asks the C program and ours in
+turn within each cycle, 2 ms apart: a virtual machine is stopped for some cycles now and then, which hits both alike then. Medians are to
+be taken by turns: two programs keep the processor awake for each other.
 
 python benchmarks/rsi_latency.py --write        three rounds of 60 s each, idle and under scan load: 18 minutes on a quiet machine
 """
@@ -34,6 +34,7 @@ HERE = Path(__file__).parent
 LIMITS_DEG = [(-185, 185), (-140, 10), (-120, 168), (-350, 350), (-125, 125), (-350, 350)]
 HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
 STALL_S = 0.05  # what two programs miss within such a time is the machine's
+FLOOR = "C, answers only"
 MOTION = MotionLimits(np.radians(np.full(6, 90.0)), np.radians(np.full(6, 360.0)), np.radians(np.full(6, 3600.0)))
 
 LOAD = """
@@ -83,30 +84,27 @@ def main() -> None:
     arguments.add_argument(
         "--load", choices=("none", "scans", "both"), default="both", help="another process decodes scans and logs them to rerun"
     )
-    arguments.add_argument("--witness", action="store_true", help="tell cycles in which the machine stood from those of the program alone")
+    arguments.add_argument("--together", action="store_true", help="the C program and ours at once, asked in turn by one controller")
     arguments.add_argument("--write", action="store_true", help="write the figures to rsi_latency.md")
     given = arguments.parse_args()
     found: dict[tuple[bool, str], list[np.ndarray]] = {}
     busy = [os.getloadavg()[0]]
     with tempfile.TemporaryDirectory() as folder:
         metronome, echo = (compiled(name, Path(folder)) for name in ("rsi_metronome", "rsi_echo"))
-        programs = {"C, answers only": lambda port: c_echo(echo, port), "mbcacq": ours}
+        programs: dict[str, Callable] = {FLOOR: lambda port: c_echo(echo, port), "mbcacq": ours}
         if find_spec("RSIPI") is None:
             print("RSIPI is not installed (pip install rsipi): left out")
-        else:
+        elif not given.together:
             programs["RSIPI"] = lambda port: rsipi(port, Path(folder))
+        turns = [programs] if given.together else [{name: program} for name, program in programs.items()]
         for loaded in {"none": (False,), "scans": (True,), "both": (False, True)}[given.load]:
             for _ in range(given.rounds):
                 with scan_load() if loaded else nullcontext():
-                    for name, program in programs.items():
-                        rows = (
-                            witnessed(metronome, echo, program, given.seconds)
-                            if given.witness
-                            else measure(metronome, program, given.seconds)
-                        )
-                        found.setdefault((loaded, name), []).append(rows)
+                    for turn in turns:
+                        for name, rows in measure(metronome, turn, given.seconds).items():
+                            found.setdefault((loaded, name), []).append(rows)
                         busy.append(os.getloadavg()[0])
-    text = report(found, busy)
+    text = report(found, busy, given.together)
     print(text)
     if given.write:
         Path(__file__).with_suffix(".md").write_text(text)
@@ -120,32 +118,24 @@ def compiled(name: str, folder: Path) -> Path:
     return folder / name
 
 
-def witnessed(metronome: Path, echo: Path, program: Callable, seconds: int) -> np.ndarray:
-    """As ``measure``, and a third column: 1.0 where the C program beside it missed a cycle within STALL_S, else 0.0."""
-    cycles: list[np.ndarray] = []
-    first, second = free_ports(2)
-    beside = threading.Thread(target=lambda: cycles.append(measure(metronome, lambda port: c_echo(echo, port), seconds + 2, first)))
-    beside.start()
-    rows = measure(metronome, program, seconds, second)
-    beside.join()
-    missed_s = np.concatenate([[-np.inf], cycles[0][cycles[0][:, 1] < 0.0, 0], [np.inf]])
-    next_one = np.searchsorted(missed_s, rows[:, 0])
-    apart = np.minimum(missed_s[next_one] - rows[:, 0], rows[:, 0] - missed_s[next_one - 1])
-    return np.column_stack([rows, apart < STALL_S])
-
-
-def measure(metronome: Path, program: Callable, seconds: int, port: int = 0) -> np.ndarray:
-    """(n, 2): when each telegram was sent, s, and the latency in us, negative for a cycle without an answer."""
-    port = port or free_ports(1)[0]
+def measure(metronome: Path, programs: dict[str, Callable], seconds: int) -> dict[str, np.ndarray]:
+    """Of each program (n, 2): when each telegram was sent, s, and the latency in us, negative for a cycle without an answer. All of them
+    are asked by one controller, which begins when the last of them is ready."""
+    ports = free_ports(len(programs))
     controller: list[subprocess.Popen[bytes]] = []
+    waiting = list(programs)
 
-    def begin() -> subprocess.Popen[bytes]:
-        controller.append(subprocess.Popen([str(metronome), str(port), str(seconds)], stdout=subprocess.PIPE))
-        return controller[0]
+    def begin() -> None:
+        waiting.pop()
+        if not waiting:
+            controller.append(subprocess.Popen([str(metronome), str(seconds), *map(str, ports)], stdout=subprocess.PIPE))
 
-    with program(port)(begin):
+    with ExitStack() as running:
+        for program, port in zip(programs.values(), ports, strict=True):
+            running.enter_context(program(port)(begin))
         data, _ = controller[0].communicate()
-    return np.frombuffer(data, dtype=float).reshape(-1, 2)
+    rows = np.frombuffer(data, dtype=float).reshape(-1, 3)
+    return {name: rows[rows[:, 0] == k, 1:] for k, name in enumerate(programs)}
 
 
 @contextmanager
@@ -175,7 +165,7 @@ def rsipi(port: int, folder: Path) -> Callable:
 
 def ours(port: int) -> Callable:
     @contextmanager
-    def program(begin: Callable[[], subprocess.Popen[bytes]]) -> Iterator[None]:
+    def program(begin: Callable[[], object]) -> Iterator[None]:
         options = {"limits_deg": LIMITS_DEG, "port": port, "late_limit": 10**8, "stop_at_close": False, "check_set_point": False}
         ended = threading.Event()
         timer = threading.Timer(0.5, begin)
@@ -218,26 +208,31 @@ def scan_load() -> Iterator[None]:
         load.communicate()
 
 
-def report(found: dict[tuple[bool, str], list[np.ndarray]], busy: list[float]) -> str:
+def report(found: dict[tuple[bool, str], list[np.ndarray]], busy: list[float], together: bool) -> str:
     """A page; busy: load averages of the computer meanwhile, which include whatever else it had to do."""
+    how = (
+        "One controller asked both in turn within each cycle. 'Alone': missed cycles within 50 ms of which the other program missed "
+        "none, so that the machine did not stand."
+        if together
+        else "The programs took turns."
+    )
     lines = [
         "# Reply latency of the RSI cycle",
         "",
         f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from sending a "
-        "telegram to having the answer, at the controller's side, us. The programs took turns. 'Missed': cycles without an answer within "
-        "4 ms; 'alone': those of them within 50 ms of which a second C program, which ran beside each of them, missed none, so that the "
-        f"machine did not stand ('-': there was none). Load average meanwhile: {min(busy):.0f} to {max(busy):.0f}. "
-        "Made by `python benchmarks/rsi_latency.py --write`.",
+        f"telegram to having the answer, at the controller's side, us. {how} 'Missed': cycles without an answer within 4 ms. Load average "
+        f"meanwhile: {min(busy):.0f} to {max(busy):.0f}. Made by `python benchmarks/rsi_latency.py --write`.",
         "",
         "| other load | program | cycles | median | 99 % | 99.9 % | missed | alone | median / floor |",
         "|---|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for (loaded, name), rounds in found.items():
-        _, latency, *stalled = np.concatenate(rounds).T
+        sent_s, latency = np.concatenate(rounds).T
         answered = latency[latency >= 0.0]
-        floor = np.concatenate(found[loaded, "C, answers only"])[:, 1]
+        floor = np.concatenate(found[loaded, FLOOR])[:, 1]
+        others = [np.concatenate(rows) for (load, other), rows in found.items() if load == loaded and other != name]
         missed = latency < 0.0
-        alone = str(np.count_nonzero(missed & (stalled[0] == 0.0))) if stalled else "-"
+        alone = str(apart(sent_s[missed], others[0][others[0][:, 1] < 0.0, 0])) if together else "-"
         ratio = np.median(answered) / np.median(floor[floor >= 0.0])
         p50, p99, p999 = (np.percentile(answered, p) for p in (50, 99, 99.9))
         load = "decoding scans and logging to rerun" if loaded else "none of ours"
@@ -246,6 +241,13 @@ def report(found: dict[tuple[bool, str], list[np.ndarray]], busy: list[float]) -
             f"| {np.count_nonzero(missed)} | {alone} | {ratio:.2f} |"
         )
     return "\n".join(lines) + "\n"
+
+
+def apart(ours_s: np.ndarray, theirs_s: np.ndarray) -> int:
+    """How many of these moments have none of those within STALL_S."""
+    edges = np.concatenate([[-np.inf], theirs_s, [np.inf]])
+    after = np.searchsorted(edges, ours_s)
+    return int(np.count_nonzero(np.minimum(edges[after] - ours_s, ours_s - edges[after - 1]) >= STALL_S))
 
 
 def free_ports(count: int) -> list[int]:

@@ -6,6 +6,7 @@ Arms are ideal, lag, or lag and hum. Every tenth controller adds up its correcti
 probed: it carries corrections out from some moment on before or after its first motion was asked for. So does every twentieth absolute one.
 
 python benchmarks/rsi_path.py [MOTIONS] [SEED]
+python benchmarks/rsi_path.py --proof       what the proof of an absolute correction costs before the first motion
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ class Controller:
     lag_s: float
     noise_deg: float
     rng: np.random.Generator
+    decimals: int = 6
 
     def __post_init__(self) -> None:
         self.shared = Shared.create()
@@ -79,7 +81,7 @@ class Controller:
     def _telegram(self, jump_deg: float) -> bytes:
         shown = self.q + self.noise_deg * self.rng.standard_normal(6)
         shown[0] += jump_deg
-        axes = " ".join(f'A{i + 1}="{v:.6f}"' for i, v in enumerate(shown))
+        axes = " ".join(f'A{i + 1}="{v:.{self.decimals}f}"' for i, v in enumerate(shown))
         return f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{self.delay}"/><IPOC>{self.ipoc}</IPOC></Rob>'.encode()
 
     def connect(self) -> None:
@@ -144,6 +146,43 @@ def drive(seed: int, number: int) -> Found:
     return Found(float(speed), float(acceleration), after, travel, fault["kind"] if fault else "")
 
 
+PROOF_LAGS_S = (0.0, 0.02, 0.05, 0.1, 0.15)
+PROOF_TELEGRAMS = ((0.0, 6), (0.0003, 6), (0.001, 4), (0.0, 2))  # noise, deg; decimals
+PROOF_MOST = 2000  # cycles
+
+
+def proof_cycles(lag_s: float, noise_deg: float, decimals: int, asleep: bool, seed: int) -> int | None:
+    """Cycles from the request of the first motion to its first set point (first axis: no proof moves it); None where there is none.
+    asleep: the controller carries nothing out before the motion is asked for."""
+    one = Controller(False, lag_s, noise_deg, np.random.default_rng(seed), decimals)
+    try:
+        one.deaf = asleep
+        one.connect()
+        one.deaf = False
+        target = np.array(START) + [10.0, 0, 0, 0, 0, 0]
+        one.shared.send(RsiCommand(MOVE, tuple(target), (SPEED,) * 6, (ACCELERATION,) * 6, (JERK,) * 6, 0.01, 0.1))
+        for cycle in range(PROOF_MOST):
+            one.cycle()
+            if one.set_point[0] != START[0]:
+                return cycle
+        return None
+    finally:
+        one.shared.close()
+
+
+def report_proof(seeds: int = 20) -> None:
+    for noise_deg, decimals in PROOF_TELEGRAMS:
+        for lag_s in PROOF_LAGS_S:
+            row = [f"{noise_deg:g} deg, {decimals} decimals, lag {lag_s * 1e3:.0f} ms:"]
+            for asleep in (False, True):
+                cycles = [proof_cycles(lag_s, noise_deg, decimals, asleep, seed) for seed in range(seeds)]
+                begun = [c for c in cycles if c is not None]
+                kind = "carried out late" if asleep else "carried out from the first telegram on"
+                figure = f"{np.median(begun):.0f} cycles, at most {max(begun)}" if begun else "none"
+                row.append(f"{kind} {figure}" + (f" ({len(begun)} of {seeds} began)" if len(begun) < seeds else ""))
+            print(*row, sep="; ")
+
+
 def report(found: list[Found], what: str) -> bool:
     """Print a row; whether all of it is within the limits."""
     speed, acceleration, after, travel = (max(getattr(f, n) for f in found) for n in ("speed", "acceleration", "after", "travel"))
@@ -154,6 +193,9 @@ def report(found: list[Found], what: str) -> bool:
 
 
 def main() -> int:
+    if sys.argv[1:] == ["--proof"]:
+        report_proof()
+        return 0
     motions, seed = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000, int(sys.argv[2]) if len(sys.argv) > 2 else 1
     found = [drive(seed, k) for k in range(motions)]
     sound = True

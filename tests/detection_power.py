@@ -23,12 +23,12 @@ from mbcacq.diagnosis.evidence.hypothesis import SetPrior
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
-from mbcacq.diagnosis.result import plain
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior
+from mbcacq.model.json_text import plain
 from mbcacq.model.observations import Observations
 
 INFORMED_LEVEL = 0.01  # false-alarm rate of the informed test, which is that of the diagnosis as a whole

@@ -9,7 +9,7 @@ from mbcacq import errors
 from mbcacq.errors import EXIT_CODE_MEANING, MbcacqError
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("mbcacq", "drivers/mbcacq_kuka", "drivers/mbcacq_gocator", "drivers/mbcacq_bus")
+PACKAGES = ("mbcacq", *sorted(f"drivers/{path.name}" for path in (ROOT / "drivers").glob("mbcacq_*")))
 CLASSES = {name: kind for name, kind in vars(errors).items() if isinstance(kind, type) and issubclass(kind, MbcacqError)}
 
 

@@ -6,11 +6,10 @@ import select
 import sys
 import threading
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from mbcacq.devices import Aborted, ConfigError, Description, Field
-from mbcacq_bus.options import BusOptions, parse
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, Field, parse_options
+from mbcacq_bus.options import BusOptions
 
 POLL_S = 0.1
 
@@ -19,7 +18,7 @@ class ManualOptions(BusOptions):
     assume_yes: bool = False
 
 
-class ManualPositioner:
+class ManualPositioner(ContextDevice):
     """Prints the prompt on stderr and waits for Enter; 'q' ends the run. ``assume_yes``: believe that all is in place."""
 
     options_model = ManualOptions
@@ -29,7 +28,7 @@ class ManualPositioner:
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._name, self._options = name, parse(ManualOptions, "the manual positioner", options)
+        self._name, self._options = name, parse_options(ManualOptions, "the manual positioner", options)
         self._stopped = threading.Event()
 
     @property
@@ -69,13 +68,6 @@ class ManualPositioner:
 
     def close(self) -> None:
         self.stop()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _answer(self) -> str | None:
         """The line typed, None at the end of input or after ``stop``."""

@@ -6,17 +6,15 @@ import math
 import threading
 import time
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import Aborted, ConfigError, Description, DeviceFault, DeviceTimeout, Field
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, parse_options
 from mbcacq_bus.idle import IdlePoll
 from mbcacq_bus.modbus_connection import Connection
 from mbcacq_bus.modbus_link import ModbusLink
-from mbcacq_bus.options import parse
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.registers import Register
 
@@ -60,7 +58,7 @@ class SensorOptions(Connection):
     values: dict[str, Register] = Option(min_length=1)
 
 
-class _ModbusDevice:
+class _ModbusDevice(ContextDevice):
     """Connection life cycle, common to both kinds. harmless: what is read to keep an idle connection alive."""
 
     def __init__(self, device: str, options: Connection, harmless: Register) -> None:
@@ -80,13 +78,6 @@ class _ModbusDevice:
         self.stop()
         self._link.close()
 
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
-
 
 class ModbusPositioner(_ModbusDevice):
     """Moves the artefact by writing a position and waiting for the controller's flag."""
@@ -100,7 +91,7 @@ class ModbusPositioner(_ModbusDevice):
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._options = parse(PositionerOptions, "the Modbus positioner", options)
+        self._options = parse_options(PositionerOptions, "the Modbus positioner", options)
         super().__init__(f"positioner {model}".strip(), self._options, self._options.in_position)
         self._targets = {str(k): v for k, v in self._options.stations.items()}
         self._model, self._stopped = model, threading.Event()
@@ -179,7 +170,7 @@ class ModbusSensor(_ModbusDevice):
     first_contact = ("The values that `mbcacq doctor {plan}` reads are those on the device's display, in the units of the plan.",)
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._options = parse(SensorOptions, "the Modbus sensor", options)
+        self._options = parse_options(SensorOptions, "the Modbus sensor", options)
         registers = self._options.values
         super().__init__(f"sensor {model}".strip(), self._options, next(iter(registers.values())))
         rates = {name: r.max_rate for name, r in registers.items() if r.max_rate is not None}

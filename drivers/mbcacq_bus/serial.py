@@ -6,13 +6,23 @@ import math
 import threading
 import time
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import Field as Option
 
-from mbcacq.devices import ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, IdentityError, ProtocolError
-from mbcacq_bus.options import BusOptions, parse
+from mbcacq.devices import (
+    ConfigError,
+    ConnectError,
+    ContextDevice,
+    Description,
+    DeviceFault,
+    DeviceTimeout,
+    Field,
+    IdentityError,
+    ProtocolError,
+    parse_options,
+)
+from mbcacq_bus.options import BusOptions
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.serial_link import SerialIdentity, compiled
 from mbcacq_bus.serial_port import close_port, open_port
@@ -44,7 +54,7 @@ class SerialOptions(BusOptions):
     identity: SerialIdentity | None = None
 
 
-class SerialSensor:
+class SerialSensor(ContextDevice):
     """Keeps the latest line in a thread, so that a reading is never older than ``timeout_s`` and never waits without need."""
 
     options_model = SerialOptions
@@ -52,7 +62,7 @@ class SerialSensor:
     first_contact = ("The value that `mbcacq doctor {plan}` reads is the one on the device's display, in the unit of the plan.",)
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        self._options = parse(SerialOptions, DEVICE, options)
+        self._options = parse_options(SerialOptions, DEVICE, options)
         self._pattern = compiled(self._options.line, DEVICE, "line")
         if not self._pattern.groupindex:
             raise ConfigError("options of the serial sensor: line needs named groups, e.g. T=(?P<air_C>[-+0-9.]+); correct the plan")
@@ -182,13 +192,6 @@ class SerialSensor:
             self._thread.join(timeout=2.0)
             self._thread = None
         close_port(port)
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _send(self, text: str) -> None:
         try:

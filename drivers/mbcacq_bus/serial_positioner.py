@@ -6,15 +6,14 @@ import math
 import threading
 import time
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from pydantic import Field as Option
 from pydantic import model_validator
 
-from mbcacq.devices import Aborted, ConfigError, Description, DeviceFault, DeviceTimeout, Field, ProtocolError
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, ProtocolError, parse_options
 from mbcacq_bus.idle import IdlePoll
-from mbcacq_bus.options import BusOptions, parse
+from mbcacq_bus.options import BusOptions
 from mbcacq_bus.serial_link import SerialConnection, SerialLink, compiled
 
 POLL_S = 0.05
@@ -77,7 +76,7 @@ class SerialPositionerOptions(SerialConnection):
             raise ValueError(f"move.send is no text with {{raw}} or {{value}}: {error}") from None
 
 
-class SerialPositioner:
+class SerialPositioner(ContextDevice):
     """Sends where to go, then asks until it stands there."""
 
     asks = False
@@ -90,7 +89,7 @@ class SerialPositioner:
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
-        o = self._options = parse(SerialPositionerOptions, DEVICE, options)
+        o = self._options = parse_options(SerialPositionerOptions, DEVICE, options)
         self._model, self._stopped = model, threading.Event()
         self._link = SerialLink(f"positioner {model}".strip(), o, self._stopped)
         question = o.position or o.ready
@@ -146,13 +145,6 @@ class SerialPositioner:
         self._idle.stop()
         self.stop()
         self._link.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _wait(self, station: str, target: float) -> None:
         o, began, where = self._options, time.monotonic(), "in an unknown place"

@@ -7,19 +7,18 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from mbcacq.devices import Aborted, ConfigError, ConnectError, Description, DeviceFault, DeviceTimeout, Field, Scan
+from mbcacq.devices import Aborted, ConfigError, ConnectError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, Scan
 from mbcacq_folder.options import parse
 from mbcacq_folder.trigger import POLL_S, CloudTrigger
 
 Written = tuple[int, int]  # size, time of the last change in ns
 
 
-class FolderScanner:
+class FolderScanner(ContextDevice):
     """Implements mbcacq.devices.Scanner. Options: see FolderOptions.
 
     A file that stood in the folder before the trigger, unchanged, is never taken: an old cloud cannot pass for a new one.
@@ -89,13 +88,6 @@ class FolderScanner:
     def close(self) -> None:
         self.stop()
         self._connected = False
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _files(self) -> dict[Path, Written]:
         """Every file of the pattern, with what says whether it changes. Raises ConnectError where the folder is gone."""

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, model_validator
 from pydantic import Field as Option
 
-from mbcacq.devices import ConfigError
+from mbcacq.devices import parse_options
 
 
 class FolderModel(BaseModel):
@@ -61,10 +61,4 @@ class FolderOptions(FolderModel):
 
 def parse(name: str, options: Mapping[str, Any]) -> FolderOptions:
     """Raises ConfigError naming the option and what is wrong with it."""
-    try:
-        return FolderOptions.model_validate(dict(options))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "options"
-        known = ", ".join(field for field in FolderOptions.model_fields if field != "read_cloud")
-        raise ConfigError(f"options of scanner '{name}': {where}: {first['msg']} (it knows: {known}); correct the plan") from error
+    return parse_options(FolderOptions, f"scanner '{name}'", options, ("read_cloud",))

@@ -7,13 +7,13 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from mbcacq.devices import (
     Aborted,
     ConfigError,
     ConnectError,
+    ContextDevice,
     Description,
     DeviceTimeout,
     Field,
@@ -48,7 +48,7 @@ _RESTORE_CONNECT_S, _RESTORE_REPLY_S = 1.0, 5.0
 _log = logging.getLogger("mbcacq.gocator")
 
 
-class Gocator:
+class Gocator(ContextDevice):
     """Driver ``gocator``. ``model`` is what the sensor must call itself ('3210', a part number; '' for any).
 
     Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``.
@@ -124,13 +124,6 @@ class Gocator:
             self._restore()
         finally:
             self._drop()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _capture_with_retries(self) -> Scan:
         attempt = 0

@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,18 @@ try:
 except ImportError as error:
     raise ImportError("asyncua is missing: pip install 'mbcacq[opcua]'") from error
 
-from mbcacq.devices import ConnectError, Cycles, Description, Field, MbcacqError, MotionLimits, ProtocolError, RobotState, SafetyStop
+from mbcacq.devices import (
+    ConnectError,
+    ContextDevice,
+    Cycles,
+    Description,
+    Field,
+    MbcacqError,
+    MotionLimits,
+    ProtocolError,
+    RobotState,
+    SafetyStop,
+)
 from mbcacq_opcua.link import OpcUaLink
 from mbcacq_opcua.options import OpcUaOptions, parse
 
@@ -23,7 +33,7 @@ MOVING_RAD_S = 1e-3  # slower is standing, for ``state().moving`` alone: whether
 LONGEST_RAD = 100.0  # no joint turns that far
 
 
-class OpcUaRobot:
+class OpcUaRobot(ContextDevice):
     """Implements mbcacq.devices.Robot for an arm that is only followed. Options: see OpcUaOptions."""
 
     plan_facts = ("follow", "controller_joints")
@@ -111,13 +121,6 @@ class OpcUaRobot:
         link, self._link = self._link, None
         if link is not None:
             link.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _forget(self) -> None:
         self._latest: tuple[float, np.ndarray] | None = None

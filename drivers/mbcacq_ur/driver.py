@@ -6,14 +6,14 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from mbcacq.devices import (
     ConfigError,
     ConnectError,
+    ContextDevice,
     Cycles,
     Description,
     DeviceFault,
@@ -36,7 +36,7 @@ IDLE_S = 0.5  # on the controller's clock: idle for longer, and not at the targe
 COLUMNS = {"q": "actual_q", "q_set": "target_q", "current_A": "actual_current", "joint_temperature_C": "joint_temperatures"}
 
 
-class UrRtdeRobot:
+class UrRtdeRobot(ContextDevice):
     """Implements mbcacq.devices.Robot. Options: see UrOptions. Losing the connection stops the arm: its program has a watchdog.
 
     Under the option follow it only listens: it needs no program on the controller, and it never moves the arm.
@@ -193,13 +193,6 @@ class UrRtdeRobot:
         link, self._link = self._link, None
         if link is not None:
             link.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _forget(self) -> None:
         self._latest: Values | None = None

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from mbcacq.devices import HOST, ConfigError
+from mbcacq.devices import HOST, parse_options
 
 AXES = 6
 
@@ -45,11 +45,4 @@ class UrOptions(BaseModel):
 
 def parse(name: str, options: Mapping[str, Any]) -> UrOptions:
     """Raises ConfigError naming the option and what is wrong with it."""
-    try:
-        return UrOptions.model_validate(dict(options))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "options"
-        raise ConfigError(
-            f"options of robot '{name}': {where}: {first['msg']} (it knows: {', '.join(UrOptions.model_fields)}); correct the plan"
-        ) from error
+    return parse_options(UrOptions, f"robot '{name}'", options)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, overload
 
 import numpy as np
@@ -17,6 +17,7 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import select_phases
+from mbcacq.model.json_text import fields_as_json, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 
@@ -40,9 +41,6 @@ class ComparisonRow:
     why: str = ""
     why_not_held_out: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
-
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Sequence[ComparisonRow]):
@@ -64,12 +62,12 @@ class Comparison(Sequence[ComparisonRow]):
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form, read back by ``from_dict``."""
-        return {"format": FORMAT, "rows": [row.to_dict() for row in self.rows]}
+        return {"format": FORMAT, "rows": [fields_as_json(row) for row in self.rows]}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Comparison:
         """The comparison that ``to_dict`` wrote."""
-        return cls(tuple(ComparisonRow(**row) for row in content["rows"]))
+        return cls(tuple(from_fields(ComparisonRow, row) for row in content["rows"]))
 
     def __repr__(self) -> str:
         judged = [row for row in self.rows if row.held_out_mm is not None]

@@ -93,7 +93,7 @@ class EndVariance(NamedTuple):
 
     scanner: float
     joints: float
-    count: float
+    poses: float
 
 
 def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends: Sequence[EndVariance] = ()) -> LengthBudget:
@@ -113,8 +113,8 @@ def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends:
     artefact = obs.cell.artefact(obs.cell.stations[station].artefact)
     a, b = (artefact.centres[artefact.ball_ids.index(ball)] for ball in balls)
     length = float(np.linalg.norm(a - b))
-    probing = sum(end.scanner / end.count for end in ends)
-    repeatability = sum(repeated_variance(obs, end.joints) / end.count for end in ends)
+    probing = sum(end.scanner / end.poses for end in ends)
+    repeatability = sum(repeated_variance(obs, end.joints) / end.poses for end in ends)
     return LengthBudget(
         length,
         float(np.sqrt(2) * artefact.uncertainty_mm),

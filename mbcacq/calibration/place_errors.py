@@ -9,7 +9,7 @@ arm with corrected targets misses (after). Both are of the same poses, of one re
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from mbcacq.estimation.forward_model import predict, residual
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.terms import unit
 from mbcacq.geometry import se3
+from mbcacq.model.json_text import fields_as_json, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 
@@ -73,16 +74,12 @@ class ArmImprovement:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content."""
-        return asdict(self) | {key: list(getattr(self, key)) for key in ("pose", "before_mm", "after_mm")}
+        return fields_as_json(self)
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> ArmImprovement:
-        """What ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
-        several = {key: tuple(content[key]) for key in ("pose", "before_mm", "after_mm")}
-        before, after = (MissedBy(**content[key]) for key in ("before", "after"))
-        return cls(
-            before=before, after=after, noise_mm=float(content["noise_mm"]), poses=int(content["poses"]), new=content["new"], **several
-        )
+        """What ``to_dict`` wrote. Raises ValueError where it is damaged."""
+        return from_fields(cls, content)
 
 
 def arm_improvement(

@@ -43,7 +43,7 @@ def options_for(obs: Observations, options: CalibrationOptions) -> CalibrationOp
     at one station determine the hand-eye transform alone; at several stations, what they leave open is held, and the standard deviations
     show it. Options that hold the arm or refuse nothing already, and those of the published method, stay.
     """
-    if obs.cell.robot.of_flange_poses and options.method == "ml":
+    if obs.cell.robot.of_flange_poses:
         return replace(options, kinematics=False)
     if options.method != "ml" or not (options.kinematics and options.refuse) or obs.phase is None or "position" in obs.phase:
         return options
@@ -61,7 +61,7 @@ def refuse_insufficient(obs: Observations, options: CalibrationOptions) -> None:
 
 def refuse_unknown_arm(obs: Observations, options: CalibrationOptions) -> None:
     """Raise CalibrationError where the arm's links are to be identified from poses of the flange."""
-    if (options.kinematics or options.method == "paper") and obs.cell.robot.of_flange_poses:
+    if options.kinematics and obs.cell.robot.of_flange_poses:
         raise CalibrationError(
             "the poses are given by the flange and not by joint angles, which leaves the arm's links undetermined; identify the hand-eye "
             "transform alone (--hand-eye-only), or give the joint angles"

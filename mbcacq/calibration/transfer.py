@@ -7,7 +7,7 @@ nothing at all where its places are known.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry.chain import Chain
+from mbcacq.model.json_text import Number, fields_as_json, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed, micrometres
 
@@ -40,9 +41,9 @@ class TransferFigures:
     """rms_mm: 3D, over the centres that are no outliers; median_mm; chi2_dof: chi square per degree of freedom, under the noise of centres
     and joints that the learnt cell states; what was fitted there is no degree of freedom."""
 
-    rms_mm: float
-    median_mm: float
-    chi2_dof: float
+    rms_mm: Number
+    median_mm: Number
+    chi2_dof: Number
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ class EffectGain:
 
     name: str
     where: tuple[str, ...]
-    without_mm: float
-    gain: float
+    without_mm: Number
+    gain: Number
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,9 @@ class NormalisedError:
     share of centres below 3. About 1 where the statement is true.
     """
 
-    rms: float
-    quantile_95: float
-    share_below_3: float
+    rms: Number
+    quantile_95: Number
+    share_below_3: Number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,24 +88,12 @@ class Transfer:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content."""
-        return asdict(self) | {"effects": [asdict(e) | {"where": list(e.where)} for e in self.effects], "warnings": list(self.warnings)}
+        return fields_as_json(self)
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Transfer:
-        """The transfer that ``to_dict`` wrote. Raises KeyError or TypeError where it is damaged."""
-        own, normalised = content["own_geometry"], content["normalised_error"]
-        return cls(
-            place=content["place"],
-            poses=content["poses"],
-            centres=content["centres"],
-            geometry_alone=TransferFigures(**content["geometry_alone"]),
-            with_effects=TransferFigures(**content["with_effects"]),
-            own_geometry=None if own is None else TransferFigures(**own),
-            effects=tuple(EffectGain(**{**e, "where": tuple(e["where"])}) for e in content["effects"]),
-            normalised_error=None if normalised is None else NormalisedError(**normalised),
-            warnings=tuple(content["warnings"]),
-            recording=content["recording"],
-        )
+        """The transfer that ``to_dict`` wrote. Raises ValueError where it is damaged."""
+        return from_fields(cls, content)
 
     @property
     def text(self) -> str:

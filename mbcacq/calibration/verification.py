@@ -157,9 +157,9 @@ def measured_pairs(obs: Observations, before: CellState, after: CellState, effec
     certified = dict(zip(obs.cell.ball_ids, obs.cell.ball_centres, strict=True))
     out = []
     for station, a, b in _pairs(obs, found):
-        lengths = (float(np.linalg.norm(where[station, a] - where[station, b])) for where in (start, found))
+        first, last = (float(np.linalg.norm(where[station, a] - where[station, b])) for where in (start, found))
         length = float(np.linalg.norm(certified[a] - certified[b]))
-        out.append(MeasuredPair(station, (a, b), length, *lengths, (ends[station, a], ends[station, b])))
+        out.append(MeasuredPair(station, (a, b), length, first, last, (ends[station, a], ends[station, b])))
     return out
 
 

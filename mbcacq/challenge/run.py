@@ -16,9 +16,9 @@ from mbcacq.challenge.scenarios import OUTSIDE, Scenario
 from mbcacq.challenge.score import Score, score
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.result import plain
 from mbcacq.effects.catalogue import declaration
 from mbcacq.files.atomic_write import write_file
+from mbcacq.model.json_text import plain
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 
 

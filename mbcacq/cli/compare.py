@@ -49,7 +49,7 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
         progress("reading the recording")
         rows = mbcacq.compare(data, held_out=not no_held_out, seed=seed, progress=progress)
     if as_json:
-        echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": [row.to_dict() for row in rows]}))
+        echo(json.dumps({"format": "mbcacq-comparison/1", "data": str(data), "rows": rows.to_dict()["rows"]}))
         return
     from rich.table import Table
 
@@ -94,12 +94,12 @@ def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool
         table.add_column(name, justify="right")
     table.add_column("unit")
     for marked, name, *shown in found.table:
-        table.add_row(f"{'! ' * marked}{name}", *shown)
+        table.add_row(f"{'! ' * marked}{name}", *(text.replace(" ± ", "\n± ") for text in shown))
     terminal_console(highlight=False).print(table)
     for sentence in (*found.sentences, found.how):
         echo(sentence)
     if report is not None:
         echo(f"page: {report}")
-        say_next("ask what the later recording says of the cause", command_line("diagnose", second))
+        say_next(*found.next_step)
     else:
         say_next("see it with its charts", command_line("compare", first, second, "--report", "changes.html"))

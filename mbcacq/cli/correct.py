@@ -56,7 +56,7 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
     if found.reached.any():
         echo(f"residual of the corrected points by the model: at most {significant(1e3 * found.error_mm[found.reached].max(), 2)} µm")
     for p in np.flatnonzero(~found.reached)[:MOST_LINES]:
-        echo(f"  {_place(done.names[p], done.lines[p])}: not reached, {significant(found.error_mm[p])} mm short: {found.reasons[p]}")
+        echo(f"  {_place(done.names[p], done.lines[p])}: not reached, {significant(float(found.error_mm[p]))} mm short: {found.reasons[p]}")
     for p in np.flatnonzero(done.change > LARGE_CHANGE)[:MOST_LINES]:
         changed = f"a joint changes by {np.degrees(done.change[p]):.2f}°; look at it before it runs"
         echo(f"  {_place(done.names[p], done.lines[p])}: {changed}")

@@ -209,7 +209,7 @@ def print_evidence(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, o
 
     import mbcacq
     from mbcacq.diagnosis.output.evidence_summary import evidence_in_words
-    from mbcacq.diagnosis.result import plain
+    from mbcacq.model.json_text import plain
 
     if len(data) != 1:
         raise ConfigError("the evidence is weighed of one recording; give one with --evidence")

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from mbcacq.devices.addresses import HOST, is_host
 from mbcacq.devices.deferred_signals import signals_deferred
+from mbcacq.devices.life_cycle import ContextDevice
+from mbcacq.devices.plan_options import parse_options
 from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
 from mbcacq.devices.registry import available, create, load_driver
 from mbcacq.errors import (
@@ -32,6 +34,7 @@ __all__ = [
     "Aborted",
     "ConfigError",
     "ConnectError",
+    "ContextDevice",
     "Cycles",
     "Description",
     "Device",
@@ -54,5 +57,6 @@ __all__ = [
     "create",
     "is_host",
     "load_driver",
+    "parse_options",
     "signals_deferred",
 ]

@@ -6,31 +6,33 @@ Every class here is plain data: it pickles, and its fields are the keys of the J
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
-from functools import cache
+from dataclasses import dataclass, field, fields
 from html import escape
 from typing import Annotated, Any, Self
 
-import numpy as np
-from pydantic import BeforeValidator, PlainValidator, TypeAdapter
+from pydantic import PlainValidator, WithJsonSchema
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import Parameter
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.effect_file import EffectModelFile, TermInFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import Number, damage, with_nan
+from mbcacq.model.json_text import Number, damage, from_fields, plain
 from mbcacq.quantities import micrometres
 
 FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
 
 
-Estimate = Annotated[ParameterEstimate, BeforeValidator(with_nan)]
-Model = Annotated[EffectModel | None, PlainValidator(lambda content: EffectModel.from_dict(content) if content else None)]
+Model = Annotated[
+    EffectModel | None,
+    PlainValidator(lambda content: EffectModel.from_dict(content) if content else None, json_schema_input_type=EffectModelFile | None),
+]
+Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_explained", "unexplained", "cannot_tell"]})]
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ class EffectFound:
 
     name: str
     where: tuple[str, ...]
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[str, ParameterEstimate]
     p_value: Number
     held_out_gain: Number
     alternatives: tuple[Alternative, ...] = ()
@@ -262,7 +264,7 @@ class Proposal:
     smooth_chi2_dof: Number
     found_in: int
     parts: int
-    term: Annotated[EffectTerm, PlainValidator(EffectTerm.from_dict)]
+    term: Annotated[EffectTerm, PlainValidator(EffectTerm.from_dict, json_schema_input_type=TermInFile)]
 
 
 @dataclass(frozen=True)
@@ -273,7 +275,7 @@ class ComparedEffect:
 
     name: str
     where: tuple[str, ...]
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[str, ParameterEstimate]
     tried: bool = True
 
 
@@ -321,7 +323,7 @@ class Diagnosis:
     object, so None after ``from_json``.
     """
 
-    verdict: str
+    verdict: Verdict
     mismatch: tuple[MismatchEntry, ...]
     effects: tuple[EffectFound, ...]
     fit: FitSummary
@@ -353,7 +355,7 @@ class Diagnosis:
             said = f"its format is '{kind}'" if kind else "it does not say its format"
             raise ConfigError(f"this is no diagnosis: {said}, which should be '{FORMAT}'; give what mbcacq diagnose --out writes")
         try:
-            return _reader().validate_python(content)
+            return from_fields(cls, content)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
 
@@ -382,26 +384,3 @@ class Diagnosis:
             f"{micrometres(held.before_rms_mm)} before, {micrometres(held.after_rms_mm)} after; "
             f"χ²/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; ± is U (k = 2)</p>{table}"
         )
-
-
-def plain(value: Any) -> Any:
-    """Only what JSON has: dataclasses become dictionaries, of their ``to_dict`` where they have one, numpy numbers become numbers, what is
-    not finite becomes None.
-    """
-    if hasattr(value, "to_dict"):
-        value = value.to_dict()
-    elif is_dataclass(value) and not isinstance(value, type):
-        value = {f.name: getattr(value, f.name) for f in fields(value)}
-    elif isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-@cache
-def _reader() -> TypeAdapter[Diagnosis]:
-    """What makes a diagnosis of content of JSON."""
-    return TypeAdapter(Diagnosis)

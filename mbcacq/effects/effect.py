@@ -17,6 +17,7 @@ import numpy as np
 
 from mbcacq.effects.functions import OF_CENTRES, ZERO, Column, DescribedPart
 from mbcacq.estimation.terms import Part
+from mbcacq.model.json_text import Number
 from mbcacq.quantities import K, measured, split_unit
 
 __all__ = [
@@ -73,8 +74,8 @@ class Hyperparameter:
 class ParameterEstimate:
     """A reported parameter and its standard deviation, in the unit that its name ends with; tuples where it has several components."""
 
-    value: float | tuple[float, ...]
-    std: float | tuple[float, ...]
+    value: Number | tuple[Number, ...]
+    std: Number | tuple[Number, ...]
 
     def __str__(self) -> str:
         return self.shown("")

@@ -29,47 +29,47 @@ class _Open(BaseModel):
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
 
-class _Function(_Open):
+class FunctionInFile(_Open):
     of: str
     kind: str
     numbers: list[float]
 
 
-class _Product(_Open):
+class ProductInFile(_Open):
     factor: float
-    functions: list[_Function]
+    functions: list[FunctionInFile]
 
 
-class _Part(_Open):
+class PartInFile(_Open):
     place: str
     index: int
     component: int
-    columns: list[list[_Product]]
+    columns: list[list[ProductInFile]]
 
 
-class _Range(_Open):
+class RangeInFile(_Open):
     intervals: list[tuple[float, float]] = Field(min_length=1)
     mean: float
 
 
-class _Term(_Open):
+class TermInFile(_Open):
     name: str = Field(min_length=1)
     where: list[str]
     depends_on: str
     variant: str
     hyper: dict[str, float]
-    parts: list[_Part] = Field(min_length=1)
+    parts: list[PartInFile] = Field(min_length=1)
     names: list[str] = Field(min_length=1)
     units: list[str]
     coefficients: list[float]
     std: list[float | None]
     sigma: list[float | None]
     typical: list[float | None]
-    ranges: dict[str, _Range]
+    ranges: dict[str, RangeInFile]
     clamped: list[str]
 
 
-class _Robot(_Open):
+class RobotInFile(_Open):
     model_config = ConfigDict(extra="allow", allow_inf_nan=True)  # an axis may turn without end
 
     name: str
@@ -83,23 +83,23 @@ class _Robot(_Open):
     gravity: Three
 
 
-class _Anchor(_Open):
+class AnchorInFile(_Open):
     pose: int
     q: list[float]
 
 
-class _Learnt(_Open):
-    anchors: list[_Anchor]
+class LearntInFile(_Open):
+    anchors: list[AnchorInFile]
     poses: list[int]
     time_origin_s: float
     duration_s: float
 
 
-class _EffectModel(_Open):
+class EffectModelFile(_Open):
     measurement: Literal["artefact_in_scanner", "target_in_base"]
-    robot: _Robot
-    learnt: _Learnt
-    terms: list[_Term]
+    robot: RobotInFile
+    learnt: LearntInFile
+    terms: list[TermInFile]
 
 
 def check_effects(content: Mapping[str, Any], source: str, key: str = "") -> None:
@@ -109,7 +109,7 @@ def check_effects(content: Mapping[str, Any], source: str, key: str = "") -> Non
     """
     within = f"{key}." if key else ""
     try:
-        model = _EffectModel.model_validate(dict(content))
+        model = EffectModelFile.model_validate(dict(content))
     except ValidationError as error:
         at, fault = first_fault(error)
         raise _damaged(source, within + at, fault) from None
@@ -122,7 +122,7 @@ def check_effects(content: Mapping[str, Any], source: str, key: str = "") -> Non
         _check_term(term, axes, source, f"{within}terms.{i}")
 
 
-def _check_term(term: _Term, axes: int, source: str, key: str) -> None:
+def _check_term(term: TermInFile, axes: int, source: str, key: str) -> None:
     k = len(term.names)
     for name in ("units", "coefficients", "std", "sigma", "typical"):
         if len(getattr(term, name)) != k:
@@ -138,7 +138,7 @@ def _check_term(term: _Term, axes: int, source: str, key: str) -> None:
         _check_part(part, k, axes, source, f"{key}.parts.{j}")
 
 
-def _check_part(part: _Part, k: int, axes: int, source: str, key: str) -> None:
+def _check_part(part: PartInFile, k: int, axes: int, source: str, key: str) -> None:
     if part.place not in COMPONENTS:
         raise _damaged(source, f"{key}.place", f"'{part.place}' is none of {', '.join(COMPONENTS)}")
     last = {"joint": axes - 1, "frame": axes}.get(part.place)  # the others have no index
@@ -154,7 +154,7 @@ def _check_part(part: _Part, k: int, axes: int, source: str, key: str) -> None:
                 _check_function(function, axes, source, f"{key}.columns.{c}.{p}.functions.{f}")
 
 
-def _check_function(function: _Function, axes: int, source: str, key: str) -> None:
+def _check_function(function: FunctionInFile, axes: int, source: str, key: str) -> None:
     for pattern, first in ((_OF_JOINT, 1), (_OF_FRAME, 0)):
         found = pattern.match(function.of)
         if found and not first <= int(found[1]) <= axes:

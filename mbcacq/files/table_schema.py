@@ -18,6 +18,7 @@ _BEHIND_WORD = re.compile(r"(.+?)(?: in | ?/ ?)(\S+)\s*")
 # Names of a joint's angle beside q1, by what controllers and other programs write.
 JOINT_NAMES = ("a{}", "j{}", "joint{}", "joint_{}", "axis{}", "axis_{}", "achse{}", "achse_{}")
 
+KEPT_HEADING = 80  # characters
 _IN_HEADINGS = {"degC": "C", "ppm/K": "ppm_per_K"}
 
 
@@ -158,7 +159,8 @@ def score(columns: Sequence[Column], headings: Sequence[str]) -> tuple[int, bool
     return len(found), bool(found) and all(column.name in found for column in columns if column.required)
 
 
-def _hit(column: Column, heading: str) -> tuple[int, str] | None:
+@lru_cache(maxsize=4096)
+def _hit_of(column: Column, heading: str) -> tuple[int, str] | None:
     """Rank (0 is best) and unit ('' where none is named) of a heading as this column; None where it is another."""
     names = (column.name, *column.aliases)
     keys = _keys(column)
@@ -174,6 +176,11 @@ def _hit(column: Column, heading: str) -> tuple[int, str] | None:
         if bracket:
             raise HeadingError(f"column {heading}: {column.preferred} cannot be given in {unit}; correct the unit")
     return None
+
+
+def _hit(column: Column, heading: str) -> tuple[int, str] | None:
+    """``_hit_of``; a heading that is longer than headings are is not kept in memory."""
+    return _hit_of(column, heading) if len(heading) <= KEPT_HEADING else _hit_of.__wrapped__(column, heading)
 
 
 def _readings(column: Column, heading: str) -> list[tuple[str, str, bool]]:

@@ -120,7 +120,7 @@ def read_table(fleet: Path) -> list[dict[str, Any]]:
         rows = parquet.read_table(path).to_pylist()
     except (OSError, ArrowException, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read as the table of a fleet ({error}); give what mbcacq fleet wrote") from error
-    needed = {"recording", "arm", "status", "names", "covariance", "nominal"}
+    needed = {"recording", "arm", "robot", "time", "status", "names", "covariance", "nominal"}
     if not rows or not needed <= set(rows[0]):
         raise ConfigError(f"{path} is no table of a fleet; give what mbcacq fleet wrote")
     for number, row in enumerate(rows, 1):
@@ -139,6 +139,9 @@ def is_evaluated(row: Mapping[str, Any]) -> bool:
         and all(isinstance(values, list) for values in lists)
         and all(isinstance(name, str) for name in names)
         and all(_is_figure(row.get(f"error.{name}")) for name in names if name.rpartition("_")[0] in PARAMETERS)
+        and all(
+            _is_figure(row.get(name.replace("error.", "std.", 1))) for name in row if name.startswith("error.") and row[name] is not None
+        )
         and len(row["covariance"]) == len(names) ** 2
         and len(row["nominal"]) % len(PARAMETERS) == 0
         and all(map(_is_figure, (*row["covariance"], *row["nominal"])))

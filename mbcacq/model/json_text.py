@@ -1,13 +1,15 @@
-"""JSON texts as data, and what is wrong with one said in words."""
+"""JSON texts as data and typed objects, and what is wrong with one said in words."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any
+from dataclasses import fields, is_dataclass
+from functools import cache
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BeforeValidator, ValidationError
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from mbcacq.errors import ConfigError
 
@@ -36,7 +38,43 @@ def with_nan(value: Any) -> Any:
     return np.nan if value is None else value
 
 
-Number = Annotated[float, BeforeValidator(with_nan)]
+Number = Annotated[float, BeforeValidator(with_nan, json_schema_input_type=float | None)]
+T = TypeVar("T")
+
+
+def plain(value: Any) -> Any:
+    """Only what JSON has: dataclasses become dictionaries, of their ``to_dict`` where they have one, numpy numbers become numbers, what is
+    not finite becomes None.
+    """
+    if hasattr(value, "to_dict"):
+        value = value.to_dict()
+    elif is_dataclass(value) and not isinstance(value, type):
+        return fields_as_json(value)
+    elif isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def fields_as_json(value: Any) -> dict[str, Any]:
+    """The fields of a dataclass as JSON content; ``from_fields`` reads them."""
+    return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+
+
+def from_fields(kind: type[T], content: Any) -> T:
+    """An object of the JSON content of its fields, each of its declared type; keys that it does not have are left out.
+
+    Raises ValueError (``pydantic.ValidationError``) where one is missing or of another type.
+    """
+    return _reader(kind).validate_python(content)
+
+
+@cache
+def _reader(kind: type[T]) -> TypeAdapter[T]:
+    return TypeAdapter(kind)
 
 
 def read_json(data: bytes | str, name: str, cure: str) -> Any:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import floor, isfinite, log10
 from pathlib import Path
 from typing import Any
 
 from mbcacq.files.atomic_write import write_file
+from mbcacq.model.json_text import Number, fields_as_json, from_fields
 from mbcacq.quantities import K, significant, symbol, uncertainty
 
 RUNS, TORQUES, POSES = "runs", "torques", "poses"  # what a recording is compared with
@@ -25,10 +26,10 @@ class ModelParameter:
     name: str
     where: str
     parameter: str
-    before: float
-    after: float
-    std: float
-    p_value: float
+    before: Number
+    after: Number
+    std: Number
+    p_value: Number
     named: bool
 
     @property
@@ -48,9 +49,9 @@ class ChannelError:
 
     channel: str
     unit: str
-    noise: float
-    before: float
-    after: float
+    noise: Number
+    before: Number
+    after: Number
 
 
 @dataclass(frozen=True)
@@ -88,19 +89,12 @@ class ModelMatch:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON content."""
-        return asdict(self)
+        return fields_as_json(self)
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> ModelMatch:
-        """From what ``to_dict`` gave. Raises KeyError or TypeError for anything else."""
-        lists: dict[str, Any] = {
-            "parameters": tuple(ModelParameter(**{**p, "std": _number(p["std"])}) for p in content["parameters"]),
-            "errors": tuple(ChannelError(**e) for e in content["errors"]),
-            "checks": tuple(ModelCheck(c["recording"], tuple(ChannelError(**e) for e in c["errors"])) for c in content["checks"]),
-            "remarks": tuple(content["remarks"]),
-        }
-        known: dict[str, Any] = {name: content[name] for name in ("model", "xml", "compared")}
-        return cls(**known, **lists)
+        """From what ``to_dict`` gave. Raises ValueError for anything else."""
+        return from_fields(cls, content)
 
     @property
     def verdict(self) -> str | None:
@@ -150,7 +144,3 @@ def _rows(errors: tuple[ChannelError, ...]) -> list[str]:
         f"  {e.channel:<12} {significant(e.before)} -> {significant(e.after)} {symbol(e.unit)} (noise {significant(e.noise, 2)})"
         for e in errors
     ]
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

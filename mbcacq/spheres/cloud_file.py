@@ -84,8 +84,11 @@ def _ply(path: Path) -> dict[str, np.ndarray]:
         lines = [line for line in path.read_bytes()[header.size :].splitlines() if line.strip()]
         first = sum(element.count for element in before)
         rows = lines[first : first + vertex.count]
-        if len(lines) < sum(element.count for element in header.elements):
+        announced = sum(element.count for element in header.elements)
+        if len(lines) < announced:
             raise ConfigError(f"{path}: is cut off: its header announces {vertex.count} points and {len(rows)} lines follow; copy it anew")
+        if len(lines) > announced:
+            raise ConfigError(f"{path}: its header announces {announced} lines and {len(lines)} follow; export the cloud anew")
         return _text_columns(path, rows, [(p.name, np.dtype(p.type)) for p in vertex.properties])
     order = "<" if header.little else ">"
     dtype = _row_type(vertex, order)
@@ -198,10 +201,10 @@ def _pcd_binary(path: Path, data: bytes, fields: list[tuple[str, np.dtype]], cou
             raise ConfigError(f"{path}: has {len(data)} bytes of points where its header announces {size}; copy it anew")
         rows = np.frombuffer(data[:size], np.dtype([(name, t.newbyteorder("<")) for name, t in fields]))
         return {name: rows[name].astype(t) for name, t in fields}
-    length, announced = np.frombuffer(data[:8], "<u4") if len(data) >= 8 else (0, -1)
+    length, announced = np.frombuffer(data[:8], "<u4").tolist() if len(data) >= 8 else (0, -1)
     if announced != size or len(data) < 8 + length:
         raise ConfigError(f"{path}: its compressed points are not whole; copy it anew")
-    plain, out, at = _lzf(path, data[8 : 8 + int(length)], size), {}, 0
+    plain, out, at = _lzf(path, data[8 : 8 + length], size), {}, 0
     for name, t in fields:  # one field after the other
         out[name] = np.frombuffer(plain, t.newbyteorder("<"), count, at).astype(t)
         at += count * t.itemsize

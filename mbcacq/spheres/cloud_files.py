@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -204,6 +206,14 @@ def _check_pcd(path: Path) -> None:
         raise ConfigError(f"{path}: is cut off: its head announces {int(points[1])} points; save the cloud anew")
 
 
+def _has_second_page(file: Any) -> bool:
+    try:
+        file.pages[1]
+    except IndexError:
+        return False
+    return True
+
+
 def _range_map(path: Path, form: CloudFormat) -> np.ndarray:
     try:
         import tifffile
@@ -212,11 +222,15 @@ def _range_map(path: Path, form: CloudFormat) -> np.ndarray:
     if form.range_map is None:
         raise ConfigError(f"{path}: a range map says no millimetres; give its scale (mm a column, mm a row, mm a count, mm at count 0)")
     try:
-        counts = np.squeeze(tifffile.imread(path))
+        with tifffile.TiffFile(path) as file:
+            page = file.pages.first  # the pages of a damaged file may be a chain without an end: never all of them
+            shape = tuple(size for size in page.shape if size != 1)
+            plain = len(shape) == 2 and math.prod(shape) <= MOST_POINTS and not _has_second_page(file)
+            counts = page.asarray().reshape(shape) if plain else None
     except Exception as error:  # the library raises what it meets in a broken file
         raise ConfigError(f"{path}: is no whole TIFF file ({type(error).__name__}); save the range map anew") from error
-    if counts.ndim != 2 or counts.size > MOST_POINTS:
-        raise ConfigError(f"{path}: has the shape {counts.shape}, and a range map has rows and columns; save one channel")
+    if counts is None:
+        raise ConfigError(f"{path}: has a page of the shape {shape}, or several, and a range map has rows and columns; save one channel")
     dx, dy, dz, z0 = form.range_map
     rows, columns = np.nonzero(np.isfinite(counts) & (counts != 0))
     middle = (np.array(counts.shape) - 1) / 2

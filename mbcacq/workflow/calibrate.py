@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ from mbcacq.workflow.load import as_observations
 
 MOVED_MM = 2.0  # rms with places known, above which it is asked whether they were moved: more than any arm's own errors
 MOVED_SHARE = 0.1  # of that rms: what is left with the places fitted, where the arm is the learnt one
+BUMPED_CHI2 = 2.0  # per degree of freedom with places known, above which it is asked; noise alone gives 1
+BUMPED_SHARE = 0.5  # of that chi2: what is left with the places fitted, where they were moved a little
 
 
 @dataclass(frozen=True)
@@ -111,21 +113,29 @@ def verify_elsewhere(data: Observations | Path | str, calibrated: CalibratedCell
     name = str(data) if isinstance(data, Path | str) else ""
     observations = as_observations(data)
     found = check_transfer(observations, cell, chain, place=place, recording=name)
-    if place == "known" and found.with_effects.rms_mm > MOVED_MM:
-        _refuse_moved(found, check_transfer(observations, cell, chain, place="fitted", recording=name), observations)
+    if place == "known" and found.with_effects.chi2_dof > BUMPED_CHI2:
+        return _moved_or_not(found, observations, lambda: check_transfer(observations, cell, chain, place="fitted", recording=name))
     return found
 
 
-def _refuse_moved(known: Transfer, fitted: Transfer, observations: Observations) -> None:
-    """Raises CalibrationError where the arm is the learnt one, and only what stands around it is elsewhere."""
-    near, far = fitted.with_effects.rms_mm, known.with_effects.rms_mm
-    if near > MOVED_SHARE * far:
-        return
+def _moved_or_not(known: Transfer, observations: Observations, fit: Callable[[], Transfer]) -> Transfer:
+    """The trial, with a warning where the arm is the learnt one and what stands around it is elsewhere.
+
+    Raises CalibrationError where that is so far away that no figure says anything of the arm.
+    """
+    far = known.with_effects.rms_mm
+    try:
+        fitted = fit()
+    except CalibrationError:  # the recording does not determine its own places
+        return known
+    near = fitted.with_effects.rms_mm
     what = "the instrument or the robot's base" if observations.cell.measurement == TARGET_IN_BASE else "the artefacts or the robot's base"
-    raise CalibrationError(
-        f"{known.recording or 'the recording'}: {what} were moved since the result was made: {near:.3g} mm is left with their places "
-        f"fitted, {far:.3g} mm where they are known; use --place fitted"
-    )
+    figures = f"{near:.3g} mm is left with their places fitted, {far:.3g} mm where they are known; use --place fitted"
+    if far > MOVED_MM and near <= MOVED_SHARE * far:
+        raise CalibrationError(f"{known.recording or 'the recording'}: {what} were moved since the result was made: {figures}")
+    if fitted.with_effects.chi2_dof > BUMPED_SHARE * known.with_effects.chi2_dof:
+        return known
+    return replace(known, warnings=(f"{what} seem to have been moved a little since the result was made: {figures}", *known.warnings))
 
 
 def compare(

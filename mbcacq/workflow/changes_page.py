@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mbcacq.errors import command_line
+from mbcacq.quantities import symbol
 from mbcacq.report import write_changes_page
 from mbcacq.report.content import Action, ChangeRow, ChangesContent
 from mbcacq.report.sources.from_result import spacing_of
@@ -31,7 +31,7 @@ def _content(found: RunComparison, first: Mapping[str, Any], second: Mapping[str
     for row in found.rows:
         if row.what == "effect":
             effects.setdefault(row.unit, []).append(row)
-    groups += [(f"Effects, {unit}", f"effects-{k}", rows) for k, (unit, rows) in enumerate(effects.items())]
+    groups += [(f"Effects, {symbol(unit)}", f"effects-{k}", rows) for k, (unit, rows) in enumerate(effects.items())]
     drawn = {
         name: [
             ChangeRow(name=row.title, unit=row.unit, change=row.change[0], expanded=row.change[1], marked=row.significant)
@@ -43,15 +43,14 @@ def _content(found: RunComparison, first: Mapping[str, Any], second: Mapping[str
     drawn = {name: rows for name, rows in drawn.items() if rows}
     spacings = [(name, spacing_of(result)) for name, result in zip(found.names, (first, second), strict=True)]
     headline, *reasons = found.sentences
+    what, command = found.next_step
     return ChangesContent(
         title=f"{found.robot}: two recordings compared",
         names=found.names,
         headline=headline,
         reason=" ".join(f"{reason}." for reason in reasons),
         changed=bool(found.changed),
-        next=Action(
-            "Ask what the later recording says of the cause", "An effect has a name and a place.", command_line("diagnose", found.names[1])
-        ),
+        next=Action(f"{what[0].upper()}{what[1:]}", "", command),
         charts=[(title, name) for title, name, _ in groups if name in drawn],
         rows=drawn,
         spacings=[(name, spacing) for name, spacing in spacings if spacing is not None],

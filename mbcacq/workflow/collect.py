@@ -134,14 +134,15 @@ def collect(
         for sentence in before.repairs:
             operator.message(sentence)
         paired = pair_clouds(loaded, sources, done=before.done, operator=operator)
-        if not paired.poses:
+        if not paired.poses and not (before.done and folder is not None and not (folder / "result.json").exists()):
             for _, text in paired.notes:
                 operator.message(text)
             raise ConfigError(f"{sources.clouds}: no cloud belongs to a pose that is still missing; look at the messages above")
         if folder is None:
             folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
             held.enter_context(write_lock(folder, "collect"))
-        _record(paired, folder, before.part, before.done, operator)
+        if paired.poses:  # none: what was interrupted is the calibration
+            _record(paired, folder, before.part, before.done, operator)
         return evaluate(folder, loaded.plan.accept.sphere_spacing_error_mm, operator.progress)
 
 
@@ -151,7 +152,7 @@ def _session(loaded: LoadedPlan, poses: list[PlannedPose], sources: Sources, don
     form.matrix()
     files = _files(sources)
     table = sources.table or (sources.clouds / TABLE if (sources.clouds / TABLE).is_file() else None)
-    session = _Session(loaded, poses, _slots(loaded, poses, table, done), form, [])
+    session = _Session(loaded, poses, _slots(loaded, poses, table, done, len(files)), form, [])
     for k, path in enumerate(files):
         if k % 10 == 0:
             operator.progress(f"looking for balls in {len(files)} clouds, {100 * k // len(files)} % done")
@@ -178,11 +179,14 @@ def _files(sources: Sources) -> list[Path]:
     return found
 
 
-def _slots(loaded: LoadedPlan, poses: Sequence[PlannedPose], table: Path | None, done: frozenset[int]) -> list[Slot]:
-    """What clouds there should be, in order: as the program's table says, else all exposures of the poses that are not done."""
+def _slots(loaded: LoadedPlan, poses: Sequence[PlannedPose], table: Path | None, done: frozenset[int], clouds: int) -> list[Slot]:
+    """What clouds there should be, in order: as the program's table says, else all exposures of the poses that are not done, or of all
+    poses where there are more clouds than that: then those of the poses that are done are among them."""
     index = {pose.number: k for k, pose in enumerate(poses)}
     if table is None:
-        return [Slot(k, e) for k, pose in enumerate(poses) if pose.number not in done for e in range(pose.exposures)]
+        every = [Slot(k, e) for k, pose in enumerate(poses) for e in range(pose.exposures)]
+        missing = [slot for slot in every if poses[slot.pose].number not in done]
+        return missing if clouds <= len(missing) else every
     rows = read_table(table, PROGRAM_TABLE)
     digests = set(rows.text("plan"))
     numbers, exposures = rows.integer("pose"), rows.integer("exposure")

@@ -15,11 +15,11 @@ from scipy.special import chdtrc, ndtri
 from mbcacq.calibration.result_io import chain_of, effects_of
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.without_prior import without_prior
-from mbcacq.errors import ConfigError
+from mbcacq.errors import ConfigError, command_line
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.json_text import damage
-from mbcacq.quantities import K, measured, p_value, symbol
+from mbcacq.quantities import K, fixed, measured, p_value, symbol
 
 FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
 TURNS = {"rad": 180.0 / np.pi}  # angles are shown in degrees
@@ -45,7 +45,9 @@ class Change:
 
     @property
     def title(self) -> str:
-        """The quantity as people read it: 'hand-eye x' of 'hand_eye.x'."""
+        """The quantity as people read it: 'hand-eye x' of 'hand_eye.x', 'unmodelled A1 q1 order 2 [0]' of 'unknown:A1:q1:order 2[0]'."""
+        if self.name.startswith("unknown:"):
+            return self.name.replace("unknown:", "unmodelled ").replace(":", " ").replace("_", " ").replace("[", " [")
         return self.name.replace("hand_eye.", "hand-eye ")
 
     def to_dict(self) -> dict[str, Any]:
@@ -96,6 +98,13 @@ class RunComparison:
         return [*out, f"Arm and hand-eye together: χ² {self.chi2:.1f} of {self.dof} degrees of freedom, {p_value(self.p_value)}"]
 
     @property
+    def next_step(self) -> tuple[str, str]:
+        """What to do next, and the command for it."""
+        if self.changed or self.p_value < FALSE_ALARMS:
+            return "ask what the later recording says of the cause", command_line("diagnose", self.names[1])
+        return "calibrate both together, as of one arm", command_line("calibrate", *self.names)
+
+    @property
     def how(self) -> str:
         """A sentence on what the changes of the arm rest on."""
         if self.leaning:
@@ -109,17 +118,19 @@ class RunComparison:
     def table(self) -> list[tuple[bool, str, str, str, str, str]]:
         """(beyond chance, quantity, before, after, change, unit) of every row, in words and figures."""
 
-        def text(pair: tuple[float, float | None] | None) -> str:
-            return "–" if pair is None else measured(*pair)
+        def text(row: Change, pair: tuple[float, float | None] | None) -> str:
+            if pair is None:
+                return "–"
+            return fixed(1e3 * pair[0], 1) if row.what == "figure" else measured(*pair)
 
         return [
             (
                 row.significant,
                 row.title,
-                text(row.before),
-                text(row.after),
-                text(row.change) if row.change is not None else row.why_not or "–",
-                symbol(row.unit),
+                text(row, row.before),
+                text(row, row.after),
+                text(row, row.change) if row.change is not None else row.why_not or "–",
+                "µm" if row.what == "figure" else symbol(row.unit),
             )
             for row in self.rows
         ]
@@ -200,7 +211,9 @@ def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list
     for name, one in listed[0].items():
         two = listed[1].get(name)
         mount = name.removeprefix("hand_eye.") if name.startswith("hand_eye.") else ""
-        if two is None or name.startswith("ball_") or not {one["status"], two["status"]} & DETERMINED:
+        what = "hand-eye" if mount else "effect" if name.startswith("unknown:") else "parameter"
+        named_effect = ":" in name and not name.startswith("unknown:")  # has a row of its own below
+        if two is None or name.startswith("ball_") or named_effect or not {one["status"], two["status"]} & DETERMINED:
             continue
         scale = TURNS.get(one["unit"], 1.0)
         unit = "deg" if one["unit"] in TURNS else one["unit"]
@@ -210,11 +223,11 @@ def _geometry(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[list
         )
         if one["std"] is None or two["std"] is None:
             held = "first" if one["std"] is None else "second"
-            rows.append(Change("hand-eye" if mount else "parameter", name, unit, before, after, None, why_not=f"held in the {held}"))
+            rows.append(Change(what, name, unit, before, after, None, why_not=f"held in the {held}"))
             continue
         value = moved[mount] if mount else own[1].error[name] - own[0].error[name]
         change = (scale * value, K * scale * float(np.hypot(own[0].std(name), own[1].std(name))))
-        rows.append(Change("hand-eye" if mount else "parameter", name, unit, before, after, change))
+        rows.append(Change(what, name, unit, before, after, change))
         common.append((name, scale))
     covariance = np.zeros((len(common), len(common)))
     for each in own:

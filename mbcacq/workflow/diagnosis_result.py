@@ -149,7 +149,7 @@ class DiagnosisResult:
         """The JSON content, format mbcacq-diagnosis/3 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
         motion stands under its own key."""
         from mbcacq.diagnosis.motion.combine import combined
-        from mbcacq.diagnosis.result import plain
+        from mbcacq.model.json_text import plain
 
         content = self.main.to_json()
         if self.simulation is not None:
@@ -165,7 +165,7 @@ class DiagnosisResult:
 
     def _recordings(self) -> list[dict[str, Any]]:
         """Before and after in each recording: the one learnt from, and those that it was tried on."""
-        from mbcacq.diagnosis.result import plain
+        from mbcacq.model.json_text import plain
 
         assert self.poses is not None, "a diagnosis of poses has recordings"
         fit = self.poses.fit
@@ -207,7 +207,7 @@ class DiagnosisResult:
         try:
             checks = tuple(Transfer.from_dict(one) for one in content.get("checks", ()))
             match = None if simulation is None else ModelMatch.from_dict(simulation)
-        except (KeyError, TypeError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"the checks of the diagnosis are damaged ({damage(error)}); diagnose the recording anew") from error
         if "channels" in content["fit"]:
             return cls(motion=MotionDiagnosis.from_json(content), simulation=match)

@@ -8,11 +8,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from mbcacq_bus import serial, serial_link, serial_positioner
+from late_peers import rtu_cut
+from mbcacq_bus import modbus_link, modbus_transport, serial, serial_link, serial_positioner
+from pymodbus.client import serial as pymodbus_serial
 
 
 class ScriptedLine:
     """A port of pyserial and the module ``time`` in one. ``answer(line heard)`` gives (s until it comes, bytes), or None; ``now``: s."""
+
+    is_open = True
 
     def __init__(self, answer: Callable[[str], tuple[float, bytes] | None]) -> None:
         self._answer = answer
@@ -23,6 +27,8 @@ class ScriptedLine:
 
     def monotonic(self) -> float:
         return self.now
+
+    time = monotonic
 
     def sleep(self, seconds: float) -> None:
         self.now += seconds
@@ -49,12 +55,16 @@ class ScriptedLine:
             found = self._arrived().find(end)
         return self.read(min(most, found + len(end) if found >= 0 else most))
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> int:
         for line in data.split(b"\n")[:-1]:
-            self.heard.append(line.strip().decode())
-            if (reply := self._answer(self.heard[-1])) is not None:
-                self._last = max(self._last, self.now + reply[0])  # a line brings answers in their order
-                self._due.append((self._last, reply[1]))
+            self._hear(line.strip().decode())
+        return len(data)
+
+    def _hear(self, asked) -> None:
+        self.heard.append(asked)
+        if (reply := self._answer(asked)) is not None:
+            self._last = max(self._last, self.now + reply[0])  # a line brings answers in their order
+            self._due.append((self._last, reply[1]))
 
     def flush(self) -> None:
         pass
@@ -78,4 +88,19 @@ class ScriptedLine:
         for module in (serial, serial_link):
             monkeypatch.setattr(module, "open_port", lambda *_, **__: self)
         for module in (serial, serial_link, serial_positioner):
+            monkeypatch.setattr(module, "time", self)
+
+
+class ScriptedRtu(ScriptedLine):
+    """The same with the requests of Modbus RTU, as bytes."""
+
+    def write(self, data: bytes) -> int:
+        assert rtu_cut(data) == len(data)  # pymodbus writes one request at a time
+        self._hear(data)
+        return len(data)
+
+    def install(self, monkeypatch) -> None:
+        """Whoever opens a line for Modbus has this one."""
+        monkeypatch.setattr(modbus_transport, "open_port", lambda *_, **__: self)
+        for module in (modbus_link, modbus_transport, pymodbus_serial):
             monkeypatch.setattr(module, "time", self)

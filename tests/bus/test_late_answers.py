@@ -1,7 +1,7 @@
 """An answer that comes after its time-out is never taken for that to another question, on any line or connection.
 
 What is late leaves its device once whoever asked has given it up, not after a time: a busy machine changes nothing. LIMIT_S is what these
-tests wait; answers that are not late have many tries. Lines of text have time and answers of their own (scripted_line).
+tests wait; answers that are not late have many tries. Lines of text and of Modbus RTU have time and answers of their own (scripted_line).
 """
 
 import struct
@@ -14,7 +14,7 @@ from late_peers import LatePeer, crc, line_cut, rtu_cut, rtu_registers
 from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
 from mbcacq_bus.serial import SerialSensor
 from mbcacq_bus.serial_link import SerialConnection, SerialLink
-from scripted_line import ScriptedLine
+from scripted_line import ScriptedLine, ScriptedRtu
 
 from mbcacq.devices import DeviceTimeout, ProtocolError
 
@@ -25,43 +25,46 @@ HELD = dict(enumerate(VALUES.values()))
 LIMIT_S, TRIES = 0.2, 20
 
 
-def rtu(late, retries=TRIES):
-    """A peer, and the options of a sensor that asks it."""
-    peer = LatePeer(rtu_registers(HELD), rtu_cut, late)
-    return peer, {"serial": peer.url, "parity": "N", "timeout_s": LIMIT_S, "retries": retries, "values": REGISTERS}
+SOON, SLOW, LATE = 0.02, 0.9 * LIMIT_S, 1.5 * LIMIT_S  # s after the question, on the clock of a scripted line
 
 
-def test_an_answer_that_comes_while_the_line_is_left_alone_is_dropped():
-    peer, options = rtu({})
-    with peer, ModbusSensor("s", "", options) as sensor:
-        peer.late[1] = lambda: bool(sensor._link._unanswered)
+def rtu(monkeypatch, delays, answer=None, retries=2):
+    """A scripted line with a device that answers the n-th request after ``delays[n]`` s, and an open sensor on it."""
+    answer, due = answer or rtu_registers(HELD), dict(delays)
+    line = ScriptedRtu(lambda request: (due.get(len(line.heard) - 1, SOON), answer(request)))
+    line.install(monkeypatch)
+    options = {"serial": "COM3", "parity": "N", "timeout_s": LIMIT_S, "retries": retries, "values": REGISTERS}
+    sensor = ModbusSensor("s", "", options)
+    sensor._link._hurry = line.stopped()
+    return line, sensor
+
+
+def test_an_answer_that_comes_while_the_line_is_left_alone_is_dropped(monkeypatch):
+    line, sensor = rtu(monkeypatch, {1: LATE, 2: SLOW})
+    with sensor:
         for _ in range(3):
             assert sensor.read() == pytest.approx(WANTED)
-        assert len(peer.requests) > 9  # one was asked again
+    assert len(line.heard) > 9  # one was asked again
 
 
-def test_after_one_answer_that_comes_behind_the_next_question_every_register_keeps_its_own_value():
-    peer, options = rtu({})
-    peer.late[1] = peer.asked(3)
-    with peer, ModbusSensor("s", "", options) as sensor:
+def test_after_one_answer_that_comes_behind_the_next_question_every_register_keeps_its_own_value(monkeypatch):
+    """It comes later than a line is left alone for, so that the next question is already asked."""
+    line, sensor = rtu(monkeypatch, {1: 2.5 * LIMIT_S, 2: 0.6 * LIMIT_S, 3: SLOW})
+    with sensor:
         for _ in range(3):
             assert sensor.read() == pytest.approx(WANTED)
-        assert len(peer.requests) > 10  # and both were asked again
+    assert len(line.heard) > 10  # and both were asked again
 
 
-def test_a_line_that_gave_up_once_is_in_step_again():
-    """Two tries, and each of them is answered, but long after the last one was given up."""
-    given_up = threading.Event()
-    peer, options = rtu({0: given_up.is_set}, retries=1)
-    with peer:
-        with ModbusSensor("s", "", options) as sensor:
-            with pytest.raises(DeviceTimeout, match="gave no valid answer while reading holding 0"):
-                sensor.read()
-            given_up.set()
-            sensor._link._options = sensor._link._options.model_copy(update={"retries": TRIES})
-            first = sensor._options.values["air_C"]
-            assert sensor._link.read(first) == pytest.approx(21.5)
-            assert sensor.read() == pytest.approx(WANTED)
+def test_a_line_that_gave_up_once_is_in_step_again(monkeypatch):
+    """One try, and it is answered, but long after it was given up, when the next register is to be read."""
+    line, sensor = rtu(monkeypatch, {0: 9.5 * LIMIT_S}, retries=0)
+    with sensor:
+        with pytest.raises(DeviceTimeout, match="gave no valid answer while reading holding 0"):
+            sensor.read()
+        line.sleep(8.0 * LIMIT_S)
+        assert sensor._link.read(sensor._options.values["air_C"]) == pytest.approx(21.5)
+        assert sensor.read() == pytest.approx(WANTED)
 
 
 @pytest.mark.parametrize(
@@ -73,12 +76,11 @@ def test_a_line_that_gave_up_once_is_in_step_again():
     ],
     ids=["unit", "function", "length"],
 )
-def test_an_answer_of_another_unit_function_or_length_is_none(foreign):
+def test_an_answer_of_another_unit_function_or_length_is_none(monkeypatch, foreign):
     answer, first = rtu_registers(HELD), [foreign + crc(foreign)]
-    with LatePeer(lambda request: first.pop() if first else answer(request), rtu_cut, {}) as peer:
-        options = {"serial": peer.url, "parity": "N", "timeout_s": LIMIT_S, "retries": TRIES, "values": REGISTERS}
-        with ModbusSensor("s", "", options) as sensor:
-            assert sensor.read() == pytest.approx(WANTED)
+    _, sensor = rtu(monkeypatch, {}, lambda request: first.pop() if first else answer(request))
+    with sensor:
+        assert sensor.read() == pytest.approx(WANTED)
 
 
 def test_a_late_answer_of_modbus_tcp_ends_with_its_connection():

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from mbcacq_bus.options import parse
 from mbcacq_bus.serial_positioner import SerialPositionerOptions
 from mbcacq_fakes.protocols.bus.line_for import template
 from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 
-from mbcacq.devices import create
+from mbcacq.devices import create, parse_options
 
 PAGE = (Path(__file__).parents[2] / "docs" / "positioners-and-sensors.md").read_text()
 BLOCKS = [yaml.safe_load(text) for text in re.findall(r"^```yaml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)]
@@ -25,7 +24,7 @@ def test_the_page_can_be_copied(kind, use):
     assert device.describe().fields
     options = use.get("options", {})
     if (kind, use["driver"]) == ("positioners", "serial"):
-        FakeSerialPositioner(parse(SerialPositionerOptions, "x", options)).stop()
+        FakeSerialPositioner(parse_options(SerialPositionerOptions, "x", options)).stop()
     if (kind, use["driver"]) == ("sensors", "serial"):
         assert template(options["line"])
 

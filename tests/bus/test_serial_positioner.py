@@ -4,13 +4,23 @@ import sys
 import threading
 
 import pytest
-from mbcacq_bus.options import parse
 from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptions
 from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 from scripted_line import ScriptedLine
 
-from mbcacq.devices import Aborted, ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, Positioner, ProtocolError, create
+from mbcacq.devices import (
+    Aborted,
+    ConfigError,
+    ConnectError,
+    DeviceFault,
+    DeviceTimeout,
+    IdentityError,
+    Positioner,
+    ProtocolError,
+    create,
+    parse_options,
+)
 
 WORDS = {
     "stations": {1: 0.0, 2: 152.5},
@@ -29,7 +39,7 @@ needs_terminal = pytest.mark.skipif(sys.platform == "win32", reason="Windows has
 
 
 def fake(pty=True, travel_s=0.05, **changes):
-    options = parse(SerialPositionerOptions, "x", {"port": "x", **WORDS, **changes})
+    options = parse_options(SerialPositionerOptions, "x", {"port": "x", **WORDS, **changes})
     return FakeSerialPositioner(options, travel_s=travel_s, pty=pty)
 
 

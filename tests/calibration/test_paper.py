@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cells import HAND_EYE, MBC, measure, scanner_cell, tracker_cell
+from hand_eye_data import local_error, recording
 
 from mbcacq.calibration import CalibrationOptions, calibrate, verify
 from mbcacq.calibration.staged import angle_adjustment, distance_constraint, hand_eye, method
@@ -201,3 +202,13 @@ def test_the_command_and_the_function_read_the_paper_alike():
     noise = shown.partition("--noise")[2].partition("[default: ")[2]
     assert pairs.startswith(f"{fields.pairs}]")
     assert noise.startswith(f"{fields.noise}]")
+
+
+def test_the_hand_eye_transform_alone_is_found_stage_by_stage_from_poses_of_the_flange():
+    made = recording(np.random.default_rng(4), "certified", noise=0.2)
+    both = [calibrate(made.observations, CalibrationOptions(method=m, kinematics=False)) for m in ("paper", "ml")]
+    off = [np.abs(local_error(found.state.T_flange_scanner, made.T_flange_scanner)) for found in both]
+    assert off[0][:3].max() < 0.1
+    assert off[0][3:].max() < 5e-4
+    assert [stage["stage"].split(" (")[0] for stage in both[0].extra["stages"]][-1] == "distance constraint"
+    assert not any(name.startswith(("theta", "a_", "d_", "alpha")) for name in both[0].layout.names)

@@ -151,3 +151,15 @@ def test_places_that_were_moved_are_said_and_no_figure_of_the_arm(other, result)
     ):
         mbcacq.verify_elsewhere(moved, result, place="known")
     assert mbcacq.verify_elsewhere(moved, result, place="fitted").with_effects.rms_mm < 0.1
+
+
+def test_places_that_were_bumped_are_said_beside_the_figures(other, result):
+    """A base that turned by 0.03 deg leaves half a millimetre that the arm is not to blame for."""
+    bumped = replace(other, q=other.q + np.radians([0.03, 0, 0, 0, 0, 0]))
+
+    found = mbcacq.verify_elsewhere(bumped, result, place="known")
+
+    assert 0.2 < found.with_effects.rms_mm < 2.0
+    assert found.warnings[0].startswith("the artefacts or the robot's base seem to have been moved a little since the result was made: ")
+    assert "use --place fitted" in found.warnings[0]
+    assert not any("moved" in w for w in mbcacq.verify_elsewhere(other, result, place="known").warnings)

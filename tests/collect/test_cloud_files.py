@@ -108,3 +108,20 @@ def test_units_and_axes(tmp_path):
     for wrong in ("x y", "x y y", "a b c", "x y z z"):
         with pytest.raises(ConfigError, match="names no three axes"):
             read_points(path, CloudFormat(axes=wrong))
+
+
+def test_a_range_map_whose_pages_are_a_ring_is_refused_by_its_first(tmp_path):
+    """The only page is named as its own next one: a reader of all pages would not come to an end."""
+    tifffile = pytest.importorskip("tifffile")
+    path, form = tmp_path / "a.tif", CloudFormat(range_map=(1, 1, 1, 0))
+    tifffile.imwrite(path, np.ones((5, 6), "<u2"))
+    data = bytearray(path.read_bytes())
+    first = int.from_bytes(data[4:8], "little")
+    tags = int.from_bytes(data[first : first + 2], "little")
+    data[first + 2 + 12 * tags : first + 6 + 12 * tags] = first.to_bytes(4, "little")
+    path.write_bytes(data)
+    with pytest.raises(ConfigError, match="save"):
+        read_points(path, form)
+    tifffile.imwrite(path, np.ones((3, 5, 6), "<u2"), photometric="minisblack")  # three pages
+    with pytest.raises(ConfigError, match="save one channel"):
+        read_points(path, form)

@@ -1,7 +1,11 @@
 """A session without drivers gives the calibration that a driven run of the same cell gives, and grows where clouds are added."""
 
 import shutil
+import signal
+import subprocess
+import sys
 
+import killed_session
 import numpy as np
 import pytest
 from session import cloud, loaded, play, program_of
@@ -43,6 +47,35 @@ def test_clouds_are_added_to_a_session_that_was_stopped(rehearsed, clouds, tmp_p
     whole = mbcacq.collect(plan, more, resume=first.folder)
     assert poses_done(whole.folder) == frozenset(range(16))
     assert mbcacq.load_observations(whole.folder).n_poses == 16
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is of other systems")
+def test_a_session_that_was_killed_goes_on_with_the_same_clouds(rehearsed, clouds, tmp_path):
+    """No table of the program stands beside them: which of them were recorded is seen by what they show."""
+    plan = loaded(rehearsed / "plan.yaml")
+    (clouds / "poses.csv").unlink(missing_ok=True)
+    whole = mbcacq.load_observations(mbcacq.collect(plan, clouds, out=tmp_path / "whole").folder)
+    script = [sys.executable, killed_session.__file__, rehearsed / "plan.yaml", clouds, tmp_path / "run", "5"]
+    assert subprocess.run(script, timeout=900, check=False).returncode == -signal.SIGKILL
+    again = mbcacq.load_observations(mbcacq.collect(plan, clouds, resume=tmp_path / "run").folder)
+    assert np.array_equal(again.pose_id, whole.pose_id)
+    assert np.array_equal(again.xyz, whole.xyz)
+
+
+@pytest.mark.parametrize("with_table", [True, False], ids=["program's table", "no table"])
+def test_a_session_that_ended_in_its_calibration_is_calibrated(rehearsed, clouds, tmp_path, with_table):
+    plan = loaded(rehearsed / "plan.yaml")
+    if with_table:
+        shutil.copy(rehearsed / "program" / "poses.csv", clouds)
+    else:
+        (clouds / "poses.csv").unlink(missing_ok=True)
+    whole = mbcacq.collect(plan, clouds, out=tmp_path / "run")
+    (whole.folder / "result.json").unlink()
+    again = mbcacq.collect(plan, clouds, resume=whole.folder)
+    assert (whole.folder / "result.json").exists()
+    assert np.array_equal(hand_eye(again), hand_eye(whole))
+    with pytest.raises(ConfigError, match="no cloud belongs to a pose that is still missing"):
+        mbcacq.collect(plan, clouds, resume=whole.folder)
 
 
 def test_the_command_checks_without_recording(rehearsed, tmp_path, monkeypatch):

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from typing import Any
 
 from mbcacq_bus.modbus import ModbusPositioner, ModbusSensor
-from mbcacq_bus.options import parse
 from mbcacq_bus.registers import Register
 from mbcacq_bus.serial import SerialSensor
 from mbcacq_bus.serial_positioner import SerialPositioner, SerialPositionerOptions
@@ -16,6 +15,7 @@ from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 from mbcacq_fakes.protocols.bus.serial_sensor import FakeSerialSensor
 
 from mbcacq.conformance import Channel, PtyProxy, Stand, TcpProxy, Trace, counted, ended
+from mbcacq.devices import parse_options
 
 MBAP = counted(at=4, size=2, order="big", plus=6)
 LINE = ended(b"\n")
@@ -132,7 +132,7 @@ def serial_sensor(trace: Trace | None = None, pty: bool = False) -> Iterator[Sta
 def serial_positioner(trace: Trace | None = None) -> Iterator[Stand]:
     note = trace.note if trace else (lambda *_: None)
     with (
-        FakeSerialPositioner(parse(SerialPositionerOptions, "x", {"port": "x", **WORDS}), travel_s=0.03) as fake,
+        FakeSerialPositioner(parse_options(SerialPositionerOptions, "x", {"port": "x", **WORDS}), travel_s=0.03) as fake,
         PtyProxy(Channel("line", note), fake.address, cut=LINE, cut_driver=LINE) as proxy,
     ):
         lift, given = fake.motion, {"port": proxy.path, **WORDS, "timeout_s": 3.0, "move_timeout_s": 10.0}

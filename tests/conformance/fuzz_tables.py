@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fuzz_files import CELL
 from fuzz_target import Target, in_file
 
 from mbcacq.exports.programs.points_csv import read_points
@@ -19,8 +21,9 @@ from mbcacq.model import shipped
 from mbcacq.model.robot_import import import_robot
 from mbcacq.plan import expand, load
 from mbcacq.recording.datasets import merge
+from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.datasets.loose_table import TableOptions, read_loose_table
-from mbcacq.recording.datasets.trajectory_set import read_trajectory_set
+from mbcacq.recording.datasets.trajectory_set import read_motion, read_trajectory_set
 from mbcacq.workflow.collect import _slots
 from mbcacq.workflow.joint_log import read_joint_log
 from mbcacq.workflow.robot_program import plan_digest
@@ -104,15 +107,17 @@ def hand_eye() -> bytes:
     return (",".join(heads) + "\n" + "\n".join(rows) + "\n").encode()
 
 
-def fleet_parquet() -> bytes:
-    """Five calibrated arms of two axes."""
+def fleet_parquet(without: Sequence[str] = ()) -> bytes:
+    """Five calibrated arms of two axes. without: columns that are left out."""
     import pyarrow as pa
     from pyarrow import parquet
 
     row = {"status": EVALUATED, "names": ["theta_1"], "covariance": [1e-6], "nominal": [0.1] * 10, "robot": "two axes"}
     row |= {"error.theta_1": 0.01, "std.theta_1": 1e-3, "time": None}
     out = io.BytesIO()
-    parquet.write_table(pa.Table.from_pylist([{"recording": f"r{k}", "arm": f"arm-{k}", **row} for k in range(5)]), out)
+    parquet.write_table(
+        pa.Table.from_pylist([{"recording": f"r{k}", "arm": f"arm-{k}", **row} for k in range(5)]).drop_columns(list(without)), out
+    )
     return out.getvalue()
 
 
@@ -137,16 +142,17 @@ def _joints(path: Path) -> object:
 
 def _slots_of(path: Path) -> object:
     loaded, poses = _quick()
-    return _slots(loaded, poses, path, frozenset())
+    return _slots(loaded, poses, path, frozenset(), 3)
 
 
 def table_targets() -> list[Target]:
     """All of them."""
+    robot = parse_cell(CELL.decode()).robot
     return [
         Target(
             "trajectory set, trajectory.csv",
             (TRAJECTORY,),
-            in_file("trajectory.csv", lambda path: read_trajectory_set(path.parent), {"cell.yaml": MOTION}),
+            in_file("trajectory.csv", lambda path: read_motion(path.parent, robot, simulated=False)),
         ),
         Target(
             "trajectory set, cell.yaml",

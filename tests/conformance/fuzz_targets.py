@@ -8,12 +8,13 @@ from fuzz_bags import bag_targets
 from fuzz_clouds import cloud_targets
 from fuzz_descriptions import description_targets
 from fuzz_files import file_targets
+from fuzz_instruments import instrument_targets
 from fuzz_programs import program_targets
 from fuzz_tables import table_targets
 from fuzz_target import Target
 from fuzz_wire import wire_targets
 
-SOURCES = (wire_targets, file_targets, table_targets, program_targets, description_targets, cloud_targets, bag_targets)
+SOURCES = (wire_targets, file_targets, table_targets, instrument_targets, program_targets, description_targets, cloud_targets, bag_targets)
 
 
 @cache

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import tracemalloc
 
 import pytest
+from fuzz_bags import bag_files
 from fuzz_descriptions import CALIBRATION, MJCF, URDF
+from fuzz_instruments import easy_handeye_samples
 from fuzz_programs import LS, MOD, SCRIPT, SRC
-from fuzz_tables import DH, FLEET, joint_dat, joint_messages
+from fuzz_tables import DH, FLEET, fleet_parquet, joint_dat, joint_messages
 from fuzz_targets import targets
 
 from mbcacq.files.bounded_read import read_bounded
+
+
+def mcap_bag(**what: float) -> bytes:
+    """The small bag, with one thing about its messages changed."""
+    return bag_files("MCAP", **what)["run.mcap"]
+
 
 ENDLESS = b"9" * 400
 REFUSED = {
@@ -28,6 +37,13 @@ REFUSED = {
     "a KRL angle of 400 digits": ("program KRL", SRC.replace(b"A1 10", b"A1 " + ENDLESS)),
     "a URScript angle of 400 digits": ("program URScript", SCRIPT.replace(b"[0.1,", b"[" + ENDLESS + b",")),
     "an LS angle of 400 digits": ("program LS", LS.replace(b"J1=     0.000", b"J1=  " + ENDLESS + b".0")),
+    "a fleet without times": ("fleet Parquet", fleet_parquet(without=("time",))),
+    "an error without its uncertainty": ("fleet Parquet", fleet_parquet(without=("std.theta_1",))),
+    "a sample that is none": ("hand-eye samples", easy_handeye_samples().replace(b"  tracking: {", b"  tracking:\n  other: {", 1)),
+    "a sample's quaternion of zeros": ("hand-eye samples", re.sub(rb"rotation: {[^}]*}", b"rotation: {x: 0, y: 0, z: 0, w: 0}", easy_handeye_samples())),
+    "a target that no tracker reaches": ("bag MCAP, observations", mcap_bag(x_m=1e300)),
+    "a quaternion of no unit length": ("bag MCAP, observations", mcap_bag(qw=1e200)),
+    "a single message of the joints": ("bag MCAP, observations", mcap_bag(messages=1)),
 }  # fmt: skip
 
 

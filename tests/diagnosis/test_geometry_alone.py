@@ -16,8 +16,9 @@ from mbcacq.cli import calibrate as calibrate_command
 from mbcacq.cli import diagnose as diagnose_command
 from mbcacq.diagnosis.output.text import geometry_lines, words
 from mbcacq.diagnosis.problem import prepare
-from mbcacq.diagnosis.result import Diagnosis, plain
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.schema import diagnosis_schema
+from mbcacq.model.json_text import plain
 from mbcacq.recording import load_observations, write_observation_set
 
 HELD = CalibrationOptions(refuse=False, discrepancy=False, random_links=False)

@@ -11,11 +11,11 @@ import simulated
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.diagnosis.output.evidence_summary import evidence_in_words
-from mbcacq.diagnosis.result import plain
 from mbcacq.effects.catalogue import candidates
 from mbcacq.effects.untried import untried
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import Displacements
+from mbcacq.model.json_text import plain
 
 AMPLITUDE = 3e-4  # rad
 

@@ -142,3 +142,18 @@ def test_the_page_shows_every_change_with_its_chart(solved, tmp_path):
 def test_a_page_of_one_recording_is_asked_of_the_report(tmp_path):
     outcome = CliRunner().invoke(command, [str(tmp_path), "--report", str(tmp_path / "x.html")])
     assert "take mbcacq report" in str(outcome.exception)
+
+
+def test_the_table_cuts_no_word_at_eighty_columns(solved, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    files = []
+    for name, content in (("monday", another(solved[0], 1)), ("friday", another(solved[0], 2, theta_3=0.004))):
+        files.append(tmp_path / f"{name}.json")
+        files[-1].write_text(json.dumps({k: v for k, v in content.items() if k != "sha256"}))
+    shown = CliRunner().invoke(command, [str(file) for file in files]).stdout
+    table = [line for line in shown.splitlines() if line[:1] in "│┃┏┡└"]
+    assert max(map(len, table)) <= 80
+    assert "…" not in "".join(table)
+    for row in compare_runs(*files).table:
+        for text in row[1:]:
+            assert all(word in shown for word in text.replace("−", "-").split())

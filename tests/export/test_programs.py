@@ -59,6 +59,7 @@ IF check(tolerance)==TRUE THEN
 MSG("go to {{{ANGLES}}} ; now")
 PTP {{A1 12.5}}
 PTP {{A1 x+1,A2 0,A3 0,A4 0,A5 0,A6 0}}
+PTP {{A1 1,A2 0,A3 0,A4 0,A5 0,A6 0,A1 2}}
 END
 """
 
@@ -76,6 +77,7 @@ def test_krl_increments_steps_tolerances_and_strings_are_no_targets(read):
     assert reasons["line 22"] == "is text in a string"
     assert reasons["line 23"] == "has not the angles of all axes"
     assert reasons["line 24"] == "has angles that are computed"
+    assert reasons["line 25"] == "has the angle of an axis twice"
     assert "another file" in reasons["XP7"]
     assert program.written(program.q + 0.1, [False] * 3) == RELATIVE
     changed = program.written(program.q + np.radians(1), [True] * 3).splitlines()
@@ -145,6 +147,34 @@ def test_urscript(read):
     assert changed[9] == "    movej([d2r(10.572958), d2r(-89.427042), 1.510000000, 0.010000000, -0.490000000, 0.110000000], a=1.4)"
 
 
+UR_FORMS = """grid = [[0,0,0,0,0,1], [0,0,0,0,0,2]]
+across = [0.1, -1.2, # movej([
+  1.3, -0.4, 0.5, 0.6]
+movej(across)
+optimovej([0.1,-1.2,
+  1.3,-0.4,0.5,0.6], a=1)
+movej([0.1,-1.2,1.3,-0.4,0.5])
+movej(get_inverse_kin(p[.1,.2,.3,0,0,0], qnear=[0,0,0,0,0,1]))
+home = [0,-1,1,0,1,0]
+movej(home)
+if home[0] > [ $:
+"""
+
+
+def test_urscript_over_several_lines_in_lists_and_by_other_words(read):
+    program = read("forms.script", UR_FORMS)
+    assert targets(program) == [("across", 2), ("line 5", 5)]
+    reasons = left(program)
+    assert reasons["grid"] == "is part of a list"
+    assert reasons["line 7"] == "has not 6 angles"
+    assert "is a pose" in reasons["line 8"]
+    assert "used otherwise too (line 11)" in reasons["home"]
+    assert reasons["line 11"] == "is a line that is not understood"
+    changed = program.written(program.q + 0.01, [True, False]).splitlines()
+    assert changed[1:3] == ["across = [0.110000000, -1.190000000, # movej([", "  1.310000000, -0.390000000, 0.510000000, 0.610000000]"]
+    assert changed[3:] == UR_FORMS.splitlines()[3:]
+
+
 def test_a_target_whose_elements_make_another_one_stays(read):
     program = read("prog.script", "home = [0,-1,1,0,1,0]\nmovej(home)\nmovej([home[0],-1,1,0,1,0])\nmovej([0,-1,1,0,1,0])\n")
     assert targets(program) == [("line 4", 4)]
@@ -169,6 +199,29 @@ RAPID = """MODULE MainModule
   ENDPROC
 ENDMODULE
 """
+
+
+E9 = "[9E9,9E9,9E9,9E9,9E9,9E9]"
+RAPID_FORMS = f"""MODULE forms
+  VAR jointtarget j1;
+  VAR jointtarget grid{{2}}:=[[[0,0,0,0,0,1],{E9}],[[0,0,0,0,0,2],{E9}]];
+  PROC main()
+    j1:=[[10,0,0,0,45,0],{E9}];
+    MoveAbsJ j1,v1,fine,tool0;
+    MoveAbsJDO [[20,0,0,0,45,0],{E9}],v1,fine,tool0,do1,1;
+    MoveExtJ [{E9},[90,9E9,9E9,9E9,9E9,9E9]],vrot10,fine;
+    rel [[1,0,0,0,0,0],{E9}];
+  ENDPROC
+ENDMODULE
+"""
+
+
+def test_rapid_sets_a_target_before_it_moves_and_moves_by_other_words(read):
+    program = read("forms.mod", RAPID_FORMS)
+    assert targets(program) == [("j1", 5), ("line 7", 7)]
+    reasons = left(program)
+    assert reasons["line 8"] == "moves external axes alone"
+    assert reasons["line 3"] == reasons["line 9"] == "is no target of a motion"
 
 
 def test_rapid(read):
@@ -213,6 +266,25 @@ COMMENT\t\t= "a : b";
     + "".join(map(position, (6, 7, 8, 9)))
     + "/END\n"
 )
+
+
+LS_FORMS = """/PROG  FORMS
+/MN
+   1:J P[1] 100% FINE ;
+   2:J P[02] 100% FINE INC ;
+   3:J P[3] 100% FINE COFFSET,PR[1] ;
+/POS
+"""
+
+
+def test_fanuc_untaught_positions_offsets_by_any_word_and_numbers_with_zeros(read):
+    untaught = position(4).replace("    0.000 deg", "  ********* deg")
+    program = read("forms.ls", LS_FORMS + position(1) + position(2) + position(3) + untaught + "/END\n")
+    assert [name for name, _ in targets(program)] == ["P[1]"]
+    reasons = left(program)
+    assert "relative motion (line 4)" in reasons["P[2]"]
+    assert "used otherwise (line 5)" in reasons["P[3]"]
+    assert reasons["P[4]"] == "is not taught, or has axes in mm"
 
 
 def test_fanuc_ls(read):

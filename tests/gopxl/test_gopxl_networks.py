@@ -71,12 +71,18 @@ with GoPxL("s", "3504", {"serial": 12345, "timeout_s": 60}) as scanner:
 """
 
 
-def test_both_generations_are_listed(cable):
+def test_both_generations_are_listed_at_once(cable):
+    ours, theirs = cable
+    with sensor(theirs, "gopxl", "--host", "0.0.0.0", "--serial", "67890"), sensor(theirs, "gocator", "--host", SENSOR, "--discovery"):
+        new, classic = listed(ours)
+    assert new == f"3504  serial 67890  GoPxL 1.5.12.3  at {SENSOR}, control 3600, data 3601"
+    assert re.fullmatch(r"3210  serial 12345  firmware 6\..*  at 10\.77\.1\.10/24", classic)
+
+
+def test_a_sensor_that_answers_in_both_ways_is_listed_once(cable):
     ours, theirs = cable
     with sensor(theirs, "gopxl", "--host", "0.0.0.0"), sensor(theirs, "gocator", "--host", SENSOR, "--discovery"):
-        assert listed(ours)[0] == f"3504  serial 12345  GoPxL 1.5.12.3  at {SENSOR}, control 3600, data 3601"
-    with sensor(theirs, "gocator", "--host", "0.0.0.0", "--discovery"):
-        assert re.fullmatch(r"3210  serial 12345  firmware 6\..*  at 10\.77\.1\.10/24", *listed(ours))
+        assert listed(ours) == [f"3504  serial 12345  GoPxL 1.5.12.3  at {SENSOR}, control 3600, data 3601"]
 
 
 # The vendor's client asks from a port of its own, and listens on 3320, where it may not be alone.

@@ -129,6 +129,20 @@ def test_metrics_are_streamed_until_the_stream_is_cancelled(client, path):
     client.ask("cancelStream", path)
 
 
+@pytest.mark.parametrize(
+    ("path", "keys"),
+    [
+        ("/system/metrics", "appUpTime cpuCoresUsedAvg memCapacity memUsed"),
+        (f"{SCANNER}/metrics", "currentSyncTime frameCount processingLatencyAvg processingLatencyMax scanCount"),
+        (f"{SENSOR}/metrics", "cameraTemp0 cpuTemp"),
+        (f"{SCANNER}/transform", "transform encoderResolution speed"),
+        (f"{SCANNER}/alignment", "alignState"),
+    ],
+)
+def test_what_the_samples_print_is_there(client, path, keys):
+    assert set(keys.split()) <= set(client.ask("read", path))
+
+
 def test_the_tree_is_found_by_walking_as_for_the_vendors_resources(client):
     href = "/scan/engines"
     for part in ("", "/scanners", "/sensors"):

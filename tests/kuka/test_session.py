@@ -111,6 +111,18 @@ def test_a_distance_at_which_two_profiles_of_the_planner_meet():
     assert np.abs(np.diff(path, 3, axis=0)).max() <= 3600.0 * T**3 * 1.001 + 1e-9
 
 
+@pytest.mark.parametrize("speed", [1e-3, 1e-5, 1e-9])
+def test_a_motion_that_the_planner_cannot_time_is_refused_and_the_one_before_stands(bench, speed):
+    """Ruckig gives a result that its Python bindings do not know, which is a ValueError there."""
+    one = bench()
+    slow = (speed,) * 6, (speed / 0.3,) * 6, (speed / 0.03,) * 6
+    one.shared.send(RsiCommand(MOVE, (90.0, *START[1:]), *slow, 0.01, 0.1))
+    for _ in range(120):
+        assert one.cycle() == (0.0,) * 6
+    assert one.shared.fault()["kind"] == "refused"
+    assert "no motion to this target exists within the limits" in one.shared.fault()["text"]
+
+
 def test_a_discarded_answer_is_given_again_and_a_lost_telegram_costs_one_cycle(bench):
     one = bench()
     one.move((100.0, *START[1:]))

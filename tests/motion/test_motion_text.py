@@ -11,7 +11,7 @@ from mbcacq.effects.effect import ParameterEstimate
 
 
 def text_of(*effects):
-    return motion_text(MotionDiagnosis("partly_explained", (), effects, (), "trajectory"))
+    return motion_text(MotionDiagnosis(verdict="partly_explained", mismatch=(), effects=effects, channels=(), split="trajectory"))
 
 
 @pytest.mark.parametrize(("std", "said"), [(125.3, "A2 phase is not determined"), (20.0, "A2 phase (−84 ± 40)°")])

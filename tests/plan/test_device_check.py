@@ -62,6 +62,16 @@ def test_what_its_driver_refuses_is_an_error_of_the_plan_with_its_line(plan, old
     assert re.search(r"driver|options", text[line - 1])
 
 
+@pytest.mark.parametrize("driver", ["kuka_rsi", "kuka_eki", "simulated"])
+def test_a_scanner_that_an_output_of_the_arm_shall_trigger_is_refused_where_its_driver_switches_none(plan, driver):
+    path = plan("trigger: {person: true}", "trigger: {output: 3}", "folder.yaml")
+    options = {"kuka_rsi": "{bind: 127.0.0.1}", "kuka_eki": "{address: 127.0.0.1}", "simulated": "{}"}[driver]
+    text = re.sub(r"driver: kuka_rsi", f"driver: {driver}", path.read_text(encoding="utf-8"), count=1)
+    path.write_text(re.sub(r"options: \{[^}]*bind[^}]*\}", f"options: {options}", text, count=1), encoding="utf-8")
+    (found,) = device_findings(load(path))
+    assert "trigger.output needs a robot whose driver switches outputs, which this one does not; trigger it by tcp" in found.sentence
+
+
 @pytest.mark.parametrize("command", ["fakes", "run"])
 def test_it_ends_a_command_before_anything_is_opened(plan, command):
     """Exit code and sentence of a wrong plan; nobody is asked whether the arm may move."""

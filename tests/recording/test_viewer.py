@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import struct
+import subprocess
 import sys
+import time
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -107,3 +111,23 @@ def test_a_program_that_hangs_is_stopped(tmp_path, monkeypatch):
     monkeypatch.setenv("RERUN_CLI_PATH", str(fake))
     with pytest.raises(RecordingError, match="did not end within 0.5 s"):
         rerun_program.run(["rrd", "verify"], timeout_s=0.5)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the program is a POSIX shell script")
+def test_view_that_is_terminated_leaves_no_scratch_folder(a_run, tmp_path):
+    """The viewer has made its own in the folder for temporary files, and does not remove it."""
+    fake, ready, scratch = tmp_path / "rerun", tmp_path / "ready", tmp_path / "scratch"
+    fake.write_text(f'#!/bin/sh\nmkdir "$TMPDIR/of-the-viewer" && touch {ready}\nexec sleep 600\n')
+    fake.chmod(0o755)
+    scratch.mkdir()
+    environment = os.environ | {"RERUN_CLI_PATH": str(fake), "TMPDIR": str(scratch), "DISPLAY": ":99"}
+    command = [Path(sys.executable).with_name("mbcacq"), "view", str(a_run)]
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL) as viewing:
+        while not ready.exists():
+            assert viewing.poll() is None, viewing.stderr.read()
+            time.sleep(0.05)
+        assert list(scratch.iterdir()) != []
+        viewing.send_signal(signal.SIGTERM)
+        viewing.communicate()
+    assert viewing.returncode != 0
+    assert list(scratch.iterdir()) == []

@@ -47,7 +47,7 @@ def test_a_bar_is_as_long_as_its_value(axis):
     """The outlines of two bars, 1 and 3, in the drawing."""
     bar = go.Bar(x=["a", "b"], y=[1.0, 3.0]) if axis == "y" else go.Bar(y=["a", "b"], x=[1.0, 3.0], orientation="h")
     bar.marker.color = "#123456"
-    svg = static_svg(go.Figure(name=bar, layout={"height": 300}), 400)
+    svg = static_svg(go.Figure(bar, layout={"height": 300}), 400)
     paths = re.findall(r'<path d="([^"]+)"[^>]*style="fill: #123456', svg)
     corners = [np.array([[float(v) for v in pair] for pair in re.findall(r"[ML] ([-\d.]+) ([-\d.]+)", path)]) for path in paths]
     lengths = [np.ptp(c[:, 1 if axis == "y" else 0]) for c in corners]
@@ -55,7 +55,7 @@ def test_a_bar_is_as_long_as_its_value(axis):
 
 
 def test_grouped_bars_stand_beside_each_other():
-    svg = static_svg(go.Figure(name=[go.Bar(x=["a"], y=[1.0], marker={"color": c}) for c in ("#111111", "#222222")]), 400)
+    svg = static_svg(go.Figure([go.Bar(x=["a"], y=[1.0], marker={"color": c}) for c in ("#111111", "#222222")]), 400)
     spans = []
     for colour in ("#111111", "#222222"):
         (path,) = re.findall(rf'<path d="([^"]+)"[^>]*style="fill: {colour}', svg)

@@ -91,3 +91,12 @@ def test_a_calibrated_table_is_not_taken_for_radians(read):
     """Its angles differ from whole quarters of a turn by thousandths of a degree, small ones are small."""
     rows, _ = read(PLAIN.replace("-90\n", "-90.0131\n").replace("0,0,560,0", "0.0312,0,560.21,0.0093"))
     assert np.degrees(rows[0][3]) == pytest.approx(-90.0131)
+
+
+def test_the_sigma_of_a_slide_is_no_revolute_axis(tmp_path):
+    text = "sigma,theta_deg,d_mm,a_mm,alpha_deg\n0,0,400,25,-90\n{},0,0,560,0\n0,-90,0,25,-90\n"
+    (tmp_path / "a.csv").write_text(text.format(1))
+    with pytest.raises(ConfigError, match="row 2 is of type '1'; an arm of revolute joints is needed"):
+        import_robot(tmp_path / "a.csv", convention="standard")
+    (tmp_path / "a.csv").write_text(text.format(0))
+    assert len(import_robot(tmp_path / "a.csv", convention="standard").joints) == 3

@@ -126,6 +126,19 @@ def test_one_arm_on_a_vehicle_with_a_head_is_found(read):
     assert any("the longest, of 6 axes, is taken" in remark for remark in found.remarks)
 
 
+def test_an_arm_on_a_vehicle_that_slides_and_turns_is_found(read):
+    vehicle = [
+        joint("x", "world", "on_x", "prismatic"),
+        joint("turn", "on_x", "base", "continuous"),
+        joint("lift", "base", "link0", "prismatic"),
+    ]
+    found = read(described([*vehicle, *arm(6)]))
+    assert len(found.joints) == 6
+    assert any(remark.startswith("x, turn, lift carry the arm") for remark in found.remarks)
+    with pytest.raises(ConfigError, match="'lift' is prismatic"):  # as the arm of Stanford: a slide between turning axes is an axis
+        read(described([joint("one", "world", "l1"), joint("two", "l1", "base"), joint("lift", "base", "link0", "prismatic"), *arm(3)]))
+
+
 def test_of_two_arms_none_is_taken_without_being_asked(read):
     both = described(
         [*arm(6, "left_"), *arm(6, "right_"), joint("l", "base", "left_link0", "fixed"), joint("r", "base", "right_link0", "fixed")]
@@ -288,6 +301,27 @@ def mjcf(inside, more=""):
 FINGERS = "".join(
     f'<body name="{n}"><joint name="{n}_slide" type="slide" axis="0 1 0"/><geom size="0.01"/></body>' for n in ("left", "right")
 )
+
+
+HAND = '<body name="hand" pos="0 0 .1"><geom {shape}/></body>'
+DRIVEN = (
+    '<tendon><fixed name="both"><joint joint="left_slide" coef=".5"/><joint joint="right_slide" coef=".5"/></fixed></tendon>'
+    '<actuator><position name="a1" joint="j1"/><general name="grip" tendon="both"/></actuator>'
+    '<keyframe><key name="home" qpos="0 0 0 0 0 0 0" ctrl="0 255"/></keyframe>'
+)
+
+
+def test_mjcf_without_its_meshes_has_the_flange_that_it_has_with_them(read):
+    """Without shapes an actuator of a tendon goes, whose numbers the keyframes hold; and a hand has a shape though its mesh is missing."""
+    meshed = DRIVEN + '<asset><mesh name="m" file="none.stl"/></asset>'
+    hand = HAND.format(shape='type="mesh" mesh="m"').replace("</body>", FINGERS + "</body>")
+    without, with_shapes = (
+        read(text, "arm.xml")
+        for text in (mjcf(hand, meshed), mjcf(HAND.format(shape='size=".01"').replace("</body>", FINGERS + "</body>"), DRIVEN))
+    )
+    assert without.flange == with_shapes.flange == "b5"
+    assert without.joints == with_shapes.joints
+    assert any("none.stl" in remark for remark in without.remarks)
 
 
 def test_mjcf_knows_grippers_sites_and_several_arms_as_urdf_does(read):

@@ -38,7 +38,14 @@ def test_what_the_runs_leave_is_the_verdict(found, verdict):
 
 def test_the_text_opens_with_the_runs_and_then_says_how_the_mismatch_was_located():
     found = match([error(0.41, 0.41)])
-    motion = MotionDiagnosis(found.verdict, (), (), (), "trajectory", suspicions=("with +6.68 kg the torque is explained better",))
+    motion = MotionDiagnosis(
+        verdict=found.verdict,
+        mismatch=(),
+        effects=(),
+        channels=(),
+        split="trajectory",
+        suspicions=("with +6.68 kg the torque is explained better",),
+    )
     text = DiagnosisResult(motion=motion, simulation=found).text
     order = [
         "No effect: the simulation",

@@ -85,6 +85,12 @@ def test_compressed_pcd_and_packed_colours(read, tmp_path):
     assert [found.properties[c][0] for c in ("red", "green", "blue")] == [255, 128, 1]
     with pytest.raises(ConfigError, match="compressed points are"):
         read(data[:-3], "a.pcd")
+    for at in (0, 4):  # sizes beyond what 32 bits hold with the eight before them: no warning of an overflow either
+        begin = len(head) + at
+        with pytest.raises(ConfigError, match="compressed points are not whole"):
+            read(data[:begin] + b"\xff" * 4 + data[begin + 4 :], "a.pcd")
+    with pytest.raises(ConfigError, match="holds no points"):
+        read(data.replace(b"POINTS 8", b"POINTS " + b"9" * 30), "a.pcd")
 
 
 def test_what_another_library_writes_is_read(tmp_path):

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import yaml
 from mbcacq_fakes.protocols.rtde import FakeUrController
+from mbcacq_fakes.protocols.rtde.controller import WATCHDOG_S, start_in_cell
+from mbcacq_fakes.protocols.stall import STALL_S
 from mbcacq_ur import wire
 from mbcacq_ur.driver import UrRtdeRobot
 
@@ -108,7 +110,13 @@ def test_a_controller_without_a_variable_names_it(controller):
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
-    [({"limits_deg": [[-1, 1]] * 5}, "limits_deg"), ({"limits_deg": [[1, -1]] * 6}, "lower limit"), ({"address": ""}, "address")],
+    [
+        ({"limits_deg": [[-1, 1]] * 5}, "limits_deg"),
+        ({"limits_deg": [[1, -1]] * 6}, "lower limit"),
+        ({"address": ""}, "address"),
+        ({"adress": "127.0.0.1", "address": None}, "unknown option 'adress' .it knows: address, port"),
+        ({"payload_kg": -1.0}, "payload_kg: Input should be greater than or equal to 0"),
+    ],
 )
 def test_options_that_cannot_be_are_named(controller, options, sentence):
     with pytest.raises(ConfigError, match=sentence):
@@ -171,3 +179,42 @@ def test_a_dry_run_drives_it_over_rtde(tmp_path):
     path.write_text(yaml.safe_dump(plan))
     done = mbcacq.run(path, dry_run=True, out=tmp_path / "run")
     assert mbcacq.load_observations(done.folder).n_poses == 3
+
+
+def held_once(robot, seconds):
+    """The thread that answers the controller is held for a time, once, as on a computer that stands still."""
+    take, left = robot._take, [seconds]
+
+    def slowly(values):
+        time.sleep(left.pop() if left and values["output_int_register_1"] else 0.0)
+        return take(values)
+
+    robot._take = slowly
+
+
+def test_a_stall_of_the_computer_ends_no_dry_run():
+    """In lock-step the robot's clock stands with the computer: longer than the watchdog of a real controller, and than a usual stall."""
+    fake, options = start_in_cell(None, start_deg=HOME_DEG, realtime=False, ports="free", plan_options={})
+    try:
+        robot = arm(fake, **options)
+        held_once(robot, STALL_S + 0.5)
+        with robot:
+            target = np.radians(HOME_DEG + [20, 0, 0, 0, 0, 0])
+            robot.move_to(target, LIMITS)
+            while not robot.state().arrived:
+                time.sleep(0.002)
+            assert np.abs(robot.state().q - target).max() < 1e-6
+    finally:
+        fake.stop()
+
+
+def test_a_silent_client_stops_the_arm_by_its_watchdog():
+    with FakeUrController(start_deg=HOME_DEG, realtime=True) as fake:
+        robot = arm(fake)
+        held_once(robot, 4 * WATCHDOG_S)
+        with robot:
+            robot.move_to(np.radians(HOME_DEG + [170, 0, 0, 0, 0, 0]), LIMITS)
+            with pytest.raises(DeviceFault, match="ended away from its target"):
+                watch(robot)
+            assert not fake.arm.moving
+            assert np.degrees(fake.arm.q[0]) < 165

@@ -29,6 +29,25 @@ def test_too_small_an_address_space_is_said_before_anything_moves(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_report_is_whole_or_refused_where_few_files_may_be_open(tmp_path):
+    assert mbcacq("simulate", ROOT / "plans" / "quick.yaml", "--noise", "--out", tmp_path / "set").returncode == 0
+    for files in (64, 24):
+        page = tmp_path / f"{files}.html"
+        done = subprocess.run(
+            [MBCACQ, "report", tmp_path / "set", "--out", page],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            preexec_fn=lambda files=files: resource.setrlimit(resource.RLIMIT_NOFILE, (files, files)),
+        )
+        if done.returncode == 0:
+            assert page.read_text(encoding="utf-8").rstrip().endswith("</html>")
+        else:
+            assert done.returncode == 10
+            assert "open files" in one_sentence(done)
+            assert not page.exists()
+
+
 @pytest.mark.parametrize(
     "arguments", [["run", "plans/quick.yaml", "--dry-run", "--out"], ["run", "plans/quick.yaml", "--dry-run", "--resume"]]
 )

@@ -7,10 +7,20 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from mbcacq.devices import Aborted, ConnectError, Description, DeviceTimeout, Field, IdentityError, MbcacqError, ProtocolError, Scan
+from mbcacq.devices import (
+    Aborted,
+    ConnectError,
+    ContextDevice,
+    Description,
+    DeviceTimeout,
+    Field,
+    IdentityError,
+    MbcacqError,
+    ProtocolError,
+    Scan,
+)
 from mbcacq_gocator.generation import classic_answers
 from mbcacq_gocator.gopxl import tree
 from mbcacq_gocator.gopxl.control import GoPxLControl
@@ -33,7 +43,7 @@ _RESTORE_CONNECT_S, _RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to 
 _log = logging.getLogger("mbcacq.gopxl")
 
 
-class GoPxL:
+class GoPxL(ContextDevice):
     """Driver ``gopxl``. ``model`` is what the sensor must call itself ('3504'; '' for any).
 
     Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``.
@@ -116,13 +126,6 @@ class GoPxL:
                 self._restore()
             finally:
                 self._drop()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _expose(self) -> Scan:
         session = self._connect()

@@ -89,5 +89,5 @@ def _problem(key: str, value: Any) -> str:
     else:
         low, high = (_PORTS[key], 65535) if key in _PORTS else (0, 10) if key == "retries" else (1, 2**32 - 1)
         kind = int
-    right = isinstance(value, kind) and not isinstance(value, bool) and low <= value <= high
+    right = isinstance(value, int | float) and isinstance(value, kind) and not isinstance(value, bool) and low <= value <= high
     return "" if right else f"a number from {low:g} to {high:g}"

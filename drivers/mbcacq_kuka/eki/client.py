@@ -8,14 +8,13 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, ProtocolError
+from mbcacq.devices import ConnectError, ContextDevice, DeviceFault, DeviceTimeout, ProtocolError
 from mbcacq_kuka.eki.framing import Cutter, FramingError
 
 
@@ -59,7 +58,7 @@ _JOINT_POSITION = 1  # ControlMode
 _REFUSALS = (EkiEvent.ERROR, EkiEvent.INVALID)
 
 
-class EkiClient:
+class EkiClient(ContextDevice):
     """Synchronous requests; every one waits for its answer. Raises ConnectError, DeviceTimeout, ProtocolError, DeviceFault.
 
     Answers carry no number. One that comes after its time-out is known by its event, and by coming before that of any later request.
@@ -129,13 +128,6 @@ class EkiClient:
         while self._receive(0.0):
             pass
         return self.status
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _request(self, request: Request, accepted: tuple[EkiEvent, ...], control_mode: int = -1, cycle_time: int = -1) -> None:
         self._restore(request)

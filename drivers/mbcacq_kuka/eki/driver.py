@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from mbcacq.devices import ConfigError, ConnectError, Cycles, Description, DeviceFault, Field, MotionLimits, RobotState, SafetyStop
+from mbcacq.devices import (
+    ConfigError,
+    ConnectError,
+    ContextDevice,
+    Cycles,
+    Description,
+    DeviceFault,
+    Field,
+    MotionLimits,
+    RobotState,
+    SafetyStop,
+)
 from mbcacq_kuka.controller_files import eki_files
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.cell_check import check_cell, frame_distance
@@ -22,7 +32,7 @@ from mbcacq_kuka.eki.watch import Move
 _STANDSTILL_S = 5.0
 
 
-class KukaEki:
+class KukaEki(ContextDevice):
     """A six-axis KUKA arm behind EthernetKRL. ``options``: see options.Options. Implements mbcacq.devices.Robot.
 
     A move is done when the arm stands at its target, not when the controller says so. A lost connection brakes the arm: the
@@ -165,13 +175,6 @@ class KukaEki:
         session, self._session = self._session, None
         if session is not None:
             session.close(_STANDSTILL_S)
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _begin(
         self, session: EkiSession, kind: int, away: Callable[[State], float], settle_s: float, target: np.ndarray | None, **values: Any

@@ -8,14 +8,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from mbcacq.devices import (
     ConfigError,
     ConnectError,
+    ContextDevice,
     Cycles,
     Description,
     DeviceFault,
@@ -63,7 +63,7 @@ _FINE_DECIMALS = 4  # with which rounding is below the repeatability of any join
 _log = logging.getLogger("mbcacq.kuka_rsi")
 
 
-class KukaRsi:
+class KukaRsi(ContextDevice):
     """A six-axis KUKA arm under RSI joint correction. ``options``: see options.Options. Implements mbcacq.devices.Robot."""
 
     plan_facts = ("dynamics", "follow")
@@ -177,13 +177,6 @@ class KukaRsi:
         eki, self._eki = self._eki, None
         if eki is not None:
             eki.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _open(self, wait_s: float) -> None:
         """A new session with the controller. Raises ConnectError, ProtocolError, SystemRefused."""

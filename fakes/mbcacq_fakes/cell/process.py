@@ -156,11 +156,11 @@ class Servers:
 
     def _start_modbus_positioner(self, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.modbus import PositionerOptions
-        from mbcacq_bus.options import parse
 
+        from mbcacq.devices import parse_options
         from mbcacq_fakes.protocols.bus.modbus import FakeModbus, FakePositioner
 
-        options = parse(PositionerOptions, "the Modbus positioner", given)
+        options = parse_options(PositionerOptions, "the Modbus positioner", given)
         stations = {str(k): v for k, v in options.stations.items()}
         self._positioner = FakePositioner(
             stations, options.position, options.in_position, options.actual, options.fault, travel_s=self._travel_s()
@@ -172,12 +172,12 @@ class Servers:
         return self._serve(bus, options)
 
     def _start_serial_positioner(self, given: dict[str, Any]) -> dict[str, Any]:
-        from mbcacq_bus.options import parse
         from mbcacq_bus.serial_positioner import SerialPositionerOptions
 
+        from mbcacq.devices import parse_options
         from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 
-        options = parse(SerialPositionerOptions, "the serial positioner", given)
+        options = parse_options(SerialPositionerOptions, "the serial positioner", given)
         try:
             line = FakeSerialPositioner(options, travel_s=self._travel_s(), **self._line_address(options.port))
         except ValueError as error:
@@ -209,11 +209,11 @@ class Servers:
     def _start_sensor(self, number: int, driver: str, given: dict[str, Any]) -> dict[str, Any]:
         if driver == "modbus":
             from mbcacq_bus.modbus import SensorOptions
-            from mbcacq_bus.options import parse
 
+            from mbcacq.devices import parse_options
             from mbcacq_fakes.protocols.bus.modbus import FakeModbus
 
-            options = parse(SensorOptions, "the Modbus sensor", given)
+            options = parse_options(SensorOptions, "the Modbus sensor", given)
             bus = self._sensors[number] = FakeModbus(values=[(r, self._value(name)) for name, r in options.values.items()])
             return self._serve(bus, options)
         if driver == "serial":
@@ -221,13 +221,13 @@ class Servers:
         return {}  # one the cell does not play is read where the plan says: reading moves nothing
 
     def _start_serial(self, number: int, given: dict[str, Any]) -> dict[str, Any]:
-        from mbcacq_bus.options import parse
         from mbcacq_bus.serial import SerialOptions
 
+        from mbcacq.devices import parse_options
         from mbcacq_fakes.protocols.bus.line_for import fill, names, template
         from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 
-        options = parse(SerialOptions, "the serial sensor", given)
+        options = parse_options(SerialOptions, "the serial sensor", given)
         answers = {}
         try:
             line = template(options.line)

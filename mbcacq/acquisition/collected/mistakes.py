@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import permutations, product
 
 import numpy as np
 
-from mbcacq.acquisition.collected.assignment import NEAR_MM, CloudAssignment, Slot, assign
+from mbcacq.acquisition.collected.assignment import CloudAssignment, Slot, assign
 from mbcacq.acquisition.collected.found_cloud import FoundCloud
 from mbcacq.acquisition.collected.placement_fit import PlacementFit
 from mbcacq.devices import ConfigError
@@ -18,10 +18,12 @@ from mbcacq.plan.field_of_view import margin
 Look = Callable[[FoundCloud, str, str], FoundCloud]  # a cloud read once more: in another unit, with other axes
 TRIED = 5  # clouds that a guess is tried with
 MOST_OF = 0.6  # of the clouds
+OF_THIS_PLAN = 0.8  # of the clouds: two plans for one cell share some views, and where few clouds are there a fit bends to them
 GOOD_COST, POOR_COST = 0.5, 0.9  # of an assignment, a slot
 OTHER_MOUNT_MM, OTHER_MOUNT_DEG = 25.0, 8.0  # a hand-eye from a drawing is better than this
 EXCHANGED_MM, EXCHANGED_DEG = 25.0, 10.0  # how near to an exchange of axes the mount seems turned
 CLEARLY = 0.4  # of the distance to its own pose: a cloud that is so near to another one was taken there
+OWN_MM = 6.0  # from its own pose, once scanner and stations are known from all clouds: three times what a nominal arm misses by
 MOVED_MM = 3.0  # of an artefact between two poses; less is an arm's own error
 
 
@@ -75,21 +77,23 @@ def refuse_other_session(
         return
     pose_of = {c: slot.pose for slot, c in zip(slots, found.cloud, strict=True) if c is not None}
     best = np.array([found.distances[c, pose_of[c]] if c in pose_of else np.inf for c in known])
-    if np.mean(best < NEAR_MM) >= MOST_OF:
+    fitting = best < OWN_MM
+    bumped = moved_poses(fit, moved_artefacts(fit, clouds, slots, found.cloud))
+    if np.mean(fitting | [pose_of.get(c) in bumped for c in known]) >= OF_THIS_PLAN:
         _refuse_other_mount(loaded, fit, axes)
         return
     some = [clouds[k] for k in known]
     for axis, turned in _turned(loaded.cell.T_flange_scanner):
         other = PlacementFit(loaded.cell, fit.poses, turned)
         tried = assign(other, some, slots)
-        fitting = [tried.distances[c, slot.pose] < NEAR_MM for slot, c in zip(slots, tried.cloud, strict=True) if c is not None]
-        if sum(fitting) >= MOST_OF * len(some):
+        turned_fitting = [tried.distances[c, slot.pose] < OWN_MM for slot, c in zip(slots, tried.cloud, strict=True) if c is not None]
+        if sum(turned_fitting) >= OF_THIS_PLAN * len(some):
             raise ConfigError(
                 f"the scanner sits otherwise on the flange than the plan's hand_eye says: turned by {axis:.0f} deg about the flange's z "
                 "axis the clouds fit; correct hand_eye, or mount it as planned"
             )
     raise ConfigError(
-        f"{int(np.sum(best >= NEAR_MM))} of {len(known)} clouds do not show what the poses of this plan would: "
+        f"{int(np.sum(~fitting))} of {len(known)} clouds do not show what the poses of this plan would: "
         "are they of another plan, another arm or another bracket?"
     )
 
@@ -145,6 +149,13 @@ def moved_artefacts(
             rows.append((pose.number, np.mean(se3.apply(T_base_scanner[slot.pose], clouds[c].xyz) - planned, axis=0)))
         if len(rows) >= 4 and (split := _step([r for _, r in rows])) is not None:
             yield rows[split[0] - 1][0], rows[split[0]][0], split[1]
+
+
+def moved_poses(fit: PlacementFit, moved: Iterable[tuple[int, int, float]]) -> set[int]:
+    """Indices of the poses after their artefact was moved, as ``moved_artefacts`` gives it."""
+    station_of = {pose.number: pose.station for pose in fit.poses}
+    since = {station_of[after]: after for _, after, _ in moved}
+    return {k for k, pose in enumerate(fit.poses) if pose.number >= since.get(pose.station, pose.number + 1)}
 
 
 def _step(offsets: list[np.ndarray]) -> tuple[int, float] | None:

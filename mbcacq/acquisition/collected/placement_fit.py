@@ -61,7 +61,8 @@ class PlacementFit:
         pairs = [(c, p) for c, p in zip(clouds, pose, strict=True) if p is not None and c.identified]
         if not pairs:
             return np.inf
-        names = list(self.stations)
+        paired = {self.poses[p].station for _, p in pairs}
+        names = [name for name in self.stations if name in paired]
         rows = np.concatenate([np.full(len(c.ball), p) for c, p in pairs])
         columns = np.concatenate([[self._column[b] for b in c.ball.tolist()] for c, _ in pairs]).astype(int)
         xyz = np.concatenate([c.xyz for c, _ in pairs])
@@ -77,6 +78,7 @@ class PlacementFit:
             return np.concatenate([np.nan_to_num(away, nan=0.0).ravel(), prior.ravel()])
 
         found = least_squares(miss, np.zeros(6 * (1 + len(names))), loss="soft_l1", f_scale=OUTLIER_MM, max_nfev=ROUNDS, x_scale="jac")
-        self.T_flange_scanner, self.stations = placed(found.x)
+        self.T_flange_scanner, learnt = placed(found.x)
+        self.stations |= learnt
         each = self.distances([c for c, _ in pairs])[np.arange(len(pairs)), [p for _, p in pairs]]
         return float(np.median(each))

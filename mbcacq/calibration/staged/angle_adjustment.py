@@ -28,7 +28,7 @@ class LCurve:
         import plotly.graph_objects as go
 
         label = [f"{value:.3g}" for value in self.ridge]
-        figure = go.Figure(name=go.Scatter(x=self.misfit, y=self.size, text=label, mode="lines+markers", name="ridge parameter"))
+        figure = go.Figure(go.Scatter(x=self.misfit, y=self.size, text=label, mode="lines+markers", name="ridge parameter"))
         figure.add_scatter(x=self.misfit[[self.corner]], y=self.size[[self.corner]], mode="markers", marker_size=12, name="taken")
         figure.update_xaxes(type="log", title="misfit of the angles (rad)")
         figure.update_yaxes(type="log", title="size of the corrections (mm)")

@@ -81,7 +81,7 @@ def identify(
             f"{len(at.a)} pairs of balls were seen from different poses of one station, the distance constraint has "
             f"{free.sum()} unknowns; take several orientations at each position of the artefact"
         )
-    if options.refuse:
+    if options.refuse and options.kinematics:
         refuse_one_station(obs)
     found = distance_constraint.identify(first.chain, first.T_flange_scanner, obs, at, free, measured)
     if found.unobservable.shape[1] and options.refuse:
@@ -100,7 +100,10 @@ def identify(
 
 
 def published_layout(obs: Observations, options: CalibrationOptions) -> ParameterLayout:
-    """Free as in the paper's Table 1: everything but d before a parallel axis, and beta only there."""
+    """Free as in the paper's Table 1: everything but d before a parallel axis, and beta only there. Without kinematics the links are
+    held, and the distances identify the hand-eye transform alone."""
+    if not options.kinematics:
+        return parameters.build(obs, replace(options, balls=False, terms=(), discrepancy=False))
     layout = parameters.build(obs, replace(options, balls=False, terms=()))
     parallel = obs.cell.robot.chain.parallel_next()
     free = np.ones((obs.cell.robot.n, 5), bool)

@@ -20,10 +20,10 @@ from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointSet, joint_set
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
-from mbcacq.diagnosis.result import plain
 from mbcacq.effects import catalogue
 from mbcacq.effects.declaration import Estimates
 from mbcacq.effects.in_words import effect_in_words
+from mbcacq.model.json_text import plain
 from mbcacq.quantities import K, measured, split_unit
 
 SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
@@ -124,7 +124,8 @@ def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float =
 
 def in_terms_of_poses(poses: Mapping[str, Any], motion: MotionDiagnosis) -> dict[str, list[tuple[tuple[str, ...], Estimates]]]:
     """Name of an effect of the motion -> its locations and its parameters in the words of the poses."""
-    every = {key: p for e in (*poses["effects"], *(m.to_json() for m in motion.named_effects)) for key, p in e["parameters"].items()}
+    found = (*(e["parameters"] for e in poses["effects"]), *(m.parameters for m in motion.named_effects))
+    every = {key: p for parameters in found for key, p in parameters.items()}
     out: dict[str, list[tuple[tuple[str, ...], Estimates]]] = {}
     for effect in motion.named_effects:
         translate = catalogue.declaration(effect.name).in_terms_of_poses

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import PlainValidator
 
-from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, ComparedEffect, ComparedSet, EvidenceSummary, NotSeparable, plain
+from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import Number, damage, from_fields, plain
 
 Json = dict[str, Any]
 
@@ -23,13 +25,8 @@ class MotionMismatch:
     at: str
     channel: str
     depends_on: str
-    share: float
-    p_value: float
-
-    @classmethod
-    def from_json(cls, content: Json) -> MotionMismatch:
-        share, p = _number(content["share"]), _number(content["p_value"])
-        return cls(content["at"], content["channel"], content["depends_on"], share, p)
+    share: Number
+    p_value: Number
 
 
 @dataclass(frozen=True)
@@ -38,12 +35,8 @@ class MotionStep:
     in the unit of the channel (deg, N m)."""
 
     adds: tuple[str, ...]
-    held_out_before_rms: Mapping[str, float]
-    held_out_after_rms: Mapping[str, float]
-
-    @classmethod
-    def from_json(cls, content: Json) -> MotionStep:
-        return cls(tuple(content["adds"]), content["held_out_before_rms"], content["held_out_after_rms"])
+    held_out_before_rms: Mapping[str, Number]
+    held_out_after_rms: Mapping[str, Number]
 
 
 @dataclass(frozen=True)
@@ -60,34 +53,12 @@ class MotionEffect:
     depends_on: str
     channel: str
     parameters: Mapping[str, Mapping[str, Any]]
-    p_value: float
-    held_out_gain: float
-    held_out_gain_here: float
+    p_value: Number
+    held_out_gain: Number
+    held_out_gain_here: Number
     alternatives: tuple[Alternative, ...]
     steps: tuple[MotionStep, ...]
     notes: tuple[str, ...] = ()
-
-    def to_json(self) -> Json:
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, content: Json) -> MotionEffect:
-        alternatives = tuple(_alternative(a) for a in content["alternatives"])
-        steps = tuple(MotionStep.from_json(s) for s in content["steps"])
-        gains = _number(content["held_out_gain"]), _number(content["held_out_gain_here"])
-        where, p = tuple(content["where"]), _number(content["p_value"])
-        return cls(
-            content["name"],
-            where,
-            content["depends_on"],
-            content["channel"],
-            content["parameters"],
-            p,
-            *gains,
-            alternatives,
-            steps,
-            tuple(content.get("notes", ())),
-        )
 
 
 @dataclass(frozen=True)
@@ -98,8 +69,8 @@ class UnmodelledMotionEffect:
     where: tuple[str, ...]
     channel: str
     depends_on: str
-    p_value: float
-    held_out_gain: float
+    p_value: Number
+    held_out_gain: Number
     x: tuple[float, ...]
     y: tuple[float, ...]
 
@@ -109,7 +80,8 @@ class UnmodelledMotionEffect:
     def parameters(self) -> Mapping[str, Mapping[str, Any]]:
         return {}
 
-    def to_json(self) -> Json:
+    def to_dict(self) -> Json:
+        """JSON content."""
         return {
             "name": self.name,
             "where": self.where,
@@ -122,21 +94,15 @@ class UnmodelledMotionEffect:
             "alternatives": [],
         }
 
-    @classmethod
-    def from_json(cls, content: Json) -> UnmodelledMotionEffect:
-        shape, gain = content["shape"], _number(content["held_out_gain"])
-        x, y = tuple(shape["x"]), tuple(shape["y"])
-        return cls(tuple(content["where"]), content["channel"], content["depends_on"], _number(content["p_value"]), gain, x, y)
-
 
 @dataclass(frozen=True)
 class ErrorBeforeAfter:
     """Root mean square, in the unit of the channel, and chi2 per degree of freedom: of the base alone, and with the effects."""
 
-    before_rms: float
-    after_rms: float
-    before_chi2_dof: float
-    after_chi2_dof: float
+    before_rms: Number
+    after_rms: Number
+    before_chi2_dof: Number
+    after_chi2_dof: Number
 
 
 @dataclass(frozen=True)
@@ -150,16 +116,10 @@ class ChannelFit:
     channel: str
     at: str
     unit: str
-    noise_floor: float
+    noise_floor: Number
     train: ErrorBeforeAfter
     held_out: ErrorBeforeAfter
     refused_rms: float | None = None
-
-    @classmethod
-    def from_json(cls, content: Json) -> ChannelFit:
-        train, held_out = (ErrorBeforeAfter(**{k: _number(v) for k, v in content[part].items()}) for part in ("train", "held_out"))
-        floor, refused = _number(content["noise_floor"]), content.get("refused_rms")
-        return cls(content["channel"], content["at"], content["unit"], floor, train, held_out, refused)
 
 
 @dataclass(frozen=True)
@@ -171,11 +131,6 @@ class CheckedChannel:
     unit: str
     error: ErrorBeforeAfter
 
-    @classmethod
-    def from_json(cls, content: Json) -> CheckedChannel:
-        error = ErrorBeforeAfter(**{k: _number(v) for k, v in content["error"].items()})
-        return cls(content["channel"], content["at"], content["unit"], error)
-
 
 @dataclass(frozen=True)
 class MotionCheck:
@@ -184,10 +139,6 @@ class MotionCheck:
     recording: str
     channels: tuple[CheckedChannel, ...]
 
-    @classmethod
-    def from_json(cls, content: Json) -> MotionCheck:
-        return cls(content["recording"], tuple(map(CheckedChannel.from_json, content["channels"])))
-
 
 @dataclass(frozen=True)
 class BodyInertia:
@@ -195,13 +146,9 @@ class BodyInertia:
     the origin of the frame."""
 
     body: str
-    mass_kg: float
+    mass_kg: Number
     first_moment_kg_mm: tuple[float, ...]
     tensor_kg_m2: tuple[float, ...]
-
-    @classmethod
-    def from_json(cls, content: Json) -> BodyInertia:
-        return cls(content["body"], content["mass_kg"], tuple(content["first_moment_kg_mm"]), tuple(content["tensor_kg_m2"]))
 
 
 @dataclass(frozen=True)
@@ -212,7 +159,16 @@ class ChannelEvidence:
     evidence: EvidenceSummary
 
 
-@dataclass(frozen=True, repr=False)
+def _effect(content: Any) -> MotionEffect | UnmodelledMotionEffect:
+    if content["name"] == UnmodelledMotionEffect.name:
+        return from_fields(UnmodelledMotionEffect, {**content, **content["shape"]})
+    return from_fields(MotionEffect, content)
+
+
+ReadEffect = Annotated[MotionEffect | UnmodelledMotionEffect, PlainValidator(_effect)]
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
 class MotionDiagnosis:
     """What was found in recordings of motion.
 
@@ -225,7 +181,7 @@ class MotionDiagnosis:
 
     verdict: str
     mismatch: tuple[MotionMismatch, ...]
-    effects: tuple[MotionEffect | UnmodelledMotionEffect, ...]
+    effects: tuple[ReadEffect, ...]
     channels: tuple[ChannelFit, ...]
     split: str
     not_separable: tuple[NotSeparable, ...] = ()
@@ -246,46 +202,33 @@ class MotionDiagnosis:
             {
                 "format": FORMAT,
                 "verdict": self.verdict,
-                "mismatch": [asdict(m) for m in self.mismatch],
-                "effects": [e.to_json() for e in self.effects],
+                "mismatch": self.mismatch,
+                "effects": self.effects,
                 "fit": {
                     "train": _mean([c.train for c in self.channels]),
                     "held_out": _mean([c.held_out for c in self.channels]) | {"split": self.split},
-                    "channels": [asdict(c) for c in self.channels],
+                    "channels": self.channels,
                 },
-                "not_separable": [asdict(n) for n in self.not_separable],
-                "advice": [asdict(a) for a in self.advice],
-                "inertial": [asdict(b) for b in self.inertial],
-                "suspicions": list(self.suspicions),
-                "evidence": [{"channel": e.channel, "evidence": asdict(e.evidence)} for e in self.evidence],
+                "not_separable": self.not_separable,
+                "advice": self.advice,
+                "inertial": self.inertial,
+                "suspicions": self.suspicions,
+                "evidence": self.evidence,
             }
-            | ({"motion_checks": [asdict(c) for c in self.checks]} if self.checks else {})
+            | ({"motion_checks": self.checks} if self.checks else {})
         )
 
     @classmethod
     def from_json(cls, content: Json) -> MotionDiagnosis:
-        """From what ``to_json`` gave. Raises ConfigError for another format or a diagnosis of poses."""
-        if content.get("format") not in READABLE or "channels" not in content.get("fit", {}):
+        """From what ``to_json`` gave. Raises ConfigError for another format, a diagnosis of poses, and a damaged one."""
+        fit = content.get("fit", {})
+        if content.get("format") not in READABLE or "channels" not in fit:
             raise ConfigError(f"this is not the diagnosis of a motion: it needs format {FORMAT} and fit.channels")
-        mismatch = tuple(MotionMismatch.from_json(m) for m in content["mismatch"])
-        kinds = ((e, UnmodelledMotionEffect if e["name"] == UnmodelledMotionEffect.name else MotionEffect) for e in content["effects"])
-        channels = tuple(ChannelFit.from_json(c) for c in content["fit"]["channels"])
-        effects = tuple(kind.from_json(e) for e, kind in kinds)
-        return cls(
-            verdict=content["verdict"],
-            mismatch=mismatch,
-            effects=effects,
-            channels=channels,
-            split=content["fit"]["held_out"]["split"],
-            not_separable=tuple(
-                NotSeparable(tuple(n["effects"]), _number(n["correlation"]), n.get("odds")) for n in content["not_separable"]
-            ),
-            advice=tuple(Advice(a["reason"], tuple(tuple(pose) for pose in a["poses_deg"])) for a in content["advice"]),
-            inertial=tuple(BodyInertia.from_json(b) for b in content.get("inertial", ())),
-            suspicions=tuple(content.get("suspicions", ())),
-            evidence=tuple(ChannelEvidence(e["channel"], _evidence(e["evidence"])) for e in content.get("evidence", ())),
-            checks=tuple(map(MotionCheck.from_json, content.get("motion_checks", ()))),
-        )
+        try:
+            of_fit = {"channels": fit["channels"], "split": fit["held_out"]["split"], "checks": content.get("motion_checks", ())}
+            return from_fields(cls, {**content, **of_fit})
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
 
     def __repr__(self) -> str:
         lines = [f"MotionDiagnosis: {self.verdict}, {len(self.effects)} effects"]
@@ -312,30 +255,5 @@ def _mean(errors: list[ErrorBeforeAfter]) -> dict[str, float]:
 
 def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
     """In words with units, ± U (k = 2)."""
-    return "; ".join(parameter_in_words(name, _estimate(p)) for name, p in effect.parameters.items())
-
-
-def _estimate(content: Mapping[str, Any]) -> ParameterEstimate:
-    def component(value: Any) -> Any:
-        return tuple(map(_number, value)) if isinstance(value, list | tuple) else _number(value)
-
-    return ParameterEstimate(component(content["value"]), component(content["std"]))
-
-
-def _alternative(content: Json) -> Alternative:
-    return Alternative(content["name"], tuple(content["where"]), _number(content["held_out_gain"]), content.get("odds"))
-
-
-def _evidence(content: Json) -> EvidenceSummary:
-    sets = tuple(ComparedSet(tuple(_compared(e) for e in one["effects"]), _number(one["log_odds"])) for one in content["sets"])
-    return EvidenceSummary(content["poses"], _number(content["log_e_value"]), _number(content["least_log_e_value"]), sets)
-
-
-def _compared(content: Json) -> ComparedEffect:
-    parameters = {name: _estimate(p) for name, p in content["parameters"].items()}
-    return ComparedEffect(content["name"], tuple(content["where"]), parameters, content["tried"])
-
-
-def _number(value: float | None) -> float:
-    """A number of the JSON; null stands for one that is not finite."""
-    return float("nan") if value is None else value
+    each = {name: from_fields(ParameterEstimate, p) for name, p in effect.parameters.items()}
+    return "; ".join(parameter_in_words(name, estimate) for name, estimate in each.items())

@@ -18,7 +18,7 @@ from mbcacq.diagnosis.nonparametric.basis_functions import artefact_tilt
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import Diagnosis, MismatchEntry, plain
+from mbcacq.diagnosis.result import Diagnosis, MismatchEntry
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.context import Context
@@ -28,6 +28,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.terms import PER_POSE, Part
+from mbcacq.model.json_text import plain
 
 FORMAT = "mbcacq-diagnosis-pictures/1"
 MOST_POINTS = 3000  # centres, and points of a curve, that are drawn

@@ -31,7 +31,7 @@ start: position*
 position: "P" "[" INTEGER [":" STRING] "]" "{" group* "}" ";"
 group: GROUP ":" (field ","?)*
 field: NAME (":" | "=") value
-value: SIGNED NAME? | INTEGER NAME? | STRING | STARS
+value: SIGNED NAME? | INTEGER NAME? | STRING | STARS NAME?
 GROUP.3: /GP\d+/
 NAME: /[A-Za-z]\w*(\/\w+)*/
 INTEGER.2: /\d+(?![\d.])/
@@ -41,7 +41,7 @@ STARS: /\*+/
 %ignore /[\s\x00-\x1f\x7f-\xa0]+/
 """
 MOTIONS = ("J", "L", "C", "A", "S")
-MOVED = re.compile(r"^(tool_)?offset|^voffset|^lock|^pallet", re.IGNORECASE)
+MOVED = re.compile(r"offset|^lock|^pallet", re.IGNORECASE)
 _SECTION = re.compile(r"^/(MN|POS|END|PROG|ATTR|APPL)\b.*$", re.MULTILINE)
 _REMARK = re.compile(r"\s*\d*\s*:\s*(!|//)")
 DEGREES = float(np.pi / 180)
@@ -84,7 +84,7 @@ def read(text: str, n: int) -> RobotProgram:
 def _position(
     position: Any, n: int, begin: int, line_of: LineNumbers, uses: dict[str, Uses], points: list[ProgrammedPoint], left: list[LeftAlone]
 ) -> None:
-    key = str(position.children[0])
+    key = str(int(position.children[0]))
     line = line_of(begin + position.children[0].start_pos)
     labels = [str(c).strip("'\"") for c in position.children[1:] if getattr(c, "type", "") == "STRING"]
     name = f"P[{key}{':' + labels[0] if labels else ''}]"
@@ -123,15 +123,16 @@ def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Us
             tree = _parser(STATEMENT).parse(statement)
         except LarkError:
             for key in re.findall(r"\bP\[\s*(\d+)", statement):
-                out.setdefault(key, Uses()).otherwise.append(number)
+                out.setdefault(str(int(key)), Uses()).otherwise.append(number)
             continue
         words = [str(c) for c in tree.children if getattr(c, "type", "") == "NAME"]
         motion = bool(words) and (words[0] in MOTIONS or not _numbered(tree))
-        relative = "INC" in [w.upper() for w in words]
-        moved = any(MOVED.match(w) for w in words)
+        relative = any(w.upper().startswith("INC") for w in words)
+        moved = any(MOVED.search(w) for w in words)
         for indexed in (t for t in tree.iter_subtrees() if t.data == "indexed" and str(t.children[0]) == "P"):
             first = indexed.children[1] if len(indexed.children) > 1 else None
-            uses = out.setdefault(str(first), Uses()) if getattr(first, "type", "") == "SIGNED" else everything
+            numbered = getattr(first, "type", "") == "SIGNED" and str(first).isdecimal()
+            uses = out.setdefault(str(int(str(first))), Uses()) if numbered else everything
             target = uses.relative if relative else uses.otherwise if moved or not motion else uses.absolute
             target.append(number)
     for key in list(out):

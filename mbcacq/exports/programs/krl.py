@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -43,6 +43,7 @@ COMMENT: /;.*/
 POSE = {"x", "y", "z", "s", "t"}
 DECLARING = ("decl", "global", "const")
 POSE_REASON = "is a pose, whose joints are the controller's choice"
+OTHER = "is no place"
 _DATA = re.compile(r"\s*(?:GLOBAL\s+)?DEFDAT\s+([\w$]+)(\s+PUBLIC)?", re.IGNORECASE)
 _MOVES = re.compile(r"\bS?(?:PTP|LIN|CIRC)(?:_REL)?\b", re.IGNORECASE)
 _WORD = re.compile(r"[$A-Za-z_][\w$]*")
@@ -163,11 +164,9 @@ class _KrlStatements:
                 single, plain = value.children[0], len(value.children) == 1 and getattr(value.children[0], "type", "") == "SIGNED"
                 fields[str(token).lower()] = getattr(single, "start_pos", 0), str(single) if plain else ""
         wanted = [f"a{i + 1}" for i in range(self.n)]
-        if not all(key in fields for key in wanted):
-            if any(re.fullmatch(r"a[1-9]", key) for key in fields):
-                self.left.append((name, number, reason or "has not the angles of all axes"))
-            elif POSE <= set(fields):
-                self.left.append((name, number, reason or POSE_REASON))
+        if why := _no_joint_target(aggregate, fields, wanted):
+            if why != OTHER:
+                self.left.append((name, number, reason or why))
             return
         found = [fields[key] for key in wanted]
         if not all(text and text[0] != "'" for _, text in found):
@@ -176,6 +175,18 @@ class _KrlStatements:
         spans = tuple((at + place, at + place + len(text)) for place, text in found)
         angles = np.radians([float(text) for _, text in found])
         self.points.append((variable, reason, ProgrammedPoint(name, number, angles, spans, (float(np.pi / 180),) * self.n)))
+
+
+def _no_joint_target(aggregate: Any, fields: Mapping[str, Any], wanted: Sequence[str]) -> str:
+    """Why an aggregate is not the angles of all axes, '' where it is; ``OTHER`` for one that has nothing to do with axes."""
+    named = [str(f.children[0]).split()[0].lower() for f in aggregate.children if f.data == "field"]
+    if len(set(named)) < len(named) and set(wanted) & set(named):
+        return "has the angle of an axis twice"
+    if all(key in fields for key in wanted):
+        return ""
+    if any(re.fullmatch(r"a[1-9]", key) for key in fields):
+        return "has not the angles of all axes"
+    return POSE_REASON if set(fields) >= POSE else OTHER
 
 
 def read(text: str, n: int, programs: Iterable[str] = ()) -> RobotProgram:

@@ -48,6 +48,7 @@ class _RapidStatements:
         self.points: list[tuple[str, str, ProgrammedPoint]] = []
         self.left: list[LeftAlone] = []
         self.moves = False
+        self.jointtargets = set[str]()  # names declared as such
 
     def statement(self, begin: int, code: str, line_of: LineNumbers) -> None:
         from lark.exceptions import LarkError
@@ -62,8 +63,12 @@ class _RapidStatements:
                 self.left.append((f"line {at}", at, "is a statement that is not understood"))
             return
         names = [str(child).lower() for child in tree.children if getattr(child, "type", "") == "NAME"]
+        if "jointtarget" in names:
+            self.jointtargets |= set(names[names.index("jointtarget") + 1 :])
         for child in tree.children:
             kind = getattr(child, "data", "")
+            if "jointtarget" in names and getattr(child, "type", "") == "NAME":
+                continue  # a declaration says what there is and uses nothing
             if kind == "motion":
                 self._motion(child, begin, line_of)
             elif kind == "assignment":
@@ -74,7 +79,9 @@ class _RapidStatements:
     def _assignment(self, assignment: Any, names: list[str], begin: int, line_of: LineNumbers) -> None:
         name, value = assignment.children
         number, label = line_of(begin + name.start_pos), str(name)
-        if getattr(value, "data", "") == "list" and "jointtarget" in names:
+        if "jointtarget" in names:
+            self.jointtargets.add(label.lower())
+        if getattr(value, "data", "") == "list" and ("jointtarget" in names or label.lower() in self.jointtargets):
             self._jointtarget(label.lower(), label, "", value, begin, number)
         elif getattr(value, "data", "") == "list" and "robtarget" in names:
             self.left.append((label, number, "is a pose, whose joints the controller's own kinematics finds"))
@@ -86,15 +93,18 @@ class _RapidStatements:
         word = str(motion.children[0]).lower()
         groups = [g for g in motion.children[1:] if not (g.children and str(g.children[0]) == "\\")]  # \Conc and its like come first
         number = line_of(begin + motion.children[0].start_pos)
-        self.moves = self.moves or word == "moveabsj"
+        to_joints = word.startswith("moveabsj")  # MoveAbsJDO, MoveAbsJSync and others of this kind begin as MoveAbsJ does
+        self.moves = self.moves or to_joints
         for count, group in enumerate(groups):
             first = group.children[0] if group.children else None
             alone = len(group.children) == 1 or len(group.children) > 1 and str(group.children[1]) == "\\"
-            if word == "moveabsj" and count == 0 and alone and getattr(first, "type", "") == "NAME":
+            if to_joints and count == 0 and alone and getattr(first, "type", "") == "NAME":
                 self.uses[str(first).lower()].absolute.append(number)
-            elif word == "moveabsj" and count == 0 and alone and getattr(first, "data", "") == "list":
+            elif to_joints and count == 0 and alone and getattr(first, "data", "") == "list":
                 self._jointtarget("", f"line {number}", "", first, begin, number)
-            elif getattr(first, "data", "") == "list" and count == 0:
+            elif getattr(first, "data", "") == "list" and count == 0 and word == "moveextj":
+                self.left.append((f"line {number}", number, "moves external axes alone"))
+            elif getattr(first, "data", "") == "list" and count == 0 and not to_joints:
                 self.left.append((f"line {number}", number, "is a pose, whose joints the controller's own kinematics finds"))
             else:
                 for part in group.children:
@@ -104,7 +114,10 @@ class _RapidStatements:
         stack = [part]
         while stack:
             here = stack.pop()
-            if hasattr(here, "children"):
+            if getattr(here, "data", "") == "list" and _looks_like_joints(here):
+                number = line_of(begin + _first_place(here))
+                self.left.append((f"line {number}", number, "is no target of a motion"))
+            elif hasattr(here, "children"):
                 stack += here.children
             elif getattr(here, "type", "") == "NAME":
                 self.uses[str(here).lower().split(".")[0]].otherwise.append(line_of(begin + here.start_pos))
@@ -122,6 +135,16 @@ class _RapidStatements:
         spans = tuple((begin + token.start_pos, begin + token.end_pos) for token in tokens)
         angles = np.radians([float(token) for token in tokens])
         self.points.append((variable, reason, ProgrammedPoint(name, number, angles, spans, (float(np.pi / 180),) * AXES)))
+
+
+def _looks_like_joints(brackets: Any) -> bool:
+    """Whether a list has the form of a jointtarget: six numbers of the arm, six of external axes."""
+    parts = [element.children[0] for element in brackets.children if len(element.children) == 1]
+    return len(brackets.children) == len(parts) == 2 and all(getattr(p, "data", "") == "list" and len(p.children) == AXES for p in parts)
+
+
+def _first_place(tree: Any) -> int:
+    return next(token.start_pos for token in tree.scan_values(lambda _: True))
 
 
 def read(text: str, n: int) -> RobotProgram:

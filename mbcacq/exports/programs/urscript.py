@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -31,11 +33,27 @@ COMMENT: /#.*/
 %ignore COMMENT
 %ignore /[ \t\f\v\x00-\x1f\x7f-\xa0]+/
 """
-MOVES = ("movej", "movel", "movep", "movec", "servoj", "servop", "servoc")  # whose first arguments are places, joint angles or poses
+MOVES = (
+    "movej",
+    "movel",
+    "movep",
+    "movec",
+    "optimovej",
+    "optimovel",
+    "servoj",
+    "servop",
+    "servoc",
+)  # whose first arguments are places, joint angles or poses
 PLACES = {"movec": 2, "servoc": 2}  # a via point and an end
 HINTS = ("get_inverse_kin", "get_inverse_kin_has_solution")  # joint angles there are where the search begins
 SPEEDS = ("speedj", "speedl", "stopj", "stopl")
 DEGREES = float(np.pi / 180)
+POSE_REASON = "is a pose, whose joints the controller's own kinematics finds"
+LONGEST_STATEMENT = 200  # lines
+# A comment, a string, a bracket: what says whether a statement goes on in the next line.
+_PIECES = re.compile(r"""#.*|"[^"]*"?|'[^']*'?|[(\[]|[)\]]""")
+_COMMENT = re.compile(r"""#.*|"[^"]*"?|'[^']*'?""")
+_WORD = re.compile(r"[A-Za-z_]\w*")
 
 
 @cache
@@ -58,7 +76,10 @@ class _UrStatements:
         try:
             tree = _parser().parse(code)
         except LarkError:
-            if "[" in code.split("#", 1)[0] and any(move in code for move in MOVES):
+            plain = code.split("#", 1)[0]
+            for word in _WORD.findall(plain):
+                self.uses[word.lower()].otherwise.append(number)
+            if "[" in plain:
                 self.left.append((f"line {number}", number, "is a line that is not understood"))
             return
         for child in tree.children:
@@ -127,17 +148,28 @@ class _UrStatements:
 
     def _pose_of(self, call: Any, number: int) -> None:
         """get_inverse_kin: the pose is the target, and its joints are found by the controller's own kinematics."""
-        for name in names_in(call.children[1]) if len(call.children) > 1 else ():
-            self.uses[name].absolute.append(number)
+        pose = call.children[1] if len(call.children) > 1 else None
+        only = pose.children[0] if pose is not None and len(pose.children) == 1 else None
+        if getattr(only, "type", "") == "NAME":
+            self.uses[str(only).lower()].absolute.append(number)
+            return
+        for name in names_in(pose):
+            self.uses[name].otherwise.append(number)
+        self.left.append((f"line {number}", number, POSE_REASON))
 
     def _coordinates(self, variable: str, name: str, reason: str, brackets: Any, number: int, at: int) -> None:
         for inside in names_in(brackets):  # an element of another target is no target: [home[0], ..]
             self.uses[inside].otherwise.append(number)
         if brackets.data == "pose":
             if len(brackets.children) == 7 and not reason:  # 'p[' itself is one
-                self.left.append((name, number, "is a pose, whose joints the controller's own kinematics finds"))
+                self.left.append((name, number, POSE_REASON))
             return
+        inner = [e.children[0] for e in brackets.children if len(e.children) == 1 and getattr(e.children[0], "data", "") == "list"]
+        for one in inner:
+            self._coordinates("", name, reason or "is part of a list", one, number, at)
         if len(brackets.children) != self.n:
+            if not (variable or reason or inner):
+                self.left.append((name, number, f"has not {self.n} angles"))
             return
         numbers = [_angle(element) for element in brackets.children]
         if not all(numbers):
@@ -167,10 +199,31 @@ def _angle(element: Any) -> Any:
     return None
 
 
+def _statements(text: str) -> Iterator[tuple[int, int, str]]:
+    """Lines, those joined whose brackets are open at the end: number of the first, place, and content with comments blanked between."""
+    begin, count, depth, parts = 0, 0, 0, list[str]()
+    number = 0
+    for number_here, at, line in lines(text):
+        if not parts:
+            number, begin = number_here, at
+        gap = at - begin - sum(map(len, parts))
+        parts.append(" " * gap + line)
+        for piece in _PIECES.findall(line):
+            depth += (piece in "([") - (piece in ")]") if len(piece) == 1 else 0
+        count += 1
+        if depth > 0 and count < LONGEST_STATEMENT:
+            parts[-1] = _COMMENT.sub(lambda m: m[0] if m[0][0] != "#" else " " * len(m[0]), parts[-1])
+            continue
+        yield number, begin, "".join(parts)
+        depth, count, parts = 0, 0, []
+    if parts:
+        yield number, begin, "".join(parts)
+
+
 def read(text: str, n: int) -> RobotProgram:
     """The points of a program for an arm of n axes."""
     found = _UrStatements(n)
-    for number, at, line in lines(text):
+    for number, at, line in _statements(text):
         found.line(number, at, line)
     points, left = [], list(found.left)
     for variable, point in found.points:

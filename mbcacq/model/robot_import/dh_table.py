@@ -32,12 +32,13 @@ ROWS = TableSchema(
         Column("mass", "kg", required=False),
         *(Column(f"com_{axis}", "mm", required=False) for axis in "xyz"),
         Column("joint", kind="text", required=False),
-        Column("type", kind="text", required=False, aliases=("kind", "joint_type")),
+        Column("type", kind="text", required=False, aliases=("kind", "joint_type", "jointtype", "sigma")),
     ),
     max_bytes=MAX_BYTES,
     comment="#",
 )
 SHORTEST_ARM_MM, LONGEST_ARM_MM = 20.0, 50e3
+REVOLUTE = ("r", "rev", "revolute", "rotational", "rotary", "0", "0.0")  # sigma of Corke's toolbox is 0, and 1 of a slide
 
 
 def read_dh_table(path: Path, convention: str) -> ArmSource:
@@ -129,7 +130,7 @@ def _optional(table: Table, name: str) -> np.ndarray:
 def _refuse_prismatic(table: Table) -> None:
     kinds = table.text("type") if table.has("type") else ()
     for i, kind in enumerate(kinds):
-        if kind.strip() and kind.strip().lower() not in ("r", "rev", "revolute", "rotational", "rotary"):
+        if kind.strip() and kind.strip().lower() not in REVOLUTE:
             raise ConfigError(f"{table.where(i, 'type')}: row {i + 1} is of type '{kind.strip()}'; an arm of revolute joints is needed")
 
 

@@ -22,6 +22,7 @@ MOST_JOINTS = 2000  # of a description; robots have a hundred
 ARM_BEFORE_FINGERS = 3  # axes: what branches behind fewer of them may be a torso with arms
 LONGEST_FINGER, LONGEST_HAND_FINGER = 3, 8  # joints of a finger of a gripper; of a hand on an arm, coupled ones among them
 ARM_BEFORE_HAND = 5  # axes before a hand, and before a single slide that is a gripper
+TURNS_OF_A_VEHICLE, ARM_ON_A_VEHICLE = 1, 5  # axes of a vehicle that slides and turns; of the arm on it, which has more behind its slides
 SHORTEST_ARM = 4  # axes of an arm that is told from legs, wheels and heads of at most half as many
 LIKE_A_JAW = 2.2, 0.2  # rad: the range of a last joint that opens from nearly zero to one side only, as jaws do
 
@@ -130,9 +131,15 @@ class KinematicTree:
         last = max((i for i in carrying), default=-1)
         axes = sum(joint.kind in TURNING for joint in joints[last + 1 :])
         before = [j for j in joints[: last + 1] if j.kind in TURNING and not _wheel(j)]
-        if carrying and not before and axes >= ARM_BEFORE_FINGERS:
-            names = _list([joints[i].name for i in carrying])
-            remarks.append(f"{names} carries the arm and is none of its axes; it stands as at zero")
+        is_vehicle = len(before) <= TURNS_OF_A_VEHICLE and axes >= ARM_ON_A_VEHICLE
+        if carrying and ((not before and axes >= ARM_BEFORE_FINGERS) or is_vehicle):
+            named = [j.name for i, j in enumerate(joints[: last + 1]) if i in carrying or j in before]
+            what = (
+                "carries the arm and is none of its axes; it stands"
+                if len(named) == 1
+                else "carry the arm and are none of its axes; they stand"
+            )
+            remarks.append(f"{_list(named)} {what} as at zero")
             first = next(i for i in range(last + 1, len(joints)) if joints[i].kind in TURNING)
         elif carrying and carrying[0] < first:
             first = carrying[0]

@@ -29,18 +29,21 @@ SHAPES = (
     "tuples",
     "materials",
     "textures",
-)  # and their users
+    "keys",
+)  # and their users; a key has a number for each actuator, of which some go
 SMALLEST_MASS = 1e-6  # kg, of a body whose shapes are not there, for MuJoCo compiles none without mass
 
 
 @dataclass(frozen=True)
 class _Model:
-    """What MuJoCo compiled. massless: numbers of bodies whose masses are unknown. remarks: about what was left out."""
+    """What MuJoCo compiled. massless: numbers of bodies whose masses are unknown; bare: of those without any shape in the file. remarks:
+    about what was left out."""
 
     mujoco: Any
     model: Any
-    massless: frozenset[int]
-    remarks: tuple[str, ...]
+    bare: frozenset[int]
+    massless: frozenset[int] = frozenset()
+    remarks: tuple[str, ...] = ()
 
 
 def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
@@ -52,7 +55,7 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
         if name is not None and name not in names.frames:
             bodies, sites = ", ".join(names.bodies), ", ".join(names.sites)
             raise ConfigError(f"{path}: has no body or site '{name}'; its bodies are {bodies}; its sites {sites or 'none'}")
-    arm = _tree(path, mujoco, model, names).arm(base, flange)
+    arm = _tree(path, compiled, names).arm(base, flange)
     hinges = [names.joints[j.name] for j in arm.joints if j.kind in TURNING]
     chain = [j.name for j in arm.joints if j.kind in TURNING]
     data: Any = mujoco.MjData(model)
@@ -103,19 +106,22 @@ def _compiled(path: Path) -> _Model:
     """The model; where its meshes or pictures are not beside it, without any shape, for kinematics needs none. Raises ConfigError."""
     mujoco: Any = import_module("mujoco")
     try:
-        return _Model(mujoco, mujoco.MjModel.from_xml_path(str(path)), frozenset(), ())
+        model = mujoco.MjModel.from_xml_path(str(path.resolve()))  # what an included file names is looked for twice below a relative path
+        return _Model(mujoco, model, frozenset(np.flatnonzero(model.body_geomnum == 0).tolist()))
     except (ValueError, OSError) as error:
         reason = str(error).splitlines()[0]
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path.resolve()))
+        bare = frozenset(number for number, body in enumerate(spec.bodies) if not body.geoms)
         massless = _without_shapes(mujoco, spec)
         model = spec.compile()
-    except (ValueError, OSError):
+    except (ValueError, OSError) as error:
+        reason = str(error).splitlines()[0]
         raise ConfigError(f"{path}: MuJoCo cannot read it: {reason}; correct the file") from None
     about = f"MuJoCo cannot read its shapes ({reason}); they were left out"
     if massless:
         about += f", so that the masses of {', '.join(sorted(massless))} are unknown"
-    return _Model(mujoco, model, frozenset(model.body(name).id for name in massless), (about,))
+    return _Model(mujoco, model, bare, frozenset(model.body(name).id for name in massless), (about,))
 
 
 def _without_shapes(mujoco: Any, spec: Any) -> set[str]:
@@ -130,7 +136,7 @@ def _without_shapes(mujoco: Any, spec: Any) -> set[str]:
         site.material = ""
     massless = set[str]()
     for number, body in enumerate(spec.bodies):
-        if number and not body.explicitinertial:
+        if number and not (body.explicitinertial and body.mass >= SMALLEST_MASS):
             body.name = body.name or f"body {number}"
             body.explicitinertial, body.mass, body.inertia = 1, SMALLEST_MASS, [SMALLEST_MASS] * 3
             massless.add(body.name)
@@ -158,7 +164,8 @@ class _Names:
         return se3.transform(np.array(rotation[number]).reshape(3, 3), 1e3 * np.array(position[number]))
 
 
-def _tree(path: Path, mujoco: Any, model: Any, names: _Names) -> KinematicTree:
+def _tree(path: Path, compiled: _Model, names: _Names) -> KinematicTree:
+    mujoco, model = compiled.mujoco, compiled.model
     kinds = {
         int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
         int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
@@ -178,7 +185,7 @@ def _tree(path: Path, mujoco: Any, model: Any, names: _Names) -> KinematicTree:
         for body in range(1, model.nbody):
             parent, first = names.bodies[model.body_parentid[body]], int(model.body_jntadr[body])
             own = list(range(first, first + int(model.body_jntnum[body])))
-            bare = model.body_geomnum[body] == 0
+            bare = body in compiled.bare
             if not own:
                 yield TreeJoint("", "fixed", parent, names.bodies[body], bare=bare)
             for number, joint in enumerate(own):

@@ -1,8 +1,8 @@
 """Recordings of ROS: rosbag2 folders (SQLite or MCAP) and .mcap files as observations or trajectories.
 
 ``cell.yaml`` says under ``bag`` which topic is what. Joint angles are those of sensor_msgs/JointState; a target is a geometry_msgs
-PoseStamped, PointStamped or TransformStamped; a cloud is a sensor_msgs/PointCloud2. Needs the package rosbags:
-``pip install mbcacq[ros]``.
+PoseStamped, PointStamped or TransformStamped, or one frame of a tf2_msgs/TFMessage; a cloud is a sensor_msgs/PointCloud2. Needs the
+package rosbags: ``pip install mbcacq[ros]``.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.model.cell import Cell
 from mbcacq.model.cell_schema import Strict
 from mbcacq.recording.datasets import quaternions
-from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
+from mbcacq.recording.datasets.yaml_text import load_yaml, validate
 
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9
 FASTEST_RAD_S = 15.0  # of a joint: above the wrists of the fastest small arms (about 12 rad/s)
 UR_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
+FARTHEST_M = 1e3  # of a target: laser trackers reach 160 m
 SHORTEST_S = 1e-3  # between messages, for stamps are not exact
 T = TypeVar("T")
 FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
@@ -40,13 +41,14 @@ class StandstillSpec(Strict):
 
 class BagSpec(Strict):
     """file: a rosbag2 folder or an .mcap file, beside cell.yaml; joints: names in the order of the axes;
-    if not given, that which the names tell, or that of the message."""
+    if not given, that which the names tell, or that of the message. target_frame: child frame of the target, where its topic is /tf."""
 
     file: str
     joint_states: str = "/joint_states"
     joints: tuple[str, ...] = ()
     set_points: str | None = None
     target: str | None = None
+    target_frame: str | None = None
     point_cloud: str | None = None
     standstill: StandstillSpec = StandstillSpec()
 
@@ -60,12 +62,9 @@ class JointStates:
     effort: np.ndarray | None
 
 
-def bag_of(folder: Path) -> BagSpec | None:
-    """What cell.yaml says under ``bag``; None where it says nothing. Raises ConfigError."""
+def bag_of(text: str, folder: Path) -> BagSpec | None:
+    """What the text of the cell.yaml of a folder says under ``bag``; None where it says nothing. Raises ConfigError."""
     path = folder / "cell.yaml"
-    if not path.is_file():
-        return None
-    text = read_yaml_text(path)
     if "bag" not in text:
         return None
     data, node = load_yaml(text, str(path))
@@ -119,9 +118,14 @@ class Bag:
             named = [str(name) for name in message.name]
             return time, named, np.asarray(message.position, dtype=float).ravel(), np.asarray(message.effort, dtype=float).ravel()
 
-        times, positions, efforts = [], [], []
+        times, positions, efforts, others = [], [], [], list[list[str]]()
         for time, present, position, effort in self.messages(topic, ("sensor_msgs/msg/JointState",), read):
+            if not set(names) & set(present) if names else len(present) < n:
+                others.append(present)
+                continue  # of another publisher, such as a gripper's
             at = self._columns(topic, present, names, n)
+            if len(position) and np.isnan(position).all():
+                continue  # drivers publish before they have read the arm
             times.append(time)
             if len(position) != len(present):
                 raise ConfigError(
@@ -130,6 +134,8 @@ class Bag:
                 )
             positions.append(position[at])
             efforts.append(effort[at] if len(effort) == len(position) else np.full(n, np.nan))
+        if not times and others:
+            self._columns(topic, others[0], names, n)  # raises
         if not times:
             raise ConfigError(f"{self.path}: the topic {topic} holds no message; record it, or correct cell.yaml")
         time_s, effort = np.array(times), np.array(efforts)
@@ -158,7 +164,7 @@ class Bag:
             )
 
     def _columns(self, topic: str, present: list[str], names: tuple[str, ...], n: int) -> list[int]:
-        wanted = list(names) or present
+        wanted = list(names) or axes_among(present, n)
         missing = [name for name in wanted if name not in present]
         if missing and names:
             raise ConfigError(
@@ -186,6 +192,21 @@ def in_order_of_axes(names: list[str]) -> list[str]:
     return names
 
 
+def axes_among(names: list[str], n: int) -> list[str]:
+    """The n of more names that are the axes of one arm by UR's names or by numbers 1 .. n in the same words; else all of them."""
+    if len(names) <= n:
+        return names
+    of_ur = [name for name in names if name.endswith(UR_JOINTS)]
+    if n == len(UR_JOINTS) == len(of_ur):
+        return of_ur
+    alike: dict[tuple[str, str], list[str]] = {}
+    for name in names:
+        if m := re.fullmatch(r"(.*?)(\d+)(\D*)", name):
+            alike.setdefault((m[1], m[3]), []).append(name)
+    whole = [group for group in alike.values() if len(group) == n]
+    return whole[0] if len(whole) == 1 else names
+
+
 def trajectory_columns(folder: Path, spec: BagSpec, n: int) -> dict[str, Any]:
     """time_s, q, q_set and torque of ``Trajectory`` from a bag. Set points are those last sent at each time."""
     bag = Bag(folder, spec)
@@ -205,7 +226,7 @@ def observation_columns(folder: Path, spec: BagSpec, cell: Cell) -> dict[str, An
         raise ConfigError(f"{folder / 'cell.yaml'}: a bag is read as one station, cell.yaml has {len(cell.stations)}; make a set of each")
     bag = Bag(folder, spec)
     states = bag.joint_states(spec.joint_states, spec.joints, cell.robot.n)
-    windows = standstills(states, spec.standstill)
+    windows = standstills(states, spec.standstill) if len(states.time_s) > 1 else []
     if not windows:
         raise ConfigError(f"{bag.path}: the arm never stands still for {spec.standstill.seconds:g} s; change bag: standstill")
     measured = _targets(bag, spec, states, windows) if spec.target is not None else _clouds(bag, spec, cell, states, windows)
@@ -238,19 +259,55 @@ def _targets(bag: Bag, spec: BagSpec, states: JointStates, windows: list[slice])
     """Mean position, and orientation where there is one, of the target over each standstill."""
     points: dict[int, list[np.ndarray]] = {}
     turns: dict[int, list[np.ndarray]] = {}
-    kinds = tuple(f"geometry_msgs/msg/{kind}" for kind in ("PoseStamped", "PointStamped", "TransformStamped"))
-    for time, (point, turn) in bag.messages(str(spec.target), kinds, lambda time, message: (time, _target(message))):
+    others = set[str]()
+    for time, (point, turn) in _measured_targets(bag, spec, others):
         at = _window_of(time, states, windows)
         if at is not None:
+            _refuse_strange(bag, str(spec.target), time, point, turn)
             points.setdefault(at, []).append(point)
             if turn is not None:
                 turns.setdefault(at, []).append(turn)
+    if others and not points:
+        asked = f"has no frame '{spec.target_frame}' while the arm stands still" if spec.target_frame else "holds several frames"
+        raise ConfigError(
+            f"{bag.path}: the topic {spec.target} {asked} (there: {', '.join(sorted(others))}); name the target's under bag: target_frame"
+        )
     pose = np.array(sorted(points), dtype=np.int64)
     out: dict[str, Any] = {"pose": pose, "ball": np.zeros(len(pose), dtype=np.int64)}
     out["xyz"] = MM_IN_M * np.array([np.mean(points[p], axis=0) for p in pose.tolist()]).reshape(-1, 3)
     if len(turns) == len(points) and turns and not _never_turned(turns):
         out["rotation"] = quaternions.to_matrix(np.array([_mean_turn(turns[p]) for p in pose.tolist()]))
     return out
+
+
+def _refuse_strange(bag: Bag, topic: str, time: float, point: np.ndarray, turn: np.ndarray | None) -> None:
+    """Raise ConfigError where a message gives no place that a target may have, or no orientation."""
+    if not (np.abs(point) < FARTHEST_M).all():
+        what = f"a target at {', '.join(f'{v:.4g}' for v in point)} m"
+    elif turn is not None and not ((np.abs(turn) < 2).all() and abs(np.linalg.norm(turn) - 1) <= quaternions.UNIT):
+        what = f"a target whose quaternion (w, x, y, z) is {', '.join(f'{v:.4g}' for v in turn)}, of a length that is not 1,"
+    else:
+        return
+    raise ConfigError(f"{bag.path}: the topic {topic} has {what} at {time:.6f} s; it is damaged, remove the message from the bag")
+
+
+def _measured_targets(bag: Bag, spec: BagSpec, others: set[str]) -> Iterator[tuple[float, tuple[np.ndarray, np.ndarray | None]]]:
+    """Time and place of each target. others: takes up the frames of /tf that are not the target's."""
+    kinds = (*(f"geometry_msgs/msg/{kind}" for kind in ("PoseStamped", "PointStamped", "TransformStamped")), "tf2_msgs/msg/TFMessage")
+
+    def read(time: float, message: Any) -> list[tuple[float, tuple[np.ndarray, np.ndarray | None]]]:
+        if not hasattr(message, "transforms"):
+            return [(time, _target(message))]
+        out = []
+        for one in message.transforms:
+            if one.child_frame_id == spec.target_frame:
+                out.append((_stamp(one, time), _target(one)))
+            else:
+                others.add(str(one.child_frame_id))
+        return out
+
+    for found in bag.messages(str(spec.target), kinds, read):
+        yield from found
 
 
 def _target(message: Any) -> tuple[np.ndarray, np.ndarray | None]:
@@ -333,6 +390,8 @@ def _points(bag: Bag, topic: str, message: Any) -> np.ndarray:
 
 def _stamp(message: Any, received: float) -> float:
     """Time (s) at which it was measured; that of its recording where the sender gave none."""
+    if not hasattr(message, "header"):  # of /tf each transform has its own
+        return received
     stamp = message.header.stamp
     sent = stamp.sec + NS * stamp.nanosec
     return sent if sent > 0 else received

@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table
@@ -25,7 +23,7 @@ from mbcacq.recording.datasets.pose_columns import (
     pose_groups,
     role,
 )
-from mbcacq.recording.datasets.yaml_text import read_yaml_text
+from mbcacq.recording.datasets.yaml_text import load_yaml
 
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
 _JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
@@ -37,9 +35,9 @@ RTDE_JOINT = "actual_q"
 STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are no pose
 
 
-def columns_of(folder: Path) -> dict[str, str]:
-    """What cell.yaml says under ``columns``: what a file calls a column, and this program's name of it."""
-    found = yaml.safe_load(read_yaml_text(folder / "cell.yaml")).get("columns") or {}
+def columns_of(text: str) -> dict[str, str]:
+    """What the text of a cell.yaml says under ``columns``: what a file calls a column, and this program's name of it."""
+    found = load_yaml(text, "cell.yaml")[0].get("columns") or {}
     return {str(file): str(ours) for ours, file in found.items()}
 
 
@@ -89,7 +87,7 @@ def flange_columns(table: Table, cell: Cell, text: str) -> PoseHeadings | None:
             "(UR) or qw, qx, qy, qz"
         )
     table.expect_decimals([name for group in groups(table) for name in group.names])
-    said = yaml.safe_load(text).get("flange_poses") or {}
+    said = load_yaml(text, "cell.yaml")[0].get("flange_poses") or {}
     if said.get("orientation"):
         where = f"{table.path.with_name('cell.yaml')}: flange_poses: orientation"
         found = replace(found, convention=named_convention(said["orientation"], where), alternatives=())

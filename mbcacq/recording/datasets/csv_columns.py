@@ -91,7 +91,7 @@ def rotations(table: Table) -> np.ndarray:
     """(rows, 3, 3) from the columns ``QUATERNION``. Raises ConfigError at the first whose length is not 1."""
     q = table.numbers(QUATERNION)
     length = np.linalg.norm(q, axis=1)
-    bad = np.abs(length - 1) > 0.01
+    bad = np.abs(length - 1) > quaternions.UNIT
     if bad.any():
         row = int(np.argmax(bad))
         raise ConfigError(f"{table.where(row, 'qw')}: qw, qx, qy, qz have length {length[row]:.4g}, not 1; correct the quaternion")

@@ -24,6 +24,7 @@ from mbcacq.recording.datasets.loose_table import SUFFIXES, TableOptions, Unders
 from mbcacq.recording.datasets.pose_columns import PoseHeadings, pose_groups
 
 MAX_BYTES = 1 << 26
+SAMPLES = (".yaml", ".yml", ".samples")  # of MoveIt; easy_handeye2 calls its files NAME.samples
 MATRIX_NAMES = tuple(f"r{i}{j}" for i in range(4) for j in range(4))
 ROBOT_FILE = re.compile(r"(rob|pos(e)?[_-]?\d|flange|tcp|gripper|hand|base)", re.IGNORECASE)
 TARGET_FILE = re.compile(r"(target|board|marker|object|cam|eye|pattern|calib|detection)", re.IGNORECASE)
@@ -47,7 +48,7 @@ def read_hand_eye_files(files: Sequence[Path], options: TableOptions) -> Underst
         raise ConfigError("give one table, one file of samples, one folder, or two tables of poses (the flange's, then the target's)")
     if first.is_dir():
         return understood(_of_folder(first), options)
-    if first.suffix.lower() in (".yaml", ".yml"):
+    if first.suffix.lower() in SAMPLES:
         return _of_samples(first, options)
     return read_profiles(_table_of(first, options), options) or read_loose_table(first, options)
 
@@ -82,7 +83,7 @@ def _of_samples(path: Path, options: TableOptions) -> UnderstoodTable:
             hand = se3.inverse(hand) if options.measurement == "target_in_base" else hand
         else:
             raise ConfigError(f"{path}: samples hold {', '.join(map(str, samples[0]))}; effector_wrt_world or robot is expected")
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: a sample is damaged ({error!r}); save the samples anew") from None
     return understood(_table(path, hand, eye), replace(options, length="m"))
 
@@ -106,7 +107,10 @@ def _ros_transform(content: dict[str, Any]) -> np.ndarray:
 
     content = content.get("transform", content)
     t, r = content["translation"], content["rotation"]
-    return se3.transform(quaternions.to_matrix(np.array([r[c] for c in "wxyz"], float)), np.array([t[c] for c in "xyz"], float))
+    turn = np.array([r[c] for c in "wxyz"], float)
+    if not (np.abs(turn) < 2).all() or abs(np.linalg.norm(turn) - 1) > quaternions.UNIT:
+        raise ValueError(f"the quaternion {r} has a length that is not 1")
+    return se3.transform(quaternions.to_matrix(turn), np.array([t[c] for c in "xyz"], float))
 
 
 def _table(path: Path, hand: np.ndarray, eye: np.ndarray) -> Table:

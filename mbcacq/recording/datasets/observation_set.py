@@ -32,10 +32,15 @@ def read_observation_set(folder: Path | str) -> Observations:
     """Read a folder. Raises ConfigError naming file, line and column of the first fault."""
     folder = Path(folder)
     cell, text = read_cell(folder / "cell.yaml")
-    bag = None if (folder / "poses.csv").exists() else bag_of(folder)
+    return read_observations(folder, cell, text)
+
+
+def read_observations(folder: Path, cell: Cell, text: str) -> Observations:
+    """What a folder holds beside its cell.yaml: ``cell``, of this text. Raises ConfigError as ``read_observation_set``."""
+    bag = None if (folder / "poses.csv").exists() else bag_of(text, folder)
     if bag is not None:
         return Observations(cell=cell, **observation_columns(folder, bag, cell), cell_yaml=text)
-    names = columns_of(folder)
+    names = columns_of(text)
     table = read_table(folder / "poses.csv", poses_schema(cell.robot.n, cell.ball_ids), names=names)
     if table.has("q1_deg") or flange_group(table) is not None:  # else the columns that are missing are named first
         complete(table, cell)

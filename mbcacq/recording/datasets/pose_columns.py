@@ -9,12 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table
+from mbcacq.files.table_schema import KEPT_HEADING
 from mbcacq.geometry import orientations, se3
 from mbcacq.geometry.flange_poses import flange_coordinates
 
@@ -148,6 +150,11 @@ def named_convention(word: str, what: str = "the convention") -> str:
 
 def heading(name: str) -> Heading:
     """A column's name taken apart."""
+    return _taken_apart(name) if len(name) <= KEPT_HEADING else _taken_apart.__wrapped__(name)
+
+
+@lru_cache(maxsize=4096)  # a table's headings are asked for again by every question on its columns
+def _taken_apart(name: str) -> Heading:
     text, unit = name.strip(), ""
     if (found := _UNIT.match(text)) and found[1] and (found[1][-1:] in " _.[(<" or _separated(text, found[1]) or found[2] == "°"):
         text, unit = found[1].strip(" _.[(<"), found[2].lower()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+UNIT = 0.01  # by which the length of a quaternion that enters may differ from 1: instruments write few decimals
+
 
 def to_matrix(q: np.ndarray) -> np.ndarray:
     """(..., 4) of any length but zero -> rotation matrices (..., 3, 3)."""

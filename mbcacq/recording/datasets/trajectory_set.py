@@ -50,7 +50,10 @@ def is_trajectory_set(folder: Path | str) -> bool:
     folder = Path(folder)
     if not (folder / "cell.yaml").is_file():
         return False
-    return (folder / "trajectory.csv").is_file() or (FORMAT in read_yaml_text(folder / "cell.yaml") and bag_of(folder) is not None)
+    if (folder / "trajectory.csv").is_file():
+        return True
+    text = read_yaml_text(folder / "cell.yaml")
+    return FORMAT in text and bag_of(text, folder) is not None
 
 
 def read_trajectory_set(folder: Path | str) -> Trajectory:
@@ -58,12 +61,18 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
     folder = Path(folder)
     finish_set(folder)
     path = folder / "cell.yaml"
-    data, node = load_yaml(read_yaml_text(path), str(path))
+    text = read_yaml_text(path)
+    data, node = load_yaml(text, str(path))
     spec = validate(_TrajectorySpec, data, node, str(path))
     robot = _robot(spec.robot, str(path))
-    bag = None if (folder / "trajectory.csv").exists() else bag_of(folder)
+    bag = None if (folder / "trajectory.csv").exists() else bag_of(text, folder)
     if bag is not None:
         return Trajectory(robot, **trajectory_columns(folder, bag, robot.n), name=str(folder), simulated=spec.simulated)
+    return read_motion(folder, robot, spec.simulated)
+
+
+def read_motion(folder: Path, robot: RobotModel, simulated: bool) -> Trajectory:
+    """``trajectory.csv`` of a folder. Raises ConfigError as ``read_trajectory_set``."""
     table = read_table(folder / "trajectory.csv", trajectory_schema(robot.n))
     table.require(["time_s", *numbered("q{}_deg", robot.n)])
     unit = "percent" if table.has("i1_percent") and not table.has("i1_A") else "A"
@@ -82,15 +91,7 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
     }
     temperatures = {name: table.number(name) for name in table.columns if name.endswith("_C") and name not in table.taken}
     return Trajectory(
-        robot,
-        time_s,
-        q,
-        **signals,
-        current_unit=unit,
-        temperatures=temperatures,
-        extra=table.rest(),
-        name=str(folder),
-        simulated=spec.simulated,
+        robot, time_s, q, **signals, current_unit=unit, temperatures=temperatures, extra=table.rest(), name=str(folder), simulated=simulated
     )
 
 

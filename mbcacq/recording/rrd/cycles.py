@@ -45,11 +45,6 @@ class CycleWriter:
             self._shown = time_s
             self.show(cell)
 
-    @property
-    def draws(self) -> bool:
-        """Whether cycles come, by which the arm is drawn."""
-        return self._shown > -np.inf
-
     def show(self, cell: Cell | None) -> None:
         """Curves and drawn arm of everything written since the last call."""
         if not self._kept:

@@ -14,7 +14,7 @@ from mbcacq.model.cell import Artefact, Cell
 from mbcacq.recording.rrd import layout, scan_colouring, scene
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.drawn_later import DrawnLater
-from mbcacq.recording.rrd.stand import Stand
+from mbcacq.recording.rrd.stand import StationStand
 from mbcacq.spheres.found import SphereOptions
 
 DONE, NOW, TO_COME = (0, 158, 115, 170), (240, 228, 66, 255), (140, 148, 158, 40)
@@ -28,7 +28,7 @@ class Drawing:
     def __init__(self, stream: DrawnLater) -> None:
         self._rec = stream
         self._cell: Cell | None = None
-        self._stand: Stand | None = None
+        self._stand: StationStand | None = None
         self._route: list[int] = []
         self.artefact: Artefact | None = None
         self._scan: Scan | None = None
@@ -38,7 +38,7 @@ class Drawing:
 
     def start(self, cell: Cell, event: events.RunStarted) -> None:
         self._cell, self._route = cell, list(event.route)
-        self._stand = Stand.of(event.plan_yaml)
+        self._stand = StationStand.of(event.plan_yaml)
         scene.log_obstacles(self._rec, event.plan_yaml)
         scene.log_ball_series(self._rec, cell)
         scene.log_limits(self._rec)

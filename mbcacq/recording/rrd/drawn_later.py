@@ -36,6 +36,10 @@ class DrawnLater:
         else:
             self._rows.append((dict(self._times), entity, rows))
 
+    def send_columns(self, entity: str, indexes: Any, columns: Any) -> None:
+        """As of the stream: columns are many rows already, with times of their own."""
+        self._rec.send_columns(entity, indexes, columns)
+
     def write(self) -> None:
         """Everything taken since the last call, each row at its own times."""
         if not self._rows:

@@ -28,7 +28,7 @@ def packed(scan: Scan) -> dict[str, np.ndarray]:
     if scan.pixel is not None:
         out["packed_pixel"] = _deflated(scan.pixel.astype(np.int32)[:, None])
     if scan.intensity is not None:
-        out["packed_intensity"] = np.frombuffer(zlib.compress(np.ascontiguousarray(scan.intensity, dtype=np.uint8)), np.uint8)
+        out["packed_intensity"] = np.frombuffer(zlib.compress(np.asarray(scan.intensity, dtype=np.uint8).tobytes()), np.uint8)
     return out
 
 
@@ -53,7 +53,7 @@ def _deflated(values: np.ndarray) -> np.ndarray:
     steps = np.diff(values, axis=0, prepend=np.zeros((1, values.shape[1]), np.int32)).astype("<i4")
     folded = (steps << 1) ^ (steps >> 31)  # small of either sign has zeros above
     planes = np.ascontiguousarray(folded.T).view(np.uint8).reshape(-1, 4).T
-    return np.frombuffer(zlib.compress(np.ascontiguousarray(planes), 6), np.uint8)
+    return np.frombuffer(zlib.compress(planes.tobytes(), 6), np.uint8)
 
 
 def _inflated(data: np.ndarray, columns: int) -> np.ndarray:

@@ -132,7 +132,7 @@ def arm_frames(cell: Cell, q: np.ndarray) -> dict[str, np.ndarray]:
     return {**moving, layout.SCANNER: frames[:, -1] @ cell.T_flange_scanner}
 
 
-def log_arm(rec: rr.RecordingStream, cell: Cell, q: np.ndarray) -> None:
+def log_arm(rec: Stream, cell: Cell, q: np.ndarray) -> None:
     """The arm at one posture q (n,) rad, at the times set on the stream."""
     for entity, T in arm_frames(cell, q[None]).items():
         move = transforms(T)

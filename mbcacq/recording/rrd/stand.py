@@ -21,14 +21,14 @@ STEEL = (122, 128, 136)
 
 
 @dataclass(frozen=True)
-class Stand:
+class StationStand:
     """places: station -> (3,) mm in the base frame. axis: (2,) mm where the table turns, None where the stations lie on no circle."""
 
     places: dict[str, np.ndarray]
     axis: np.ndarray | None = None
 
     @classmethod
-    def of(cls, plan_yaml: str) -> Stand | None:
+    def of(cls, plan_yaml: str) -> StationStand | None:
         """None where the plan has no positioner with a motor, or is of another form."""
         try:
             plan = yaml12.load(plan_yaml)

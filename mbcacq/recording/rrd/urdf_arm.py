@@ -11,6 +11,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.drawn_later import Stream
 
 INSTEAD = "the arm is drawn from its links instead"
 MOVING = ("revolute", "continuous")
@@ -36,7 +37,7 @@ class UrdfArm:
         root = rr.Transform3D(scale=1e3, parent_frame=f"tf#/{layout.WORLD}", child_frame=self._tree.root_link().name)
         stream.log(f"{layout.URDF}/root", root, static=True)
 
-    def pose(self, stream: rr.RecordingStream, q: np.ndarray, index: list | None = None) -> None:
+    def pose(self, stream: Stream, q: np.ndarray, index: list | None = None) -> None:
         """Joints at q (k, n) rad: at the times of ``index``, or q (1, n) at the times set on the stream."""
         for i, joint in enumerate(self._joints):
             entity = f"{layout.URDF}/joints/{rr.escape_entity_path_part(joint.name)}"

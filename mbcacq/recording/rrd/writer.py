@@ -24,7 +24,7 @@ from mbcacq.recording.rrd.choice_panel import WeighedPoses, log_choice
 from mbcacq.recording.rrd.cycles import CycleWriter
 from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.drawing import Drawing
-from mbcacq.recording.rrd.drawn_later import POSES, DrawnLater
+from mbcacq.recording.rrd.drawn_later import POSES, DrawnLater, Stream
 from mbcacq.recording.rrd.kept_cloud import kept_cloud
 from mbcacq.recording.rrd.measured_rows import exposure_row, observation_rows, scan_row, text_row
 from mbcacq.recording.rrd.new_stream import send_default_blueprint
@@ -185,7 +185,7 @@ class Recorder:
         send_default_blueprint(rec, shown)
         self._draw_from_urdf(event.urdf, self._cell, event.time_s)
         scene.log_static(rec, self._cell, event.plan_yaml, links=self._cycles.urdf is None)
-        self._log_arm(self._cell, scene.home(event.plan_yaml, self._cell.robot.n))
+        self._log_arm(rec, self._cell, scene.home(event.plan_yaml, self._cell.robot.n))
         self._drawing.start(self._cell, event)
         if self._weighed is not None:
             log_choice(rec, self._weighed)
@@ -204,10 +204,10 @@ class Recorder:
             except ConfigError as error:
                 self._say(time_s, str(error), "WARN")
 
-    def _log_arm(self, cell: Cell, q: np.ndarray) -> None:
-        scene.log_arm(self._rec, cell, q)
+    def _log_arm(self, stream: Stream, cell: Cell, q: np.ndarray) -> None:
+        scene.log_arm(stream, cell, q)
         if self._cycles.urdf is not None:
-            self._cycles.urdf.pose(self._rec, q[None])
+            self._cycles.urdf.pose(stream, q[None])
 
     @_write.register
     def _(self, event: events.StateChanged) -> None:
@@ -254,8 +254,7 @@ class Recorder:
             self._cycles.show(self._cell)
         if self._cell is not None:
             self._T_base_scanner = self._cell.robot.chain.flange(event.q[None])[0] @ self._cell.T_flange_scanner
-            if not self._cycles.draws:
-                self._log_arm(self._cell, event.q)
+            self._log_arm(self._drawn, self._cell, event.q)
             self._drawing.reached(event)
 
     @_write.register

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import plotly.graph_objects as go
 
 from mbcacq.quantities import measured, symbol
 from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
 from mbcacq.report.content import ChangeRow
 
-ROW_PX, FRAME_PX = 22, 90  # of one quantity, and of axis and margins
+LABEL = 18  # characters of a line of a name, so that there is room for the figure on a phone
+ROW_PX, LINE_PX, FRAME_PX = 26, 15, 90  # of one quantity, of a further line of its name, and of axis and margins
 
 
 def changes(rows: list[ChangeRow]) -> go.Figure:
@@ -18,7 +21,7 @@ def changes(rows: list[ChangeRow]) -> go.Figure:
         shown = [row for row in rows if row.marked == marked]
         figure.add_scatter(
             x=[row.change for row in shown],
-            y=[row.name.translate(ESCAPES) for row in shown],
+            y=[_label(row.name) for row in shown],
             error_x={"type": "data", "array": [row.expanded for row in shown], "color": colour, "thickness": 1.2, "width": 4},
             mode="markers",
             marker={"color": colour, "size": 8, "symbol": shape},
@@ -28,7 +31,12 @@ def changes(rows: list[ChangeRow]) -> go.Figure:
         )
     figure.add_vline(x=0.0, line={"color": LINE, "width": 1})
     figure.update_yaxes(
-        categoryorder="array", categoryarray=[row.name.translate(ESCAPES) for row in rows], autorange="reversed", dtick=1, showgrid=False
+        categoryorder="array", categoryarray=[_label(row.name) for row in rows], autorange="reversed", dtick=1, showgrid=False
     )
     figure.update_xaxes(title=f"change / {symbol(rows[0].unit)}, with U (k = 2)", gridcolor="#e6e6e6")
-    return styled(figure, FRAME_PX + ROW_PX * len(rows))
+    return styled(figure, FRAME_PX + sum(ROW_PX + LINE_PX * _label(row.name).count("<br>") for row in rows))
+
+
+def _label(name: str) -> str:
+    """A name in lines that are short."""
+    return "<br>".join(line.translate(ESCAPES) for line in textwrap.wrap(name, LABEL))

@@ -23,7 +23,7 @@ def late_answers(late: np.ndarray) -> go.Figure:
     """Number of cycles over the number of late answers that the controller counted, late (k,)."""
     value, count = np.unique(np.rint(late).astype(int), return_counts=True)
     figure = go.Figure(
-        name=go.Bar(x=[str(v) for v in value], y=count, marker_color=AFTER, hovertemplate="%{x} late: %{y} cycles<extra></extra>")
+        go.Bar(x=[str(v) for v in value], y=count, marker_color=AFTER, hovertemplate="%{x} late: %{y} cycles<extra></extra>")
     )
     figure.update_xaxes(title="late answers, as the controller counts", type="category")
     figure.update_yaxes(title="cycles (log)", type="log", dtick=1)
@@ -36,7 +36,7 @@ def periods(period_ms: np.ndarray, nominal_ms: float | None) -> go.Figure:
     high = max(float(np.percentile(values, 99.95)), 2.0 * (nominal_ms or 0.0))
     count, edges = np.histogram(np.clip(values, 0, high), bins=60, range=(0, high))
     figure = go.Figure(
-        name=go.Bar(
+        go.Bar(
             x=(edges[1:] + edges[:-1]) / 2,
             y=count,
             width=np.diff(edges),
@@ -58,7 +58,7 @@ def periods(period_ms: np.ndarray, nominal_ms: float | None) -> go.Figure:
 
 def exposure_times(exposure_s: np.ndarray) -> go.Figure:
     """Histogram of the times (e,) s from one exposure to the next at a pose."""
-    figure = go.Figure(name=go.Histogram(x=exposure_s, nbinsx=40, marker_color=AFTER, hovertemplate="%{x} s: %{y}<extra></extra>"))
+    figure = go.Figure(go.Histogram(x=exposure_s, nbinsx=40, marker_color=AFTER, hovertemplate="%{x} s: %{y}<extra></extra>"))
     figure.update_xaxes(title="from one exposure to the next / s", rangemode="tozero")
     figure.update_yaxes(title="exposures")
     return styled(figure, 270)

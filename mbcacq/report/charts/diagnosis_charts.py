@@ -23,7 +23,7 @@ def evidence_map(locations: list[str], covariates: list[str], strength: np.ndarr
     ticks = [v for v in (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if v <= top]
     labels = [o.translate(ESCAPES) for o in covariates]
     figure = go.Figure(
-        name=go.Heatmap(
+        go.Heatmap(
             z=np.log10(1 + z),
             customdata=z,
             x=labels,

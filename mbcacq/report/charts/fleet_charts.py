@@ -22,7 +22,7 @@ def overview(kind: ArmTypeContent) -> go.Figure:
     if len(shown) > MOST_ARMS:
         shown = np.sort(np.argsort(-np.nanmax(np.nan_to_num(ratio), axis=1))[:MOST_ARMS])
     figure = go.Figure(
-        name=go.Heatmap(
+        go.Heatmap(
             z=ratio[shown],
             x=[chart.title.translate(ESCAPES) for chart in kind.charts],
             y=[kind.arms[a].translate(ESCAPES) for a in shown],
@@ -181,7 +181,7 @@ def _named_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int])
 
 
 def _axis(times: list) -> dict[str, Any]:
-    """Of dates, or of numbers."""
+    """The axis of dates, or of numbers."""
     return {"type": "date", "tickformat": "%Y-%m-%d", "nticks": 6} if times and isinstance(times[0], str) else {"rangemode": "tozero"}
 
 

@@ -11,7 +11,7 @@ from mbcacq.report.charts.style import ESCAPES, styled
 def correlation(names: list[str], matrix: np.ndarray) -> go.Figure:
     labels = [n.translate(ESCAPES) for n in names]
     figure = go.Figure(
-        name=go.Heatmap(
+        go.Heatmap(
             z=matrix,
             x=labels,
             y=labels,

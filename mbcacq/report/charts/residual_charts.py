@@ -106,7 +106,7 @@ def residual_per_station(data: Residuals, stations: np.ndarray) -> go.Figure:
     order = np.argsort(-rms)[:MOST_STATIONS]
     order = np.array(sorted(order, key=lambda k: np.min(np.flatnonzero(index == k))))
     figure = go.Figure(
-        name=go.Bar(
+        go.Bar(
             x=[str(s).translate(ESCAPES) for s in station[order]],
             y=rms[order],
             marker_color=AFTER,
@@ -159,7 +159,7 @@ def histogram(weighted: np.ndarray) -> go.Figure:
     middle = (edges[1:] + edges[:-1]) / 2
     t = np.linspace(-5, 5, 201)
     figure = go.Figure(
-        name=[
+        [
             go.Bar(x=middle, y=density, width=0.2, name="observed", marker_color=AFTER, marker_line_width=0),
             go.Scatter(x=t, y=np.exp(-t * t / 2) / np.sqrt(2 * np.pi), mode="lines", name="expected", line={"color": LIMIT, "width": 2}),
         ]

@@ -68,7 +68,7 @@ def accuracy(data: AccuracyGrid, axis: int) -> go.Figure:
     x, y, z = _projected(data, axis)
     low, top = (1e3 * float(np.nanpercentile(z, share)) for share in (1, 97))  # a scale of its own: where it is better, and where worse
     figure = go.Figure(
-        name=go.Heatmap(
+        go.Heatmap(
             x=x,
             y=y,
             z=1e3 * z,

@@ -91,7 +91,7 @@ class Resources:
             "/system/info": lambda: {"appId": "fake"},
             "/replay/playback": lambda: {"enabled": self.replaying, "count": len(self.recorded), "index": self.position},
             "/replay/recording": lambda: {"enabled": self.recording},
-            "/system/metrics": lambda: {"appUpTime": 100, "memUsed": 1000, "memCapacity": 4000},
+            "/system/metrics": lambda: {"appUpTime": 100, "cpuCoresUsedAvg": 0.5, "memUsed": 1000, "memCapacity": 4000},
             "/jobs": lambda: {"loadedJob": self.loaded_job},
             "/jobs/files": lambda: children([f"/jobs/files/{name}" for name in self.jobs], [{"jobName": n} for n in self.jobs]),
             "/controls/gocator": lambda: {"enabled": self.gdp_enabled, "serverPort": self.gdp_port},
@@ -103,8 +103,9 @@ class Resources:
             SENSOR: lambda: {"serialNumber": self.serial, "displayName": self.name, "parameters": self.sensor},
             f"{GROUP}/outputs": lambda: self._data_sources(bool(args.get("expandLevel"))),
             f"{GROUP}/alignment": lambda: {"alignState": self.align_state},
-            f"{GROUP}/metrics": lambda: {"scanCount": self.scan_count, "processingLatencyMax": 250},
-            f"{SENSOR}/metrics": lambda: {"cameraTemp0": self.temperature_C, "projectorTemp": self.temperature_C + 4},
+            f"{GROUP}/transform": lambda: {"transform": {}, "encoderResolution": 1.0, "speed": 100.0},  # what is in it nobody has said
+            f"{GROUP}/metrics": self._scanner_metrics,
+            f"{SENSOR}/metrics": self._temperatures,
         }
         if path in readers:
             return readers[path]()
@@ -117,6 +118,13 @@ class Resources:
 
     def _visible(self) -> dict[str, Any]:
         return {"serialNumber": self.serial, "model": self.model, "engineId": ENGINE, "path": SENSOR}
+
+    def _scanner_metrics(self) -> dict[str, Any]:
+        latency = {"currentSyncTime": 0, "processingLatencyAvg": 200, "processingLatencyMax": 250}
+        return {"scanCount": self.scan_count, "frameCount": self.scan_count, **latency}
+
+    def _temperatures(self) -> dict[str, Any]:
+        return {"cameraTemp0": self.temperature_C, "cpuTemp": self.temperature_C + 9, "projectorTemp": self.temperature_C + 4}
 
     @staticmethod
     def _data_sources(expanded: bool) -> dict[str, Any]:

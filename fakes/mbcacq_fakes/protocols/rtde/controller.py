@@ -18,6 +18,8 @@ from mbcacq_fakes.protocols.stall import STALL_S
 
 PROGRAM = 20261
 WATCHDOG_S = 0.4
+WAIT_S = 0.05  # for an answer at a time, in lock-step
+HANGING_S = 30.0  # in a dry run a busy computer is slow; a client that is silent for longer hangs
 CLOCK_START_S = 1000.0
 HURRIED = 10.0  # in a dry run, of an arm that is led: times faster than the clock
 NORMAL = 1  # bit 0 of safety_status_bits
@@ -33,7 +35,8 @@ FAULTS = {
 
 
 class FakeUrController:
-    """Context manager. start_deg: where the arm stands; state: gets what it does, or None; realtime: packages by the clock."""
+    """Context manager. start_deg: where the arm stands; state: gets what it does, or None; realtime: packages by the clock. watchdog_s: the
+    arm halts where the client is silent for longer; by default that of mbcacq_ur.script, in lock-step a computer's stall."""
 
     def __init__(
         self,
@@ -43,6 +46,7 @@ class FakeUrController:
         realtime: bool = False,
         host: str = "127.0.0.1",
         port: int = 0,
+        watchdog_s: float | None = None,
         **faults: Any,
     ) -> None:
         self._active: dict[str, Any] = {
@@ -51,6 +55,7 @@ class FakeUrController:
         }
         self.inject(**faults)
         self.arm, self._realtime = ProgrammedArm(start_deg, state, CLOCK_START_S), realtime
+        self.watchdog_s = watchdog_s if watchdog_s is not None else WATCHDOG_S if realtime else STALL_S
         self._server = socket.create_server((host, port))
         self._server.settimeout(0.1)
         self.port = int(self._server.getsockname()[1])
@@ -168,7 +173,7 @@ class _Conversation:
         self._sent: tuple[tuple[str, ...], list[str]] | None = None
         self._taken: tuple[tuple[str, ...], list[str]] | None = None
         self._rate, self._started, self._answered = 125.0, False, True
-        self._due = self._heard = time.monotonic()
+        self._due, self._silent_s = time.monotonic(), 0.0
 
     def run(self) -> None:
         while not self._controller.closing:
@@ -179,17 +184,19 @@ class _Conversation:
                 self._due, self._answered = now + 1.0 / (hurried * self._rate), False
                 self._controller.advance(1.0 / self._rate)
                 self._send_data()
-            self._connection.settimeout(max(1e-3, self._due - now) if by_clock and self._started else 0.05)
+            wait_s = max(1e-3, self._due - now) if by_clock and self._started else WAIT_S
+            self._connection.settimeout(wait_s)
             try:
                 data = self._connection.recv(65536)
             except TimeoutError:
-                limit_s = WATCHDOG_S if self._controller.realtime else STALL_S
-                if self._taken is not None and time.monotonic() - self._heard > limit_s:
+                # A computer that stood still held the client as well: the wait counts, not the clock.
+                self._silent_s += wait_s
+                if self._taken is not None and self._silent_s > self._controller.watchdog_s:
                     self._controller.arm.halt()
                 continue
             if not data:
                 return
-            self._heard = time.monotonic()
+            self._silent_s = 0.0
             self._buffer += data
             self._take_all()
 
@@ -255,5 +262,6 @@ def start_in_cell(
     if plan_options.get("payload_kg") is not None and "payload" not in faults:
         faults["payload"] = float(plan_options["payload_kg"])
     port = 0 if ports == "free" else int(plan_options.get("port", 30004))
-    fake = FakeUrController(state, start_deg=start_deg, realtime=realtime, port=port, **faults)
-    return fake.start(), {"address": "127.0.0.1", "port": fake.port, **({} if realtime else {"silence_s": 30.0})}
+    slow = {} if realtime else {"watchdog_s": HANGING_S}
+    fake = FakeUrController(state, start_deg=start_deg, realtime=realtime, port=port, **slow, **faults)
+    return fake.start(), {"address": "127.0.0.1", "port": fake.port, **({} if realtime else {"silence_s": HANGING_S})}
