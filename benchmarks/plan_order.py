@@ -3,7 +3,7 @@
     mbcacq plan design plans/seeing.yaml --order --out plans/seeing_ordered.yaml
     python benchmarks/plan_order.py plans/seeing.yaml plans/seeing_ordered.yaml [--count 3] [--seed 300]
 
-Each effect of the catalogue is injected at several places, as strong as a test that knows it needs to find it nine times in ten with the 128
+Each effect of the catalogue is injected at several places, as strong as a test that knows it needs to find it nine times in ten by 128
 poses of the first plan, times 2.5, which is what a search over the catalogue needs. Both plans record the same cell by the array path, and
 a look weighs all explanations. Rows go to runs/plan-order-benchmark, so that a call goes on where another ended; the last lines count them.
 """
