@@ -1,4 +1,4 @@
-"""Raw controller cycles into the recording: every row at once as received; curves in deg and the drawn arm in larger, rarer batches."""
+"""Raw controller cycles into the recording: every batch at once, packed; curves in deg and the drawn arm in larger, rarer batches."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import rerun as rr
 from mbcacq.devices import Cycles
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout, rows, scene
+from mbcacq.recording.rrd.packed_cycles import packed
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 DRAW_PERIOD_S = 0.04  # of the drawn arm, on the controller's clock
@@ -39,7 +40,8 @@ class CycleWriter:
         if abs(host[-1] - time_s) > OTHER_CLOCK_S:  # another clock than this computer's: only its spacing is to be trusted
             host = columns["host_time_s"] - columns["host_time_s"][-1] + time_s
         host = host + offset
-        self._rec.send_columns(layout.CYCLES, self._index(host, columns["time_s"]), rows.columns(layout.CYCLES_ARCHETYPE, columns))
+        whole = rows.columns(layout.CYCLES_ARCHETYPE, {layout.PACKED: packed(columns)[None]})
+        self._rec.send_columns(layout.CYCLES, [rr.TimeColumn(layout.TIME, duration=host[-1:])], whole)
         self._kept.append({"host": host, "robot": columns["time_s"], **_curves(columns), "q": columns["q"]})
         if time_s - self._shown >= self._period_s:
             self._shown = time_s

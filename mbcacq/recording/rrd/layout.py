@@ -29,7 +29,8 @@ HEALTH = "health"  # health/DEVICE/QUANTITY: Scalars
 TEMPERATURE = "motion/temperature_C"  # motion/temperature_C/QUANTITY: the temperatures of health and sensors
 
 # Measured.
-CYCLES = "cycles"  # mbcacq.Cycles, one row a controller cycle
+CYCLES = "cycles"  # mbcacq.Cycles, one row a batch of controller cycles, packed (before: one row a cycle)
+PACKED = "packed"  # component of it
 JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"  # Scalars: deg, deg, percent
 AXES_KEY = "joints/names"  # Points2D: names and colours of the axes, beside their curves
 SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"  # Scalars: deg; ms by controller, by this computer; count

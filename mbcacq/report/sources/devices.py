@@ -27,7 +27,7 @@ def devices_of(run: str | Path) -> Devices | None:
         recordings = open_recordings(run) if run.is_dir() and layout.parts(run) else []
         if not recordings:
             return None
-        cycles = [recording.columns(layout.CYCLES, layout.CYCLES_ARCHETYPE, TIMING) for recording in recordings]
+        cycles = [recording.cycles(TIMING).columns for recording in recordings]
         late, period, nominal = _cycles([c for c in cycles if len(c.get("time_s", ()))])
         exposures = np.concatenate([_exposures(recording.rows(layout.EXPOSURE)) for recording in recordings])
         states: dict[str, float] = {}
