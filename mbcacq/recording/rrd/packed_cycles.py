@@ -57,19 +57,15 @@ def _inflated(data: bytes, only: Collection[str]) -> dict[str, np.ndarray]:
     planes = np.frombuffer(body, np.uint8, 8 * size).reshape(8, -1)
     folded = np.ascontiguousarray(planes.T).view("<u8").reshape(-1, rows)
     ulps = np.frombuffer(body, np.int8, size, 8 * size).reshape(-1, rows)
-    out, first = {}, 0
-    for name, width, kind in told["columns"]:
-        own, first = slice(first, first + width), first + width
-        if not only or name in only:
-            steps = (folded[own] >> np.uint64(1)).astype(np.int64) ^ -(folded[own] & np.uint64(1)).astype(np.int64)
-            whole = np.cumsum(steps, axis=1, dtype=np.int64)
-            for column, number in zip(whole, code[own], strict=True):
-                if number:
-                    column[:] = _on_grid(column, GRIDS[number - 1]).view(np.int64)
-            whole = np.ascontiguousarray((whole + ulps[own]).T)
-            dtype = np.dtype(kind)
-            out[name] = whole.astype(f"<i{dtype.itemsize}").view(dtype)
-    return out
+    ends = np.cumsum([0, *(width for _, width, _ in told["columns"])])
+    wanted = [(item, slice(*ends[k : k + 2])) for k, item in enumerate(told["columns"]) if not only or item[0] in only]
+    read = np.concatenate([np.arange(len(code))[own] for _, own in wanted]) if wanted else np.zeros(0, int)
+    whole = np.empty(folded.shape, np.int64)
+    whole[read] = np.cumsum((folded[read] >> np.uint64(1)).astype(np.int64) ^ -(folded[read] & np.uint64(1)).astype(np.int64), axis=1)
+    for number, grid in enumerate(GRIDS, start=1):
+        on = read[code[read] == number]
+        whole[on] = _on_grid(whole[on], grid).view(np.int64) + ulps[on]
+    return {name: np.ascontiguousarray(whole[own].T).astype(f"<i{kind[2:]}").view(kind) for (name, _, kind), own in wanted}
 
 
 def _table(values: np.ndarray) -> np.ndarray:
