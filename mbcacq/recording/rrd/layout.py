@@ -1,7 +1,7 @@
 """Where everything stands in a recording: files, timelines, entity paths, components. Writer, reader and blueprint share it.
 
-Entities under ``/world`` are for display (float32, mm, base frame); what a solver reads stands under ``/observation`` and
-``/cycles`` as float64 in the archetypes ``mbcacq.*``. docs/recording.md holds the table for users.
+Entities under ``/world`` are for display (float32, mm, base frame); what a solver reads stands under ``/observation`` as float64 and, packed
+without loss, under ``/cycles``, in the archetypes ``mbcacq.*``. docs/recording.md holds the table for users.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 APPLICATION = "mbcacq"
-VERSION = 1
+VERSION = 2  # 1: cycles a row each
 
 # Timelines. TIME: duration since the run started. ROBOT_TIME: duration on the controller's clock. POSE: number in the plan. STEP: index
 # of the plan's step. CLOCK: date and time of day, UTC.
