@@ -1,7 +1,7 @@
 """Where everything stands in a recording: files, timelines, entity paths, components. Writer, reader and blueprint share it.
 
-Entities under ``/world`` are for display (float32, mm, base frame); what a solver reads stands under ``/observation`` as float64 and, packed
-without loss, under ``/cycles``, in the archetypes ``mbcacq.*``. docs/recording.md holds the table for users.
+Entities under ``/world`` are for display (float32, mm, base frame); what a solver reads stands in the archetypes ``mbcacq.*``: under
+``/observation`` as float64, under ``/cycles`` packed without loss. docs/recording.md holds the table for users.
 """
 
 from __future__ import annotations
