@@ -50,15 +50,15 @@ def unpacked(data: np.ndarray, only: Collection[str] = ()) -> dict[str, np.ndarr
 
 
 def _inflated(data: bytes, only: Collection[str]) -> dict[str, np.ndarray]:
-    head, body = data.split(b"\n", 1)
-    told = json.loads(head)
-    rows, code = told["rows"], np.array(told["code"], np.uint8)
+    text, body = data.split(b"\n", 1)
+    header = json.loads(text)
+    rows, code = header["rows"], np.array(header["code"], np.uint8)
     size = rows * len(code)
     planes = np.frombuffer(body, np.uint8, 8 * size).reshape(8, -1)
     folded = np.ascontiguousarray(planes.T).view("<u8").reshape(-1, rows)
     ulps = np.frombuffer(body, np.int8, size, 8 * size).reshape(-1, rows)
-    ends = np.cumsum([0, *(width for _, width, _ in told["columns"])])
-    wanted = [(item, slice(*ends[k : k + 2])) for k, item in enumerate(told["columns"]) if not only or item[0] in only]
+    ends = np.cumsum([0, *(width for _, width, _ in header["columns"])])
+    wanted = [(item, slice(*ends[k : k + 2])) for k, item in enumerate(header["columns"]) if not only or item[0] in only]
     read = np.concatenate([np.arange(len(code))[own] for _, own in wanted]) if wanted else np.zeros(0, int)
     whole = np.empty(folded.shape, np.int64)
     whole[read] = np.cumsum((folded[read] >> np.uint64(1)).astype(np.int64) ^ -(folded[read] & np.uint64(1)).astype(np.int64), axis=1)
