@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import synthetic
 
+from mbcacq.devices import Cycles
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact
@@ -75,6 +76,23 @@ def test_a_spike_between_two_drawn_points_is_drawn(tmp_path):
     assert len(following) == 20
     assert following[:, 2].min() == pytest.approx(-3.0)
     assert np.abs(np.delete(following, 2, axis=1)).max() < 1e-9
+
+
+def test_an_arm_that_stands_is_not_drawn_anew_and_one_that_creeps_is(tmp_path):
+    """What is drawn is never farther from where the arm is than a tenth of a millimetre at 2 m."""
+    rng = np.random.default_rng(0)
+    batch = synthetic.cycles(rng, 0.0, 400)
+    time_s = 0.04 * np.arange(400)
+    creeping = np.where(time_s < 8.0, 0.0, 1e-5 * np.arange(400))[:, None] * np.array([1, 0, 0, 0, 0, 0])
+    changed = {"time_s": time_s, "host_time_s": 1e4 + time_s, "q": batch.columns["q"][:1] + creeping}
+    batch = Cycles({**batch.columns, **changed})
+    with Recorder(tmp_path) as recorder:
+        recorder(synthetic.start())
+        recorder(synthetic.events.CyclesReceived(16.0, batch))
+    drawn = [row["translation"] for row in Recording(tmp_path / "run.rrd").rows(layout.link(6)) if "translation" in row][1:]
+    assert 30 < len(drawn) < 50  # once for eight seconds, then each sixth of 200 positions
+    flange = CELL.robot.chain.flange(batch.columns["q"])[:, :3, 3]
+    assert np.linalg.norm(flange[-1] - drawn[-1]) < 0.1
 
 
 def test_rows_carry_pose_step_and_time_of_day(a_run):

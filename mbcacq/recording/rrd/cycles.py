@@ -1,4 +1,4 @@
-"""Raw controller cycles into the recording: every row at once as received; curves in deg and the drawn arm in larger, rarer batches."""
+"""Raw controller cycles into the recording: every batch at once, packed; curves in deg and the drawn arm in larger, rarer batches."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import rerun as rr
 from mbcacq.devices import Cycles
 from mbcacq.model.cell import Cell
 from mbcacq.recording.rrd import layout, rows, scene
+from mbcacq.recording.rrd.packed_cycles import packed
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
 
 DRAW_PERIOD_S = 0.04  # of the drawn arm, on the controller's clock
+DRAW_RAD = 5e-5  # an arm whose axes turned by less is not drawn anew: 0.1 mm at a reach of 2 m
 CURVE_EVERY = 5  # cycles to a point of a curve; the extremes of what is left out are kept where they matter
 LIVE_PERIOD_S, SHOW_PERIOD_S = 0.5, 60.0  # at most between two batches for display, watched or not: each is a chunk of 2 kB per entity
 OTHER_CLOCK_S = 10.0
@@ -23,6 +25,7 @@ class CycleWriter:
         self._rec = stream
         self._period_s = LIVE_PERIOD_S if live else SHOW_PERIOD_S
         self._drawn = self._shown = -np.inf
+        self._drawn_q: np.ndarray | None = None
         self.urdf: UrdfArm | None = None  # draws the arm as well, where there is one
         self._start: float | None = None  # POSIX time of the start of this part, where it is known
         self._last = np.full((1, 2), np.nan)  # controller's and this computer's time of the cycle before
@@ -39,7 +42,8 @@ class CycleWriter:
         if abs(host[-1] - time_s) > OTHER_CLOCK_S:  # another clock than this computer's: only its spacing is to be trusted
             host = columns["host_time_s"] - columns["host_time_s"][-1] + time_s
         host = host + offset
-        self._rec.send_columns(layout.CYCLES, self._index(host, columns["time_s"]), rows.columns(layout.CYCLES_ARCHETYPE, columns))
+        whole = rows.columns(layout.CYCLES_ARCHETYPE, {layout.PACKED: packed(columns)[None]})
+        self._rec.send_columns(layout.CYCLES, [rr.TimeColumn(layout.TIME, duration=host[-1:])], whole)
         self._kept.append({"host": host, "robot": columns["time_s"], **_curves(columns), "q": columns["q"]})
         if time_s - self._shown >= self._period_s:
             self._shown = time_s
@@ -62,7 +66,7 @@ class CycleWriter:
                 values, at = values[first], first
             scalars = rr.Scalars.columns(scalars=values.reshape(-1)).partition(np.full(len(values), values.shape[1]))
             self._rec.send_columns(entity, self._index(host[at], robot[at]), scalars)
-        keep = self._to_draw(robot)
+        keep = self._to_draw(robot, q)
         if cell is not None and keep:
             frames, index = scene.arm_frames(cell, q[keep]), self._index(host[keep], robot[keep])
             moves = scene.transforms(np.concatenate(list(frames.values())))
@@ -85,12 +89,13 @@ class CycleWriter:
             index.append(rr.TimeColumn(layout.CLOCK, timestamp=self._start + host))
         return index
 
-    def _to_draw(self, robot: np.ndarray) -> list[int]:
+    def _to_draw(self, robot: np.ndarray, q: np.ndarray) -> list[int]:
         keep = []
         for k, t in enumerate(robot.tolist()):
-            if t - self._drawn >= DRAW_PERIOD_S or t < self._drawn:
+            moved = self._drawn_q is None or np.abs(q[k] - self._drawn_q).max() > DRAW_RAD
+            if moved and (t - self._drawn >= DRAW_PERIOD_S or t < self._drawn):
                 keep.append(k)
-                self._drawn = t
+                self._drawn, self._drawn_q = t, q[k]
         return keep
 
 

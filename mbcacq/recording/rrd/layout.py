@@ -1,7 +1,7 @@
 """Where everything stands in a recording: files, timelines, entity paths, components. Writer, reader and blueprint share it.
 
-Entities under ``/world`` are for display (float32, mm, base frame); what a solver reads stands under ``/observation`` and
-``/cycles`` as float64 in the archetypes ``mbcacq.*``. docs/recording.md holds the table for users.
+Entities under ``/world`` are for display (float32, mm, base frame); what a solver reads stands in the archetypes ``mbcacq.*``: under
+``/observation`` as float64, under ``/cycles`` packed without loss. docs/recording.md holds the table for users.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 APPLICATION = "mbcacq"
-VERSION = 1
+VERSION = 2  # 1: cycles a row each
 
 # Timelines. TIME: duration since the run started. ROBOT_TIME: duration on the controller's clock. POSE: number in the plan. STEP: index
 # of the plan's step. CLOCK: date and time of day, UTC.
@@ -29,7 +29,8 @@ HEALTH = "health"  # health/DEVICE/QUANTITY: Scalars
 TEMPERATURE = "motion/temperature_C"  # motion/temperature_C/QUANTITY: the temperatures of health and sensors
 
 # Measured.
-CYCLES = "cycles"  # mbcacq.Cycles, one row a controller cycle
+CYCLES = "cycles"  # mbcacq.Cycles, one row a batch of controller cycles, packed (before: one row a cycle)
+PACKED = "packed"  # component of it
 JOINTS, FOLLOWING, CURRENT = "joints/measured", "joints/set_minus_measured", "joints/current"  # Scalars: deg, deg, percent
 AXES_KEY = "joints/names"  # Points2D: names and colours of the axes, beside their curves
 SET, PERIOD, DELAY = "joints/set", "motion/period_ms", "motion/late_answers"  # Scalars: deg; ms by controller, by this computer; count

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +15,9 @@ import pyarrow as pa
 from mbcacq.devices import Cycles, Scan
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.observations import Observations
-from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd import layout, packed_cloud, packed_cycles
 from mbcacq.recording.rrd.checksums import digest_of_values, is_as_written
 from mbcacq.recording.rrd.library_reader import LibraryReader
-from mbcacq.recording.rrd.packed_cloud import unpacked
 from mbcacq.recording.rrd.process_reader import ProcessReader
 from mbcacq.recording.rrd.rerun_path import rerun_path
 
@@ -64,15 +63,7 @@ class Recording:
 
         only: names of the components to be read, () for all.
         """
-        found: dict[str, list[np.ndarray]] = {}
-        for batch in self._batches(entity):
-            for i in range(batch.num_columns):
-                field = batch.schema.field(i)
-                if _archetype(field) == archetype and (not only or _short_name(field) in only):
-                    flat = batch.column(i).flatten().to_numpy(zero_copy_only=False)
-                    found.setdefault(_short_name(field), []).append(flat.reshape(batch.num_rows, -1))
-        joined = {name: np.concatenate(parts) for name, parts in found.items()}
-        return {name: values[:, 0] if values.shape[1] == 1 else values for name, values in joined.items()}
+        return _joined(_tables(batch, archetype, only) for batch in self._batches(entity))
 
     def scalars(self, entities: str) -> dict[str, list[float]]:
         """All curves below an entity ('health/**'): entity path -> values in the order they were logged."""
@@ -104,9 +95,12 @@ class Recording:
             merged |= {name: value[0] if len(value) == 1 else value for name, value in row.items() if not isinstance(value, int)}
         return merged
 
-    def cycles(self) -> Cycles:
-        """Every controller cycle, as the driver delivered it."""
-        return Cycles(self.columns(layout.CYCLES, layout.CYCLES_ARCHETYPE))
+    def cycles(self, only: Collection[str] = ()) -> Cycles:
+        """Every controller cycle, as the driver delivered it; without batches whose bytes are damaged.
+
+        only: names of the columns to be read, () for all.
+        """
+        return Cycles(_joined(tables for batch in self._batches(layout.CYCLES) for tables in _cycle_tables(batch, only)))
 
     def scans(self) -> Iterator[RecordedScan]:
         """Every scan in the order taken, one at a time."""
@@ -128,7 +122,7 @@ class Recording:
         if "packed_points" not in row:
             return scan
         try:
-            return unpacked(scan, row)
+            return packed_cloud.unpacked(scan, row)
         except ValueError as error:
             raise RecordingError(f"{self.path}: the scan of pose {int(row['pose'][0])}: {error}; see mbcacq recover --check") from error
 
@@ -141,6 +135,11 @@ class Recording:
         return [
             int(row["pose"][0]) for row in self.rows(layout.OBSERVATION) if len(row.get("pose", ())) and not ("q" in row and intact(row))
         ]
+
+    def damaged_cycles(self) -> int:
+        """The number of batches of controller cycles that are not as they were written, and so not among ``cycles``."""
+        packed = [batch for batch in self._batches(layout.CYCLES) if _is_packed(batch)]
+        return sum(batch.num_rows - len(list(_cycle_tables(batch, ("time_s",)))) for batch in packed)
 
     def _batches(self, entity: str) -> list[pa.RecordBatch]:
         """In the order of logging, whatever order a merge left the chunks in: row ids count up with time."""
@@ -206,6 +205,41 @@ def _rows(batches: Iterable[pa.RecordBatch]) -> Iterator[Row]:
         names = {i: _short_name(batch.schema.field(i)) for i in range(batch.num_columns)}
         for k in range(batch.num_rows):
             yield {name: value for i, name in names.items() if (value := _cell(batch.column(i), k)) is not None}
+
+
+def _tables(batch: pa.RecordBatch, archetype: str, only: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """The columns of an archetype as (k, n) each, for rows of equal lengths."""
+    out = {}
+    for i in range(batch.num_columns):
+        field = batch.schema.field(i)
+        if _archetype(field) == archetype and (not only or _short_name(field) in only):
+            flat = batch.column(i).flatten().to_numpy(zero_copy_only=False)
+            out[_short_name(field)] = flat.reshape(batch.num_rows, -1)
+    return out
+
+
+def _cycle_tables(batch: pa.RecordBatch, only: Collection[str]) -> Iterator[dict[str, np.ndarray]]:
+    """Those of each row of packed cycles, or the cycles of an earlier version, whose columns were components."""
+    if not _is_packed(batch):
+        yield _tables(batch, layout.CYCLES_ARCHETYPE, only)
+        return
+    for row in _rows([batch]):
+        with suppress(ValueError):  # a bit changed: damaged_cycles counts these
+            yield packed_cycles.unpacked(row[layout.PACKED], only)
+
+
+def _is_packed(batch: pa.RecordBatch) -> bool:
+    return any(_short_name(field) == layout.PACKED for field in batch.schema)
+
+
+def _joined(tables: Iterable[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """(k, n) each, one after the other, as (k,) where n is 1."""
+    found: dict[str, list[np.ndarray]] = {}
+    for table in tables:
+        for name, values in table.items():
+            found.setdefault(name, []).append(values)
+    joined = {name: np.concatenate(parts) for name, parts in found.items()}
+    return {name: values[:, 0] if values.shape[1] == 1 else values for name, values in joined.items()}
 
 
 def _cell(column: pa.Array, row: int) -> Any:

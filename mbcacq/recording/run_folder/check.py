@@ -92,6 +92,8 @@ def _value_faults(path: Path) -> Iterator[str]:
                 yield str(error)
         for number in recording.damaged_poses():
             yield f"the observation of pose {number} (joint angles, ball centres) is not as it was written"
+        if damaged := recording.damaged_cycles():
+            yield f"batches of controller cycles that are not as they were written: {damaged}; the others are read"
     except RecordingError as error:
         yield f"it cannot be read as a recording: {error}"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ def devices_of(run: str | Path) -> Devices | None:
         recordings = open_recordings(run) if run.is_dir() and layout.parts(run) else []
         if not recordings:
             return None
-        cycles = [recording.columns(layout.CYCLES, layout.CYCLES_ARCHETYPE, TIMING) for recording in recordings]
+        cycles = [recording.cycles(TIMING).columns for recording in recordings]
         late, period, nominal = _cycles([c for c in cycles if len(c.get("time_s", ()))])
         exposures = np.concatenate([_exposures(recording.rows(layout.EXPOSURE)) for recording in recordings])
         states: dict[str, float] = {}
@@ -48,7 +49,7 @@ def devices_of(run: str | Path) -> Devices | None:
     )
 
 
-def _cycles(columns: list[dict[str, np.ndarray]]) -> tuple[np.ndarray | None, np.ndarray | None, float | None]:
+def _cycles(columns: Sequence[Mapping[str, np.ndarray]]) -> tuple[np.ndarray | None, np.ndarray | None, float | None]:
     if not columns:
         return None, None, None
     late = np.concatenate([c["delay"] for c in columns]) if all("delay" in c for c in columns) else None
