@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,10 @@ class ChannelSeries:
     def residual(self, when: str) -> np.ndarray:
         """(T,) measured minus the model, 'before' or 'after'."""
         return self.measured - (self.before if when == "before" else self.after)
+
+    def part(self, where: slice) -> ChannelSeries:
+        """A stretch of it."""
+        return replace(self, **{name: getattr(self, name)[where] for name in ("time_s", "measured", "before", "after")})
 
 
 @dataclass(frozen=True, eq=False)
