@@ -230,7 +230,8 @@ class MotionKind:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionContent:
-    """A diagnosis of motion in words and units. mismatch: (joint, kind of channel, covariate, share); split: how data were held out;
+    """A diagnosis of motion in words and units. mismatch: (joint, kind of channel, covariate, share); small: number of further ones of
+    small share; split: how data were held out;
     checks: (recording, rows of joint, kind of channel, rms before, after, unit)."""
 
     level: str
@@ -240,6 +241,7 @@ class MotionContent:
     recordings: list[str]
     effects: list[EffectContent]
     mismatch: list[tuple[str, str, str, str]]
+    small: int
     kinds: list[MotionKind]
     checks: list[tuple[str, list[tuple[str, str, str, str, str]]]]
     remarks: list[str]

@@ -41,8 +41,9 @@ def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> go.Fig
             col=1,
         )
     figure = styled(figure, 380)
+    figure.update_yaxes(zeroline=True, zerolinecolor="#bbbbbb")
     figure.update_yaxes(title=axis(quantity, unit), row=1, col=1)
-    figure.update_yaxes(title=axis("residual", unit), zeroline=True, zerolinecolor="#bbbbbb", row=2, col=1)
+    figure.update_yaxes(title=axis("residual", unit), row=2, col=1)
     figure.update_xaxes(title="time / s", row=2, col=1)
     figure.update_xaxes(showticklabels=False, row=1, col=1)
     return figure

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.result import CheckedChannel, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.motion.result import CheckedChannel, MotionDiagnosis, MotionEffect, MotionMismatch, UnmodelledMotionEffect
 from mbcacq.diagnosis.motion.text import CHANNELS, size_of_shape, verdict_sentence
 from mbcacq.diagnosis.output.pictures import axis_of
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
@@ -20,6 +20,8 @@ from mbcacq.report.verdict import readable
 
 STRETCH_S = 20.0  # of a recording that is drawn: longer, and a reversal of an axis is narrower than a line
 AXES = {"tau": "torque", "q_joint": "joint side − motor side", "q_set": "actual − set point"}
+NAMES = {"tau": "the torque", "q_joint": "the joint-side angle", "q_set": "the set point"}
+LEAST_SHARE = 0.005  # of the excess over noise; the dependences below it are counted, not listed
 REFUSED = "no model is kept: on held-out data it leaves {}"
 
 
@@ -41,11 +43,14 @@ def motion_content(found: MotionDiagnosis) -> MotionContent:
     return MotionContent(
         level=level,
         headline=headline,
-        reason=verdict_sentence(diagnosis["verdict"]),
+        reason=_sentence(verdict_sentence(diagnosis["verdict"]).removeprefix(f"{headline}: ")),
         split=diagnosis["fit"]["held_out"]["split"],
         recordings=[name or "the recording" for name in series.recordings],
         effects=[_effect(e, content) for e, content in zip(found.effects, diagnosis["effects"], strict=True)],
-        mismatch=[(m["at"], CHANNELS[m["channel"]], axis_of(m["depends_on"])[0], share(m["share"])) for m in diagnosis["mismatch"]],
+        mismatch=[
+            (NAMES.get(m.at, m.at), CHANNELS[m.channel], _covariate(m.depends_on), share(m.share)) for m in found.mismatch if _listed(m)
+        ],
+        small=sum(not _listed(m) for m in found.mismatch),
         kinds=kinds,
         checks=[(one.recording or "the other recording", [_checked(c) for c in one.channels]) for one in found.checks],
         remarks=_remarks(diagnosis),
@@ -55,9 +60,19 @@ def motion_content(found: MotionDiagnosis) -> MotionContent:
 def _effect(effect: MotionEffect | UnmodelledMotionEffect, content: Mapping[str, Any]) -> EffectContent:
     """Its gain is that at its own joints; an unmodelled one has a size in place of parameters."""
     if isinstance(effect, UnmodelledMotionEffect):
-        return replace(effect_content(content), notes=[f"{_sentence(size_of_shape(effect))}."])
+        return replace(effect_content(content), depends_on=_covariate(effect.depends_on), notes=[f"{_sentence(size_of_shape(effect))}."])
     notes = [f"{split_unit(first)[0]} {rest}." for first, _, rest in (note.partition(" ") for note in effect.notes)]
-    return replace(effect_content({**content, "held_out_gain": effect.held_out_gain_here}), notes=notes)
+    shown = effect_content({**content, "where": [NAMES.get(at, at) for at in effect.where], "held_out_gain": effect.held_out_gain_here})
+    return replace(shown, depends_on=_covariate(effect.depends_on), notes=notes)
+
+
+def _listed(mismatch: MotionMismatch) -> bool:
+    """Whether a dependence has a line of its own."""
+    return mismatch.share >= LEAST_SHARE
+
+
+def _covariate(name: str) -> str:
+    return "speed" if name == "qd" else axis_of(name)[0]
 
 
 def _channel(channel: Mapping[str, Any]) -> MotionChannel:
