@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the diagnosis to this JSON file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as one JSON object on stdout.")
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
-@click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows, or channels over time, before and after as a rerun recording.")
+@click.option(
+    "--rrd",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write error arrows, or channels over time, before and after as a rerun recording.",
+)
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the cross-validation (default: one for each processor core).")
 @click.option("--phase", "phases", multiple=True, help="Use poses of this phase only (repeatable) [default: all but verification].")
 @click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")

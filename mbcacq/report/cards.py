@@ -58,4 +58,17 @@ def _card(number: int, effect: EffectContent) -> list[str]:
     ]
     table = [f"| {label} | {text} |" for label, text in rows]
     others = [f"- {text}" for text in effect.alternatives] or ["- no other candidate comes near"]
-    return [f"## {number}. {effect.title}", "", "| | |", "|---|---|", *table, "", *notes, *([""] if notes else []), "What else it could be:", "", *others, ""]
+    return [
+        f"## {number}. {effect.title}",
+        "",
+        "| | |",
+        "|---|---|",
+        *table,
+        "",
+        *notes,
+        *([""] if notes else []),
+        "What else it could be:",
+        "",
+        *others,
+        "",
+    ]

@@ -136,14 +136,14 @@ class DiagnosisResult:
         return [*out, ("diagnosed", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"), ("software", f"mbcacq {__version__}")]
 
     def write_rrd(self, path: Path | str) -> Path:
-        """A recording for the rerun viewer: of poses arrows before and after in the cell, of motion alone its channels over time. Raises
+        """A recording for the rerun viewer: of poses arrows before and after in the cell, of motion its channels over time. Raises
         ConfigError for one that was read from JSON, RecordingError where the file cannot be written."""
         from mbcacq.workflow.diagnosis_files import cards_of, write_motion_rrd, write_rrd
 
         if self.poses is None and self.motion is not None:
             return write_motion_rrd(self.motion, Path(path))
         observations, drawn = self._drawable()
-        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()))
+        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()), self.motion)
         return Path(path)
 
     def keep(self, run: Path | str) -> None:

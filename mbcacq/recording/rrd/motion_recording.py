@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,26 +30,31 @@ LINES = {  # entity below that of a joint: name, colour, width
 }
 
 
-def write_motion(path: Path | str, series: MotionSeries, cards: str, titles: Mapping[str, str]) -> Path:
-    """Write a .rrd of a diagnosis of motion alone. cards: the diagnosis as Markdown; titles: of the kinds of channel, in words.
+@dataclass(frozen=True)
+class MotionDrawn:
+    """A diagnosis of motion as it is drawn. cards: the diagnosis as Markdown; titles: of the kinds of channel, in words."""
 
-    Raises RecordingError if it cannot be written.
-    """
+    series: MotionSeries
+    cards: str
+    titles: Mapping[str, str]
+
+
+def write_motion(path: Path | str, motion: MotionDrawn) -> Path:
+    """Write a .rrd of a diagnosis of motion alone. Raises RecordingError if it cannot be written."""
     with replacing(path) as partial:
         stream = new_stream(layout.APPLICATION)
         try:
             stream.save(rerun_path(partial))
-            text = rrb.TextDocumentView(name="Verdict", origin=layout.MOTION_TEXT)
             send_default_blueprint(
                 stream,
                 rrb.Blueprint(
-                    rrb.Tabs(rrb.Horizontal(text, residuals(series, titles), column_shares=[2, 3], name="Diagnosis"), *tabs(series, titles)),
+                    rrb.Tabs(*motion_tabs(motion), active_tab=0),
                     rrb.TimePanel(state="collapsed", timeline=layout.ROBOT_TIME),
                     rrb.SelectionPanel(state="collapsed"),
                     rrb.BlueprintPanel(state="collapsed"),
                 ),
             )
-            log_motion(stream, series, cards)
+            log_motion(stream, motion)
             stream.flush(timeout_sec=60.0)
             stream.disconnect()
         except (RuntimeError, OSError) as error:
@@ -56,10 +62,10 @@ def write_motion(path: Path | str, series: MotionSeries, cards: str, titles: Map
     return Path(path)
 
 
-def log_motion(stream: rr.RecordingStream, series: MotionSeries, cards: str) -> None:
+def log_motion(stream: rr.RecordingStream, motion: MotionDrawn) -> None:
     """The verdict, and every channel and joint of each recording."""
-    stream.log(layout.MOTION_TEXT, drawn_text(cards), static=True)
-    for (number, channel, at), stretches in _by_entity(series).items():
+    stream.log(layout.MOTION_TEXT, drawn_text(motion.cards), static=True)
+    for (number, channel, at), stretches in _by_entity(motion.series).items():
         entity = f"{layout.MOTION_CHANNELS}/{number}/{channel}/{at}"
         for name, (label, colour, width) in LINES.items():
             full = drawable(f"{at} {label}")
@@ -69,27 +75,24 @@ def log_motion(stream: rr.RecordingStream, series: MotionSeries, cards: str) -> 
             stream.send_columns(f"{entity}/{name}", [index], rr.Scalars.columns(scalars=values))
 
 
-def residuals(series: MotionSeries, titles: Mapping[str, str]) -> rrb.Container:
-    """A view for each kind of channel: what the models leave at all its joints."""
-    return rrb.Vertical(
-        *(
-            curves_over_time(
-                f"{_title(series, kind, titles)}: residuals before (orange), after (blue)",
-                [f"{layout.MOTION_CHANNELS}/{n}/{c}/{at}/residual/**" for n, c, at in _by_entity(series) if c == kind],
-                legend=False,
-            )
-            for kind in series.kinds()
+def motion_tabs(motion: MotionDrawn, name: str = "Diagnosis") -> list[rrb.Container]:
+    """A tab of that name with the verdict and all residuals of each kind of channel; then one for each kind of channel of each recording:
+    of each joint what was measured, both models, and what they leave."""
+    series, titles = motion.series, motion.titles
+    entities = _by_entity(series)
+    text = rrb.TextDocumentView(name="Verdict", origin=layout.MOTION_TEXT)
+    left = [
+        curves_over_time(
+            f"{titles[kind]}, {series.of(kind)[0].unit}: residuals before (orange), after (blue)",
+            [f"{layout.MOTION_CHANNELS}/{n}/{c}/{at}/residual/**" for n, c, at in entities if c == kind],
         )
-    )
-
-
-def tabs(series: MotionSeries, titles: Mapping[str, str]) -> list[rrb.Container]:
-    """A tab for each kind of channel of each recording: of each joint what was measured, both models, and what they leave."""
-    out: list[rrb.Container] = []
+        for kind in series.kinds()
+    ]
+    out: list[rrb.Container] = [rrb.Horizontal(text, rrb.Vertical(*left), column_shares=[2, 3], name=name)]
     for number in range(len(series.recordings)):
         for kind in series.kinds():
             which = f", recording {number + 1}" if len(series.recordings) > 1 else ""
-            joints = [at for n, c, at in _by_entity(series) if (n, c) == (number, kind)]
+            joints = [at for n, c, at in entities if (n, c) == (number, kind)]
             views = [_joint(f"{layout.MOTION_CHANNELS}/{number}/{kind}/{at}", at, series.of(kind)[0].unit) for at in joints]
             out.append(rrb.Grid(*views, grid_columns=min(len(views), 3), name=drawable(f"{titles[kind]}{which}")))
     return out
@@ -97,15 +100,13 @@ def tabs(series: MotionSeries, titles: Mapping[str, str]) -> list[rrb.Container]
 
 def _joint(entity: str, at: str, unit: str) -> rrb.Container:
     return rrb.Vertical(
-        curves_over_time(f"{at}: measured (grey), model alone (orange), with effects (blue), {unit}", [f"{entity}/measured", f"{entity}/model/**"]),
+        curves_over_time(
+            f"{at}: measured (grey), model alone (orange), with effects (blue), {unit}", [f"{entity}/measured", f"{entity}/model/**"]
+        ),
         curves_over_time(f"{at}: measured minus model, {unit}", [f"{entity}/residual/**"]),
         row_shares=[3, 2],
         name=at,
     )
-
-
-def _title(series: MotionSeries, kind: str, titles: Mapping[str, str]) -> str:
-    return f"{titles[kind]}, {series.of(kind)[0].unit}"
 
 
 def _by_entity(series: MotionSeries) -> dict[tuple[int, str, str], list[ChannelSeries]]:
