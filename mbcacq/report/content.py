@@ -167,8 +167,8 @@ class Coverage:
 @dataclass(frozen=True, kw_only=True)
 class EffectContent:
     """One effect of a diagnosis. parameters: (name, value, expanded uncertainty, unit) as texts; harmonics: of a periodic effect, the heads
-    of a table and a row a harmonic; alternatives: sentences; trend: no figure of it is beyond its uncertainty, and none is shown; notes: what
-    its parameters leave open."""
+    of a table and a row a harmonic; alternatives: sentences; trend: no figure of it is beyond its uncertainty, and none is shown; notes:
+    what its parameters leave open."""
 
     title: str
     depends_on: str
@@ -219,7 +219,7 @@ class MotionChannel:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionKind:
-    """One kind of channel. rows: a joint each; quantity, unit: of the axis of its charts; series: the stretch of each joint that is drawn."""
+    """One kind of channel. rows: a joint each; quantity, unit: of the axis of its charts; series: the drawn stretch of each joint."""
 
     title: str
     quantity: str

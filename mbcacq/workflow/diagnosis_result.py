@@ -112,8 +112,8 @@ class DiagnosisResult:
         return figures[name]
 
     def write_html(self, path: Path | str) -> Path:
-        """The diagnosis as one HTML page that opens offline: of poses, of motion with its channels over time, or of both. Raises ConfigError
-        for one that was read from JSON."""
+        """The diagnosis as one HTML page that opens offline: of poses, of motion with its channels over time, or of both. Raises
+        ConfigError for one that was read from JSON."""
         from mbcacq.report import write_diagnosis_page
 
         poses = (None, None) if self.poses is None else (self.poses.to_json(), self.pictures())

@@ -40,7 +40,8 @@ def write_diagnosis(
     cards: the same as Markdown, a card an effect, shown in its place where it is given).
 
     run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose
-    and is shown alone, with motion (the channels between the poses, on a timeline of their own) in further tabs. Raises RecordingError if it cannot be written.
+    and is shown alone, with motion (the channels between the poses, on a timeline of their own) in further tabs. Raises RecordingError if
+    it cannot be written.
     """
     with replacing(path) as partial:
         stream_diagnosis(partial, observations, text, pictures, run, cards, motion)
