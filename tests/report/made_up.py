@@ -115,7 +115,7 @@ def motion(seed=0):
             before = np.where(np.abs(np.cos((0.4 + 0.1 * k) * time)) < 0.1, np.nan, 0.0)
             refused = (kind, k) == ("q_set", 4)
             after = before if refused else before + size * np.sin((0.4 + 0.1 * k) * time)
-            series.append(ChannelSeries(kind, f"A{k + 1}", unit, 0, time, measured, before, after))
+            series.append(ChannelSeries(kind, f"A{k + 1}", unit, 0, time, measured, before=before, after=after))
             error = ErrorBeforeAfter(0.7 * size, 0.05 * size, 6.54e6, 246.0)
             channels.append(ChannelFit(kind, f"A{k + 1}", unit, 1e-4 * size, error, error, 2.0 * size if refused else None))
     parameters = {"A2.coulomb_Nm": {"value": 90.0, "std": 8.0}, "A2.viscous_Nms_per_rad": {"value": 390.0, "std": 17.0}}
