@@ -21,6 +21,8 @@ UNITS = {
     "mm_per_N": ("µm/N", 1e3),
     "mm_per_K": ("µm/K", 1e3),
     "ppm_per_K": ("ppm/K", 1.0),
+    "Nms_per_rad": ("N·m·s/rad", 1.0),
+    "rad_per_Nms": ("rad/(N·m·s)", 1.0),
     "Nm_per_rad": ("N·m/rad", 1.0),
     "rad_per_s": ("rad/s", 1.0),
     "per_mm": ("1/mm", 1.0),

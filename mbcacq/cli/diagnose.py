@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the diagnosis to this JSON file.")
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as one JSON object on stdout.")
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write an HTML report with pictures.")
-@click.option("--rrd", type=click.Path(path_type=Path, dir_okay=False), help="Write error arrows before and after as a rerun recording.")
+@click.option(
+    "--rrd",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write error arrows, or channels over time, before and after as a rerun recording.",
+)
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the cross-validation (default: one for each processor core).")
 @click.option("--phase", "phases", multiple=True, help="Use poses of this phase only (repeatable) [default: all but verification].")
 @click.option("--hold", multiple=True, metavar="NAME", help="Keep this parameter at its nominal value, e.g. d_2 (repeatable).")
@@ -122,7 +126,6 @@ def command(
     from mbcacq.workflow.load import is_run_folder
 
     options = mbcacq.CalibrationOptions(phases=phases or None, hold=hold, release=free)
-    refuse_pictures_of_motion(data, report, rrd)
     if look:
         with with_added(effect_files):
             print_evidence(data, options, out, as_json)
@@ -142,11 +145,10 @@ def command(
         )
         if write_model is not None:
             write_matched_model(found, write_model)
-        if found.poses is not None:
-            progress("writing the pictures")
-            write_pictures(found, report, rrd)
-            if is_run_folder(data[0]) and not simulation:
-                found.keep(data[0])
+        progress("writing the pictures")
+        write_pictures(found, report, rrd)
+        if found.poses is not None and is_run_folder(data[0]) and not simulation:
+            found.keep(data[0])
         calibrated = with_effects(data, found, options) if with_found else []
         calibrated += [] if propose is None else proposed(found, propose)
         then = next_step(data, found, with_found)
@@ -179,8 +181,7 @@ def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found:
         return "calibrate with what was found", command_line("diagnose", *data, "--calibrate")
     if found.poses is not None and run:
         return "see it in the report", command_line("report", data[0])
-    page = ("--report", "diagnosis.html") if found.poses else ()
-    return "keep it", command_line("diagnose", *data, "--out", "diagnosis.json", *page)
+    return "keep it", command_line("diagnose", *data, "--out", "diagnosis.json", "--report", "diagnosis.html")
 
 
 def proposed(found: mbcacq.DiagnosisResult, folder: Path) -> list[str]:
@@ -229,18 +230,6 @@ def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:
     if found.simulation is None:
         raise ConfigError("there is no model to write: --write-model needs a model file in --simulation")
     found.simulation.write(file)
-
-
-def refuse_pictures_of_motion(data: tuple[Path, ...], report: Path | None, rrd: Path | None) -> None:
-    """A page and arrows are drawn of poses; who asks for them of trajectories alone hears so before the search. Raises ConfigError."""
-    from mbcacq.workflow.diagnose_recordings import is_trajectory
-
-    asked = [option for option, file in (("--report", report), ("--rrd", rrd)) if file is not None]
-    if asked and all(is_trajectory(one) for one in data):
-        raise ConfigError(
-            f"{' and '.join(asked)} would show nothing of {data[0]}: it holds motion alone, and pictures are drawn of poses at standstill; "
-            "leave it out, and keep the diagnosis with --out FILE.json"
-        )
 
 
 def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.report.content import Content, DiagnosisContent, EffectContent
+from mbcacq.report.content import Content, DiagnosisContent, EffectContent, MotionContent
 from mbcacq.report.verdict import largest_error
 
 SIGNS = {"pass": "✓", "fail": "✗", "undecided": "?", "found": "→", "none": "–"}
@@ -31,7 +31,20 @@ def diagnosis_cards(diagnosis: DiagnosisContent) -> str:
     return "\n".join([*lines, *(f"- {remark}" for remark in diagnosis.remarks)])
 
 
+def motion_cards(motion: MotionContent) -> str:
+    """The verdict on a motion, its channels on held-out data, then a card for each effect."""
+    lines = [f"# {SIGNS[motion.level]} {motion.headline}", "", motion.reason, ""]
+    for kind in motion.kinds:
+        lines += [f"| {kind.title} | held-out rms before, {kind.unit} | after, {kind.unit} |", "|---|---|---|"]
+        lines += [f"| {c.at} | {c.held_out[0]} | {c.held_out[1]}{f' ({c.remark})' if c.remark else ''} |" for c in kind.rows]
+        lines.append("")
+    for number, effect in enumerate(motion.effects, 1):
+        lines += _card(number, effect)
+    return "\n".join([*lines, *(f"- {remark}" for remark in motion.remarks)])
+
+
 def _card(number: int, effect: EffectContent) -> list[str]:
+    notes = [f"- {note}" for note in effect.notes]
     what, _, where = effect.title.rpartition(" at ")
     values = [f"{name} {value} ± {uncertainty} {unit}".rstrip() for name, value, uncertainty, unit in effect.parameters]
     if effect.harmonics is not None:
@@ -45,4 +58,17 @@ def _card(number: int, effect: EffectContent) -> list[str]:
     ]
     table = [f"| {label} | {text} |" for label, text in rows]
     others = [f"- {text}" for text in effect.alternatives] or ["- no other candidate comes near"]
-    return [f"## {number}. {effect.title}", "", "| | |", "|---|---|", *table, "", "What else it could be:", "", *others, ""]
+    return [
+        f"## {number}. {effect.title}",
+        "",
+        "| | |",
+        "|---|---|",
+        *table,
+        "",
+        *notes,
+        *([""] if notes else []),
+        "What else it could be:",
+        "",
+        *others,
+        "",
+    ]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration.place_errors import ArmImprovement
+from mbcacq.model.channel_series import ChannelSeries
 from mbcacq.quantities import K, decimal_places, fixed
 
 
@@ -166,7 +167,8 @@ class Coverage:
 @dataclass(frozen=True, kw_only=True)
 class EffectContent:
     """One effect of a diagnosis. parameters: (name, value, expanded uncertainty, unit) as texts; harmonics: of a periodic effect, the heads
-    of a table and a row a harmonic; alternatives: sentences; trend: no figure of it is beyond its uncertainty, and none is shown."""
+    of a table and a row a harmonic; alternatives: sentences; trend: no figure of it is beyond its uncertainty, and none is shown; notes:
+    what its parameters leave open."""
 
     title: str
     depends_on: str
@@ -176,6 +178,7 @@ class EffectContent:
     alternatives: list[str]
     harmonics: tuple[list[str], list[list[str]]] | None = None
     trend: bool = False
+    notes: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,6 +202,49 @@ class DiagnosisContent:
     curves: list[Mapping[str, Any]] = field(default_factory=list)
     covariates: list[Mapping[str, Any]] = field(default_factory=list)
     centres: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionChannel:
+    """One joint of a channel as texts. noise: standard deviation; held_out, fitted: rms before and after the effects; chi2: per degree of
+    freedom on the held-out data; remark: where its model is refused."""
+
+    at: str
+    noise: str
+    held_out: tuple[str, str]
+    chi2: tuple[str, str]
+    fitted: tuple[str, str]
+    remark: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionKind:
+    """One kind of channel. rows: a joint each; quantity, unit: of the axis of its charts; series: the drawn stretch of each joint."""
+
+    title: str
+    quantity: str
+    unit: str
+    rows: list[MotionChannel]
+    series: list[ChannelSeries]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionContent:
+    """A diagnosis of motion in words and units. mismatch: (joint, kind of channel, covariate, share); small: number of further ones of
+    small share; split: how data were held out;
+    checks: (recording, rows of joint, kind of channel, rms before, after, unit)."""
+
+    level: str
+    headline: str
+    reason: str
+    split: str
+    recordings: list[str]
+    effects: list[EffectContent]
+    mismatch: list[tuple[str, str, str, str]]
+    small: int
+    kinds: list[MotionKind]
+    checks: list[tuple[str, list[tuple[str, str, str, str, str]]]]
+    remarks: list[str]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, Residuals
+from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, MotionContent, Residuals
 
 
 def report_figures(content: Content) -> dict[str, Any]:
@@ -40,6 +40,17 @@ def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Any]:
     if centres := diagnosis.centres:
         figures |= {f"along_{k}": diagnosis_charts.difference_along(centres, c) for k, c in enumerate(diagnosis.covariates)}
     return figures
+
+
+def motion_figures(motion: MotionContent) -> dict[str, Any]:
+    """Plotly figures of a diagnosis of motion: each joint of each channel over time."""
+    from mbcacq.report.charts import motion_charts
+
+    return {
+        f"motion_{series.channel}_{series.at}": motion_charts.channel_over_time(series, kind.quantity, kind.unit)
+        for kind in motion.kinds
+        for series in kind.series
+    }
 
 
 def fleet_figures(fleet: FleetContent) -> dict[str, Any]:

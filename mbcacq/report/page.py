@@ -11,8 +11,8 @@ import numpy as np
 
 from mbcacq.files.atomic_write import write_file
 from mbcacq.quantities import fixed, pair, signed, uncertainty
-from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, Spacing
-from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
+from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, MotionContent, Spacing
+from mbcacq.report.figures import diagnosis_figures, fleet_figures, motion_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
 from mbcacq.report.verdict import quantity, readable
 
@@ -75,9 +75,12 @@ def _scene(content: Content) -> Any:
     return Markup(_script_safe(json.dumps({"groups": groups, "arm": arm})))
 
 
-def render_diagnosis(diagnosis: DiagnosisContent, title: str, about: Sequence[tuple[str, str]] = ()) -> str:
-    """HTML of a diagnosis by itself. about: robot, data and date (label, text)."""
-    return _template("diagnosis_page.html.j2", d=diagnosis, title=title, about=about, figures=_embedded(diagnosis_figures(diagnosis)))
+def render_diagnosis(
+    diagnosis: DiagnosisContent | None, motion: MotionContent | None, title: str, about: Sequence[tuple[str, str]] = ()
+) -> str:
+    """HTML of a diagnosis by itself, of poses, of motion or of both. about: robot, data and date (label, text)."""
+    figures = ({} if diagnosis is None else diagnosis_figures(diagnosis)) | ({} if motion is None else motion_figures(motion))
+    return _template("diagnosis_page.html.j2", d=diagnosis, m=motion, title=title, about=about, figures=_embedded(figures))
 
 
 def render_fleet(fleet: FleetContent, title: str) -> str:

@@ -6,19 +6,38 @@ import json
 from pathlib import Path
 from typing import Any
 
+from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 from mbcacq.recording import write_diagnosis
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import note_made
 from mbcacq.recording.rrd.diagnosis_recording import stream_diagnosis
+from mbcacq.recording.rrd.motion_recording import MotionDrawn, write_motion
 
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
 
-def write_rrd(observations: Observations, words: str, pictures: dict[str, Any], path: Path, cards: str = "") -> None:
-    """Arrows before and after in the cell, the misfit of each pose, and the covariate held responsible, for the viewer."""
-    write_diagnosis(path, observations, words, pictures, cards=cards)
+def write_rrd(
+    observations: Observations, words: str, pictures: dict[str, Any], path: Path, cards: str = "", motion: MotionDiagnosis | None = None
+) -> None:
+    """Arrows before and after in the cell, the misfit of each pose, and the covariate held responsible, for the viewer; and the motion
+    between the poses."""
+    write_diagnosis(path, observations, words, pictures, cards=cards, motion=None if motion is None else _drawn(motion))
+
+
+def write_motion_rrd(found: MotionDiagnosis, path: Path) -> Path:
+    """The channels of a motion over time, measured and as the model has them, with the verdict as text."""
+    return write_motion(path, _drawn(found))
+
+
+def _drawn(found: MotionDiagnosis) -> MotionDrawn:
+    from mbcacq.diagnosis.motion.text import CHANNELS
+    from mbcacq.report.cards import motion_cards
+    from mbcacq.report.sources.from_motion import motion_content
+
+    titles = {kind: f"{text[:1].upper()}{text[1:]}" for kind, text in CHANNELS.items()}
+    return MotionDrawn(found.series, motion_cards(motion_content(found)), titles)
 
 
 def keep_in_run(content: dict[str, Any], words: str, pictures: dict[str, Any], observations: Observations, run: Path) -> None:

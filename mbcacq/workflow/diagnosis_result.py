@@ -112,10 +112,12 @@ class DiagnosisResult:
         return figures[name]
 
     def write_html(self, path: Path | str) -> Path:
-        """The diagnosis as one HTML page that opens offline."""
+        """The diagnosis as one HTML page that opens offline: of poses, of motion with its channels over time, or of both. Raises
+        ConfigError for one that was read from JSON."""
         from mbcacq.report import write_diagnosis_page
 
-        return write_diagnosis_page(self.main.to_json(), self.pictures(), path, about=self._about())
+        poses = (None, None) if self.poses is None else (self.poses.to_json(), self.pictures())
+        return write_diagnosis_page(*poses, path, about=self._about(), motion=self.motion)
 
     def _about(self) -> list[tuple[str, str]]:
         """Robot, data and date, as the page names them."""
@@ -127,15 +129,21 @@ class DiagnosisResult:
         out = [] if self.observations is None else [("robot", self.observations.cell.robot.name)]
         if self.observations is not None:
             out.append(("poses", f"{self.observations.n_poses}, with {self.observations.n_centres} centres"))
+        elif self.motion is not None:
+            series = self.motion.series
+            out, data = [("robot", series.robot)], ", ".join(filter(None, series.recordings))
         out += [("data", data)] if data else []
         return [*out, ("diagnosed", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"), ("software", f"mbcacq {__version__}")]
 
     def write_rrd(self, path: Path | str) -> Path:
-        """Arrows before and after in the cell, as a recording for the rerun viewer. Raises ConfigError without observations."""
-        from mbcacq.workflow.diagnosis_files import cards_of, write_rrd
+        """A recording for the rerun viewer: of poses arrows before and after in the cell, of motion its channels over time. Raises
+        ConfigError for one that was read from JSON, RecordingError where the file cannot be written."""
+        from mbcacq.workflow.diagnosis_files import cards_of, write_motion_rrd, write_rrd
 
+        if self.poses is None and self.motion is not None:
+            return write_motion_rrd(self.motion, Path(path))
         observations, drawn = self._drawable()
-        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()))
+        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()), self.motion)
         return Path(path)
 
     def keep(self, run: Path | str) -> None:

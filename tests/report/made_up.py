@@ -2,6 +2,16 @@
 
 import numpy as np
 
+from mbcacq.diagnosis.motion.result import (
+    ChannelFit,
+    ErrorBeforeAfter,
+    MotionDiagnosis,
+    MotionEffect,
+    MotionMismatch,
+    UnmodelledMotionEffect,
+)
+from mbcacq.diagnosis.result import Alternative
+from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.report.content import Devices
 
 
@@ -91,4 +101,35 @@ def devices(seed=0):
         state_s=[("moving", 120.0), ("scanning", 300.0)],
         gaps=["pose 7 left out: 2 of 8 balls found"],
         health=[("scanner: temperature_C", "40", "45", "44")],
+    )
+
+
+def motion(seed=0):
+    """Of every kind of channel, with a gap, a refused model and an unmodelled effect."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0, 12, 0.004)
+    channels, series = [], []
+    for kind, unit, size, axes in (("tau", "N m", 900.0, 6), ("q_joint", "deg", 0.03, 3), ("q_set", "deg", 1.5, 6)):
+        for k in range(axes):
+            measured = size * (np.sin((0.4 + 0.1 * k) * time) + 0.05 * rng.normal(size=len(time)))
+            before = np.where(np.abs(np.cos((0.4 + 0.1 * k) * time)) < 0.1, np.nan, 0.0)
+            refused = (kind, k) == ("q_set", 4)
+            after = before if refused else before + size * np.sin((0.4 + 0.1 * k) * time)
+            series.append(ChannelSeries(kind, f"A{k + 1}", unit, 0, time, measured, before=before, after=after))
+            error = ErrorBeforeAfter(0.7 * size, 0.05 * size, 6.54e6, 246.0)
+            channels.append(ChannelFit(kind, f"A{k + 1}", unit, 1e-4 * size, error, error, 2.0 * size if refused else None))
+    parameters = {"A2.coulomb_Nm": {"value": 90.0, "std": 8.0}, "A2.viscous_Nms_per_rad": {"value": 390.0, "std": 17.0}}
+    return MotionDiagnosis(
+        verdict="partly_explained",
+        mismatch=(MotionMismatch("A2", "tau", "qd2", 0.8, 1e-90), MotionMismatch("q_joint", "q_joint", "qd", 0.001, 1e-9)),
+        effects=(
+            MotionEffect(
+                "friction", ("A2",), "qd2", "tau", parameters, 1e-90, 0.8, 0.9, (Alternative("backlash", ("A2",), 0.1, 1e-3),), ()
+            ),
+            UnmodelledMotionEffect(("A4",), "q_set", "q4", 1e-9, 0.1, (0.0, 1.0), (0.01, -0.01)),
+        ),
+        channels=tuple(channels),
+        split="time block",
+        suspicions=("with a load that differs by 130 kg the torque is explained better",),
+        plot_data=MotionSeries("an arm of six axes", ("recordings/of-an-arm/with-a-long-name",), tuple(series)),
     )

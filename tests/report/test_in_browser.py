@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from chromium import Browser, program
-from made_up import devices, diagnosis, pictures
+from made_up import devices, diagnosis, motion, pictures
 from result_page import make_observations, make_result
 
-from mbcacq.report import report_from_result
+from mbcacq.report import report_from_result, write_diagnosis_page
 
 pytestmark = pytest.mark.skipif(program() is None, reason="no Chromium is installed (apt-get install chromium)")
 
@@ -15,7 +15,7 @@ TOO_WIDE = """Array.from(document.querySelectorAll('main *'))
   .filter(e => e.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map(e => e.tagName + ' ' + e.className)"""
 EMPTY = """Array.from(document.querySelectorAll('.plot')).filter(p => !p.querySelector('.main-svg .plot *, .main-svg .cartesianlayer *')).map(p => p.id)"""
 UNLABELLED = """Array.from(document.querySelectorAll('.plot')).filter(p => Object.keys(p.layout).filter(k => /^[xy]axis/.test(k))
-  .some(k => p.layout[k].visible !== false && !((p.layout[k].title || {}).text || '').trim())).map(p => p.id)"""
+  .some(k => p.layout[k].visible !== false && p.layout[k].showticklabels !== false && !((p.layout[k].title || {}).text || '').trim())).map(p => p.id)"""
 # what plotly draws outside of its own frame is cut off there
 CUT_OFF = """Array.from(document.querySelectorAll('.plot')).flatMap(p => { const f = p.getBoundingClientRect();
   return Array.from(p.querySelectorAll('.main-svg text')).filter(t => t.textContent.trim()).filter(t => { const r = t.getBoundingClientRect();
@@ -53,13 +53,20 @@ def whole_page(tmp_path_factory):
     return report_from_result(result, path=tmp_path_factory.mktemp("page") / "report.html", observations=obs, run_info=info)
 
 
+@pytest.fixture(scope="module")
+def diagnosis_page(tmp_path_factory):
+    """A diagnosis of poses and of the motion between them."""
+    return write_diagnosis_page(diagnosis(), pictures(), tmp_path_factory.mktemp("page") / "diagnosis.html", motion=motion())
+
+
 @pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 900, False), (390, 844, True)])
-def test_everything_is_drawn_and_nothing_is_requested(whole_page, width, height, mobile):
+@pytest.mark.parametrize(("page", "plots"), [("whole_page", 22), ("diagnosis_page", 18)])
+def test_everything_is_drawn_and_nothing_is_requested(request, page, plots, width, height, mobile):
     with Browser(width, height, mobile) as browser:
-        browser.open(whole_page)
+        browser.open(request.getfixturevalue(page))
         assert browser.console == []
         assert [r for r in browser.requests if not r.startswith(("file:", "data:", "blob:"))] == []
-        assert browser.run("document.querySelectorAll('.plot').length") >= 22
+        assert browser.run("document.querySelectorAll('.plot').length") >= plots
         assert browser.run(EMPTY) == []
         assert browser.run(UNLABELLED) == []
         assert browser.run(CUT_OFF) == []

@@ -18,6 +18,7 @@ from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import CheckedChannel, MotionCheck, MotionDiagnosis
 from mbcacq.diagnosis.motion.segments import Part, held_out_parts
+from mbcacq.diagnosis.motion.series import motion_series
 from mbcacq.diagnosis.motion.signals import prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.diagnosis.motion.transmitted_torque import with_load
@@ -61,7 +62,11 @@ def diagnose_trajectories(
     fits, runs = recordings.explain()
     found = assemble(fits, runs, recordings.cross_validate() if cross_validation else None)
     late = [OUT_OF_TIME] if cut_short(fits) else []
-    return replace(found, suspicions=(*late, *suspicions(recordings.runs), *_other_payload(found, recordings.robot)))
+    return replace(
+        found,
+        suspicions=(*late, *suspicions(recordings.runs), *_other_payload(found, recordings.robot)),
+        plot_data=motion_series(fits, found.channels, trajectories, recordings.runs),
+    )
 
 
 def explain_trajectories(trajectories: Sequence[Trajectory], held: int | None = None) -> list[MotionFit]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from pydantic import PlainValidator
 from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.errors import ConfigError
+from mbcacq.model.channel_series import MotionSeries
 from mbcacq.model.json_text import Number, damage, from_fields, plain
 
 Json = dict[str, Any]
@@ -177,6 +178,7 @@ class MotionDiagnosis:
     not_separable: effects asked for that are not told apart, and advice: what to record for that. inertial: of the links and of a tool
     that was found. suspicions: what in the description of the data looks wrong, in words. evidence: of the sets of effects that were
     compared, one for each kind of mismatch; empty in older files. checks: what the effects leave of other recordings, where that was asked.
+    plot_data: a ``MotionSeries`` from which pictures are drawn; it is no part of the JSON.
     """
 
     verdict: str
@@ -190,6 +192,14 @@ class MotionDiagnosis:
     suspicions: tuple[str, ...] = ()
     evidence: tuple[ChannelEvidence, ...] = ()
     checks: tuple[MotionCheck, ...] = ()
+    plot_data: object | None = field(default=None, compare=False)
+
+    @property
+    def series(self) -> MotionSeries:
+        """The channels over time. Raises ConfigError for a diagnosis that was read from JSON."""
+        if not isinstance(self.plot_data, MotionSeries):
+            raise ConfigError("a diagnosis of motion that was read from JSON has no channels to draw; diagnose the recording again")
+        return self.plot_data
 
     @property
     def named_effects(self) -> tuple[MotionEffect, ...]:

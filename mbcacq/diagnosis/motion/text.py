@@ -29,7 +29,12 @@ def motion_text(diagnosis: MotionDiagnosis) -> str:
 
 def headline(diagnosis: MotionDiagnosis) -> str:
     """The verdict as a sentence."""
-    return CANNOT_TELL if diagnosis.verdict == "cannot_tell" else verdict_in_words(diagnosis.verdict)
+    return verdict_sentence(diagnosis.verdict)
+
+
+def verdict_sentence(verdict: str) -> str:
+    """What a verdict says of a motion."""
+    return CANNOT_TELL if verdict == "cannot_tell" else verdict_in_words(verdict)
 
 
 def motion_details(diagnosis: MotionDiagnosis) -> str:
@@ -48,7 +53,7 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
         where = ", ".join(effect.where)
         lines.append(f"{effect_in_words(effect.name)} at {where} (removes {gain:.1%} of the excess there, on held-out data)")
         lines += [f"  {_values(name, p)}" for name, p in effect.parameters.items()]
-        lines += [f"  {_rms_of_shape(effect)}"] if isinstance(effect, UnmodelledMotionEffect) else []
+        lines += [f"  {size_of_shape(effect)}"] if isinstance(effect, UnmodelledMotionEffect) else []
         lines += [f"  {note}" for note in (effect.notes if isinstance(effect, MotionEffect) else ())]
     for pair in diagnosis.not_separable:
         both = " and ".join(map(effect_in_words, pair.effects))
@@ -81,7 +86,7 @@ def _values(name: str, parameter: Mapping[str, Any]) -> str:
     return f"{words} {', '.join(shown)}"
 
 
-def _rms_of_shape(effect: UnmodelledMotionEffect) -> str:
+def size_of_shape(effect: UnmodelledMotionEffect) -> str:
     """Its size. The bins hold equally many samples, so that the mean square over them is that over the recording."""
     torque = effect.channel == "tau"
     rms = float(np.sqrt(np.mean(np.square(effect.y))))

@@ -243,10 +243,16 @@ def _curves(
     )
 
 
-def alone(viewpoint: ViewerCamera, diagnosis: float, responses: Sequence[str] = ()) -> rrb.Blueprint:
-    """The tab of a diagnosis as the whole window, for a recording that holds nothing else."""
+def curves_over_time(name: str, entities: list[str]) -> rrb.TimeSeriesView:
+    """Curves from their first to their last value in time; the name says what each colour is."""
+    return _curves(drawable(name), entities, legend=False, whole=True)
+
+
+def alone(viewpoint: ViewerCamera, diagnosis: float, responses: Sequence[str] = (), motion: Sequence[rrb.Container] = ()) -> rrb.Blueprint:
+    """The tab of a diagnosis as the whole window, for a recording that holds nothing else. motion: tabs of a diagnosis of the motion."""
+    poses = _diagnosis(viewpoint, Enlarged(diagnosis=diagnosis, responses=tuple(responses)))
     return rrb.Blueprint(
-        _diagnosis(viewpoint, Enlarged(diagnosis=diagnosis, responses=tuple(responses))),
+        rrb.Tabs(poses, *motion, active_tab=0) if motion else poses,
         rrb.TimePanel(state="collapsed", timeline=layout.POSE),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),

@@ -17,6 +17,7 @@ from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, place_camera
 from mbcacq.recording.rrd.chart import GRID, Chart, sheet_height
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
+from mbcacq.recording.rrd.motion_recording import MotionDrawn, log_motion, motion_tabs
 from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE, round_scale
@@ -27,21 +28,34 @@ MOST_CHARTS = 4
 
 
 def write_diagnosis(
-    path: Path | str, observations: Observations, text: str, pictures: Mapping[str, Any], run: Path | None = None, cards: str = ""
+    path: Path | str,
+    observations: Observations,
+    text: str,
+    pictures: Mapping[str, Any],
+    run: Path | None = None,
+    cards: str = "",
+    motion: MotionDrawn | None = None,
 ) -> Path:
     """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.pictures`` makes them; text: the diagnosis in words;
     cards: the same as Markdown, a card an effect, shown in its place where it is given).
 
     run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose
-    and is shown alone. Raises RecordingError if it cannot be written.
+    and is shown alone, with motion (the channels between the poses, on a timeline of their own) in further tabs. Raises RecordingError if
+    it cannot be written.
     """
     with replacing(path) as partial:
-        stream_diagnosis(partial, observations, text, pictures, run, cards)
+        stream_diagnosis(partial, observations, text, pictures, run, cards, motion)
     return Path(path)
 
 
 def stream_diagnosis(
-    partial: Path, observations: Observations, text: str, pictures: Mapping[str, Any], run: Path | None = None, cards: str = ""
+    partial: Path,
+    observations: Observations,
+    text: str,
+    pictures: Mapping[str, Any],
+    run: Path | None = None,
+    cards: str = "",
+    motion: MotionDrawn | None = None,
 ) -> None:
     """The content of ``write_diagnosis`` into a file that is to become another. Raises RecordingError."""
     obs = observations
@@ -55,7 +69,10 @@ def stream_diagnosis(
         stream.save(rerun_path(partial))
         if run is None:
             viewpoint = place_camera(obs.cell.robot.chain, np.percentile(point, [10, 50, 90], axis=0) if len(point) else np.zeros((0, 3)))
-            send_default_blueprint(stream, alone(viewpoint, scale, titles))
+            further = () if motion is None else motion_tabs(motion, f"Motion (timeline {layout.ROBOT_TIME})")
+            send_default_blueprint(stream, alone(viewpoint, scale, titles, further))
+            if motion is not None:
+                log_motion(stream, motion)
             scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
             _log_arm(stream, obs)
         stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=titles), static=True)

@@ -84,6 +84,8 @@ DIAGNOSIS_ARROWS = "diagnosis/cell/arrows"  # .../before, .../after
 DIAGNOSIS_BALLS = "diagnosis/cell/balls"  # Points3D, recorded centres
 CAUSE = "diagnosis/cause"  # diagnosis/cause/NAME: Scalars, the variable that an effect depends on
 RESPONSES = "diagnosis/responses"  # diagnosis/responses/K: chart (2D), displacement over its own variable before and after
+MOTION_TEXT = "diagnosis/motion/text"  # TextDocument
+MOTION_CHANNELS = "diagnosis/motion/channels"  # .../RECORDING/CHANNEL/JOINT/measured, model/before, model/after, residual/..: Scalars
 MISFIT = "diagnosis/residual_um"  # .../before, .../after: Scalars, 3D rms of a pose
 
 RUN_ARCHETYPE, POSE_ARCHETYPE, CENTRES_ARCHETYPE = "mbcacq.Run", "mbcacq.Pose", "mbcacq.Centres"

@@ -46,8 +46,8 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
         level=level,
         headline=headline,
         reason=reason.format(distance=floor.distance),
-        effects=[_effect(e, axis_of) for e in diagnosis["effects"]],
-        mismatch=[(m["at"], axis_of(m["depends_on"])[0], _share(m["share"])) for m in diagnosis["mismatch"]],
+        effects=[effect_content(e) for e in diagnosis["effects"]],
+        mismatch=[(m["at"], axis_of(m["depends_on"])[0], share(m["share"])) for m in diagnosis["mismatch"]],
         validation=validation,
         noise_floor=floor.noise,
         remarks=remarks,
@@ -84,7 +84,10 @@ def _complete(pictures: Mapping[str, Any]) -> bool:
     return all(even)
 
 
-def _effect(effect: Mapping[str, Any], axis_of: Any) -> EffectContent:
+def effect_content(effect: Mapping[str, Any]) -> EffectContent:
+    """An effect of a diagnosis of poses or of motion, from its JSON."""
+    from mbcacq.diagnosis.output.pictures import axis_of
+
     name = _effect_name(effect["name"])
     alternatives = [f"{_effect_name(a['name'])} at {', '.join(a['where'])} ({_likelihood(a)})" for a in effect["alternatives"]]
     trend = is_trend({key: _components(entry) for key, entry in effect["parameters"].items()})
@@ -93,7 +96,7 @@ def _effect(effect: Mapping[str, Any], axis_of: Any) -> EffectContent:
         title=f"{'Trend: ' if trend else ''}{name if trend else name[0].upper() + name[1:]} at {', '.join(effect['where'])}",
         depends_on=axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
         p_value=p_value(effect["p_value"]),
-        gain=_share(effect["held_out_gain"]),
+        gain=share(effect["held_out_gain"]),
         parameters=[row for key, entry in shown.items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
         alternatives=alternatives,
         harmonics=_harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
@@ -161,7 +164,8 @@ def _parameter(key: str, entry: Mapping[str, Any]) -> list[tuple[str, str, str, 
     ]
 
 
-def _share(value: float) -> str:
+def share(value: float) -> str:
+    """A share in percent."""
     return "below 1%" if 0 < value < 0.005 else f"{value:.0%}"
 
 
