@@ -17,7 +17,7 @@ from mbcacq.quantities import K, uncertainty
 @click.command("apply")
 @click.argument("result", type=RunPath())
 @click.argument("cloud", type=click.Path(path_type=Path))
-@click.option("--joints", required=True, metavar="Q1,Q2,...", help="Joint angles of the exposure, deg, as the controller reports them.")
+@click.option("--joints", required=True, metavar="Q1,Q2,...", help="Joint angles of the exposure, in °, as the controller reports them.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="PLY to write [default: CLOUD with _base before its ending].")
 @click.option("--unit", type=click.Choice(["mm", "m", "cm", "um", "in"]), help="Of the cloud's coordinates [default: mm, if they can be].")
 @click.option("--force", is_flag=True, help="Replace a file that is already there.")

@@ -92,7 +92,7 @@ def _axes(o: Observations) -> Iterator[Misreading]:
         yield Misreading(f"A{j + 1} reversed", "sign", lambda o, j=j: _angles(o, np.eye(n) - 2 * np.diag(np.eye(n)[j])))
         for quarter in (1, -1, 2):
             offset = quarter * QUARTER * np.eye(n)[j]
-            yield Misreading(f"{90 * quarter:+d} deg added to A{j + 1}", "offset", lambda o, d=offset: replace(o, q=o.q + d))
+            yield Misreading(f"{90 * quarter:+d}° added to A{j + 1}", "offset", lambda o, d=offset: replace(o, q=o.q + d))
     yield Misreading("all axes reversed", "sign", lambda o: _angles(o, -np.eye(n)))
     for i, j in combinations(range(n), 2):
         order = np.arange(n)
@@ -160,10 +160,10 @@ def _frames(o: Observations) -> Iterator[Misreading]:
     yield Misreading("the declared station poses inverted", "frame", lambda o: _stations(o, se3.inverse))
     for quarter in (1, -1, 2):
         turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, quarter * QUARTER]))
-        yield Misreading(f"the base turned by {90 * quarter:+d} deg about its z", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+        yield Misreading(f"the base turned by {90 * quarter:+d}° about its z", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
     for k, axis in enumerate("xy"):
         turn = se3.exp(np.r_[np.zeros(3), np.pi * np.eye(3)[k]])
-        yield Misreading(f"the base turned by 180 deg about its {axis}", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+        yield Misreading(f"the base turned by 180° about its {axis}", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
 
 
 def _columns(o: Observations) -> Iterator[Misreading]:
