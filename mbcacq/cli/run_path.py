@@ -35,6 +35,6 @@ def judge_first(result: Path) -> tuple[str, str]:
     from mbcacq.report.sources.run_folder import WITH_EFFECTS
 
     if not result.is_dir():
-        return "try the result on another recording first", command_line("verify", "--help")
+        return "write down first what the result holds, parameter by parameter", command_line("export", result, "--results", "results")
     run = result.parent if result.name == WITH_EFFECTS and (result.parent / "result.json").exists() else result
     return "see first how far the result is to be trusted, and where", command_line("report", run)

@@ -62,7 +62,11 @@ def _units(o: Observations) -> Iterator[Misreading]:
 
 def _robot_units(o: Observations) -> Iterator[Misreading]:
     if np.degrees(np.abs(o.q)).max() < RADIANS:
-        yield Misreading("the angles read as radians, not degrees", "unit", lambda o: replace(o, q=np.degrees(o.q)))
+        yield Misreading(
+            "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)",
+            "unit",
+            lambda o: replace(o, q=np.degrees(o.q)),
+        )
     lengths = np.abs(np.concatenate([o.cell.robot.chain.a, o.cell.robot.chain.d]))
     if lengths.max() < LONGEST_ROW_M:
         yield Misreading("the robot's a and d read as metres, not millimetres", "unit", lambda o: _with_chain(o, _scaled_lengths))

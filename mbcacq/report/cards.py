@@ -27,11 +27,11 @@ def diagnosis_cards(diagnosis: DiagnosisContent) -> str:
     lines += [f"| {label} | {before} | {after} |" for label, before, after in diagnosis.validation]
     lines += [f"| expected from noise alone | | {diagnosis.noise_floor} |", ""]
     for number, effect in enumerate(diagnosis.effects, 1):
-        lines += _card(number, effect)
+        lines += _card("" if effect.trend else f"{number}. ", effect)
     return "\n".join([*lines, *(f"- {remark}" for remark in diagnosis.remarks)])
 
 
-def _card(number: int, effect: EffectContent) -> list[str]:
+def _card(number: str, effect: EffectContent) -> list[str]:
     what, _, where = effect.title.rpartition(" at ")
     values = [f"{name} {value} ± {uncertainty} {unit}".rstrip() for name, value, uncertainty, unit in effect.parameters]
     if effect.harmonics is not None:
@@ -45,4 +45,4 @@ def _card(number: int, effect: EffectContent) -> list[str]:
     ]
     table = [f"| {label} | {text} |" for label, text in rows]
     others = [f"- {text}" for text in effect.alternatives] or ["- no other candidate comes near"]
-    return [f"## {number}. {effect.title}", "", "| | |", "|---|---|", *table, "", "What else it could be:", "", *others, ""]
+    return [f"## {number}{effect.title}", "", "| | |", "|---|---|", *table, "", "What else it could be:", "", *others, ""]

@@ -188,7 +188,7 @@ def test_12_an_adapter_plate(rehearsed, tmp_path):
     hand_eye = content()["hand_eye"]
     hand_eye["translation_mm"][2] += 40.0
     clouds = play(written_plan(tmp_path, hand_eye=hand_eye), rehearsed / "program", tmp_path / "plate")
-    with pytest.raises(ConfigError, match=r"the scanner sits 4\d mm and \d deg from where the plan's hand_eye puts it"):
+    with pytest.raises(ConfigError, match=r"the scanner sits 4\d mm and \d° from where the plan's hand_eye puts it"):
         paired(rehearsed, clouds)
 
 

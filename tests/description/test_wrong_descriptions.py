@@ -51,7 +51,7 @@ def tracked():
 
 MISTAKES = [
     (lambda o: replace(o, q=o.q * [1, 1, 1, -1, 1, 1]), "A4 reversed"),
-    (lambda o: replace(o, q=np.radians(o.q)), "the angles read as radians, not degrees"),
+    (lambda o: replace(o, q=np.radians(o.q)), "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)"),
     (lambda o: replace(o, xyz=1e-3 * o.xyz), "the measured points read as metres, not millimetres"),
     (lambda o: replace(o, xyz=o.xyz * [1, -1, 1]), "y of the measured points reversed"),
     (lambda o: replace(o, q=o.q[:, [0, 2, 1, 3, 4, 5]]), "the columns of A2 and A3 exchanged"),
