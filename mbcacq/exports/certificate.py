@@ -173,7 +173,11 @@ def _from_csv(path: Path) -> tuple[list[Row], tuple[str, ...], list[str]]:
     above = " ".join((*text.preamble, *text.comments))
     unit = _unit_in(above, str(path))
     table = as_table(path, text, _schema(text.headings, unit or "mm"))
-    notes = [] if unit in ("", "mm") else [f"lengths whose heading names no unit are read in {unit}, as the lines above the headings say"]
+    notes = (
+        []
+        if unit in ("", "mm")
+        else [f"lengths whose heading names no unit are read in {_in_words(unit)}, as the lines above the headings say"]
+    )
     if text.preamble:
         notes.append(f"of the lines above the headings only a unit of length and k are read: {' | '.join(text.preamble)[:300]}")
     return _rows(table, coverage_factor(above)), table.unused, notes
@@ -206,11 +210,15 @@ def _unit_in(text: str, where: str) -> str:
     said = {unit_named(word) for word in _SAID.findall(text)} - {unit}
     if said:
         raise ConfigError(
-            f"{where}: the lines above the headings speak of {unit} and of {', '.join(map(str, said))}; write one: # units: mm"
+            f"{where}: the lines above the headings speak of {_in_words(unit)} and of {', '.join(map(_in_words, said))}; write one: # units: mm"
         )
     if unit is None or not same_dimension(unit, "mm"):
         raise ConfigError(f"{where}: the unit '{match[1]}' is no length that is known; give mm, cm, m, um or inch")
     return unit
+
+
+def _in_words(unit: str | None) -> str:
+    return "inches" if unit == "in" else str(unit)
 
 
 def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:

@@ -65,7 +65,8 @@ def _refuse_other_unit(path: Path, artefact: Artefact) -> None:
         except DeviceFault:
             seen = 0
         if seen:
-            raise ConfigError(f"{path}: shows no ball in mm and {seen} in {unit}, so the clouds are in {unit}; convert them to mm")
+            named = "inches" if unit == "in" else unit
+            raise ConfigError(f"{path}: shows no ball read in mm and {seen} read in {named}; convert the clouds from {named} to mm")
 
 
 def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = None, simulated: bool = False) -> None:
