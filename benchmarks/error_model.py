@@ -18,7 +18,7 @@ from pathlib import Path
 
 import bench  # noqa: F401  # the simulated cells of the tests
 import numpy as np
-from cells import iiwa, kr10, measure, scanner_cell
+from cells import Simulated, iiwa, kr10, measure, scanner_cell
 from erring_arms import JOINT, LAWS, NOISE, erring_arm, placed_wrong
 from mbcacq_fakes.cell import computed_run
 
@@ -26,7 +26,7 @@ from mbcacq import load_observations
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
 from mbcacq.errors import CalibrationError, MbcacqError
-from mbcacq.estimation import parameters
+from mbcacq.estimation import forward_model, parameters
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import Estimate
@@ -56,8 +56,70 @@ def hand_eye_error(found, true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([off[:3, 3], se3.rotation_log(off[:3, :3])]), found.covariance[np.ix_(index, index)]
 
 
+def hand_eye_bound(cell: Simulated, link_mm: float, link_deg: float) -> np.ndarray:
+    """(6,) mm and rad: the least standard deviations with which these poses determine the hand-eye twist.
+
+    Cramer-Rao, with links of known sizes and joints of known repeatability integrated out and the places free; every derivative is a
+    difference of two predictions.
+    """
+    obs, truth = cell.observations, cell.truth
+    q = range(obs.cell.robot.n)
+
+    def slope(change, h: float) -> np.ndarray:
+        low, high = (forward_model.predict(obs, *change(sign * h)).xyz for sign in (-1, 1))
+        return (high - low) / (2 * h)
+
+    def unit(k: int, count: int, h: float) -> np.ndarray:
+        return h * np.eye(count)[k]
+
+    def mounted(k: int):
+        return lambda h: (replace(truth, T_flange_scanner=truth.T_flange_scanner @ se3.exp(unit(k, 6, h))),)
+
+    def placed(s: int, k: int):
+        def change(h: float):
+            places = truth.T_base_station.copy()
+            places[s] = places[s] @ se3.exp(unit(k, 6, h))
+            return (replace(truth, T_base_station=places),)
+
+        return change
+
+    def bent(j: int, p: int):
+        def change(h: float):
+            errors = cell.errors.copy()
+            errors[j, p] += h
+            return (replace(truth, chain=obs.cell.robot.chain.with_errors(errors)),)
+
+        return change
+
+    def turned(j: int):
+        return lambda h: (truth, forward_model.Displacements(joint=np.tile(unit(j, len(q), h), (obs.n_poses, 1))))
+
+    steps = (1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6)
+    links = [(j, p) for j, p in np.ndindex(cell.errors.shape) if cell.errors[j, p]]
+    size = np.array([np.radians(link_deg), link_mm, link_mm, np.radians(link_deg), np.radians(link_deg)])
+    X = np.stack(
+        [slope(mounted(k), steps[k]) for k in range(6)]
+        + [slope(placed(s, k), steps[k]) for s in range(len(truth.T_base_station)) for k in range(6)]
+        + [slope(bent(j, p), 1e-3 * size[p]) for j, p in links],
+        axis=2,
+    )
+    J = np.stack([slope(turned(j), 1e-6) for j in q], axis=2) * JOINT
+    information = np.zeros((X.shape[2], X.shape[2]))
+    information[np.diag_indices(X.shape[2])] += np.concatenate([np.zeros(X.shape[2] - len(links)), [size[p] ** -2.0 for _, p in links]])
+    for pose in range(obs.n_poses):
+        rows = obs.pose == pose
+        x, j = X[rows].reshape(-1, X.shape[2]), J[rows].reshape(-1, len(q))
+        noise = np.diag(np.tile(np.square(NOISE), int(rows.sum()))) + j @ j.T
+        information += x.T @ np.linalg.solve(noise, x)
+    scale = 1 / np.sqrt(np.diag(information))
+    return np.sqrt(np.diag(scale[:, None] * np.linalg.inv(scale[:, None] * information * scale) * scale)[:6])
+
+
 def hand_eye(arms: int) -> None:
-    print("| arm | places, poses | NEES / 6 | beyond 3 sigma | rms x y z, um | poses rejected | warned of |\n|---|---|---|---|---|---|---|")
+    print(
+        "| arm | places, poses | NEES / 6 | error over the bound, rms | beyond 3 sigma | rms x y z, um | poses rejected | warned of |\n"
+        "|---|---|---|---|---|---|---|---|"
+    )
     for name, make, scale in (("KR 10", kr10, 1.0), ("iiwa 7", iiwa, 1.0), ("KR 10, three times the errors", kr10, 3.0)):
         for places, poses in ((1, 10), (1, 40), (4, 60)):
             rows, rejected, warned, seen = [], 0, 0, 0
@@ -70,13 +132,15 @@ def hand_eye(arms: int) -> None:
                     continue  # a place that this arm cannot look at from all sides
                 found = calibrate(cell.observations, ALONE)
                 d, C = hand_eye_error(found, cell.truth.T_flange_scanner)
-                rows.append(np.concatenate([d, d / np.sqrt(np.diag(C)), [d @ np.linalg.solve(C, d) / 6]]))
+                least = hand_eye_bound(cell, 0.15 * scale, 0.03 * scale)
+                rows.append(np.concatenate([d, d / np.sqrt(np.diag(C)), [d @ np.linalg.solve(C, d) / 6], d / least]))
                 rejected, seen = rejected + len(found.fit.rejected), seen + cell.observations.n_poses
                 warned += "warnings" in found.extra
             table = np.array(rows)
             size = ", ".join(f"{1e3 * s:.1f}" for s in np.sqrt(np.mean(table[:, :3] ** 2, axis=0)))
             print(
-                f"| {name} | {places}, {poses} | {table[:, 12].mean():.2f} | {np.mean(np.abs(table[:, 6:12]) > 3):.1%} | {size} "
+                f"| {name} | {places}, {poses} | {table[:, 12].mean():.2f} | {np.sqrt(np.mean(table[:, 13:] ** 2)):.2f} "
+                f"| {np.mean(np.abs(table[:, 6:12]) > 3):.1%} | {size} "
                 f"| {rejected / seen:.2%} | {warned / len(rows):.1%} |",
                 flush=True,
             )

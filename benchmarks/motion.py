@@ -113,7 +113,7 @@ def recorded_along(loaded: LoadedPlan, motion: FourierMotion, seed: int, number:
 
 def stored_result(found: MotionDiagnosis) -> str:
     names = [f"{e.name} at {'+'.join(e.where)}" for e in found.named_effects]
-    open_ones = [f"; not told apart: {' and '.join(n.effects)} (odds {n.odds:.2f})" for n in found.not_separable if n.odds is not None]
+    open_ones = [f"; not separable: {' and '.join(n.effects)} (odds {n.odds:.2f})" for n in found.not_separable if n.odds is not None]
     return f"{found.verdict}: {', '.join(names) or 'nothing'}{''.join(open_ones)}"
 
 

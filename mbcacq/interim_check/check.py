@@ -124,7 +124,6 @@ def check(
     file = _history_file(result, history)
     if not dry_run and measured is None:
         refuse_impossible_devices(loaded)
-        refuse_unattended(loaded, operator.assume_yes)
     with ExitStack() as held:
         file.absolute().parent.mkdir(parents=True, exist_ok=True)
         held.enter_context(write_lock(file.absolute().parent, "check"))
@@ -218,6 +217,7 @@ def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, o
     operator.progress("")
     if not dry_run:
         operator.allow(acquisition)
+        refuse_unattended(loaded, operator.assume_yes)
     operator.progress("starting the fake cell" if dry_run else "")
     with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
         folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")

@@ -99,7 +99,6 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
     loaded = as_plan(plan)
     if not dry_run:
         refuse_impossible_devices(loaded)
-        refuse_unattended(loaded, operator.assume_yes)
     operator.progress("checking that every pose can be reached and seen")
     poses = expand(loaded)
     refuse_errors(loaded, poses)
@@ -126,6 +125,7 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         operator.progress("")
         if not dry_run:
             operator.allow(acquisition)
+            refuse_unattended(loaded, operator.assume_yes)
         operator.progress("starting the fake cell" if dry_run else "")
         try:
             known = MeasuredBefore.of(load_observations(folder), done) if dry_run and done and folder is not None else None

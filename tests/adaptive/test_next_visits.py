@@ -139,8 +139,8 @@ def test_what_geometry_explains_tells_no_sets_apart_and_what_chance_made_does_no
     assert after.squares[0] == pytest.approx(0.0, abs=1e-6)
     # If there is nothing, the effect's own coefficient, of prior one, follows the new poses only as far as the measured ones let it.
     a, b = measured.gram[2, 2], after.gram[2, 2]
-    told = SetComparison(1, (2,), 0.5, 0.0, 0, 1).information(after.gram)
-    assert told == pytest.approx(9.0 * (b - a) * (1.0 + a) / (1.0 + b), rel=1e-6)
+    information = SetComparison(differs=1, model=(2,), weight=0.5, known=0.0, a=0, b=1).information(after.gram)
+    assert information == pytest.approx(9.0 * (b - a) * (1.0 + a) / (1.0 + b), rel=1e-6)
 
 
 def test_an_effect_that_may_be_chance_is_not_given_up_as_out_of_reach():

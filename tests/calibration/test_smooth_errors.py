@@ -48,4 +48,6 @@ def test_few_poses_in_which_no_group_is_left_are_calibrated():
     coupled = [{"name": "wrist_coupling", "strength": 0.0431422939131256, "seed": 1479368136}]
     obs, _ = observe(plan, expand(plan), Scenario(16, "wrist_coupling", 521319236, ("wrist_coupling",), 1479368136, 0.354), coupled)
     assert obs.n_poses == 24
-    assert calibrate(obs).rms_mm < 0.03
+    fit = calibrate(obs).own_fit
+    assert fit is not None
+    assert fit.rms_mm < 0.03

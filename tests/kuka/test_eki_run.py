@@ -1,5 +1,8 @@
 """A whole plan through EKI: recorded, calibrated, and the same calibration as through RSI within the noise."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -10,14 +13,10 @@ from mbcacq.recording import load_observations
 
 @pytest.fixture(scope="module")
 def benchmark():
-    import importlib.util
-    from pathlib import Path
+    sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+    import whole_runs
 
-    source = Path(__file__).parents[2] / "benchmarks" / "eki_rsi.py"
-    spec = importlib.util.spec_from_file_location("eki_rsi", source)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return whole_runs
 
 
 def test_eki_and_rsi_calibrate_the_same_cell(benchmark, tmp_path):

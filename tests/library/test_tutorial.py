@@ -22,7 +22,7 @@ assert {scale.name, *(a.name for a in scale.alternatives)} >= {"scanner_scale", 
 assert abs(ppm.value - 300.0) < 4 * ppm.std
 import pickle
 copy = pickle.loads(pickle.dumps(found))
-assert copy.pictures() == drawn and copy.to_dict() == found.to_dict() and copy.text == found.text
+assert copy.pictures() == found.pictures() and copy.to_dict() == found.to_dict() and copy.text == found.text
 assert "scanner_scale" in found.write_html("diagnosis.html").read_text(encoding="utf-8")
 assert mbcacq.DiagnosisResult.from_json(found.to_json()).to_dict() == found.to_dict()
 """

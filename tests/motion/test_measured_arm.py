@@ -64,7 +64,8 @@ def test_every_body_found_can_exist(kr300):
 
 def test_of_the_description_only_the_payload_is_suspected(kr300):
     (suspicion,) = kr300.suspicions
-    assert suspicion.endswith("kg at the flange the torque is explained better")
+    assert suspicion.startswith("with a load that differs by ")
+    assert suspicion.endswith(" kg (k = 2) at the flange the torque is explained better")
 
 
 @pytest.mark.parametrize(

@@ -25,17 +25,16 @@ def plan(tmp_path):
 @pytest.fixture
 def fake_cell(plan):
     """The fake cell, once it says that it is up."""
-    process = subprocess.Popen([MBCACQ, "fakes", plan, "--fast"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([MBCACQ, "fakes", plan, "--fast"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     said = ""
     while "in another terminal" not in said:
         line = process.stdout.readline()
-        assert line, process.stderr.read()
+        assert line, said
         said += line
     yield said
     process.terminate()
-    assert process.wait(60) == 0, process.stderr.read()
+    assert process.wait(60) == 0, process.stdout.read()
     process.stdout.close()
-    process.stderr.close()
 
 
 def test_a_run_in_another_terminal_asks_for_each_placement_and_ends(plan, fake_cell, tmp_path):
