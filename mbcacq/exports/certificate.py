@@ -209,9 +209,8 @@ def _unit_in(text: str, where: str) -> str:
     unit = unit_named(match[1])
     said = {unit_named(word) for word in _SAID.findall(text)} - {unit}
     if said:
-        raise ConfigError(
-            f"{where}: the lines above the headings speak of {_in_words(unit)} and of {', '.join(map(_in_words, said))}; write one: # units: mm"
-        )
+        others = ", ".join(map(_in_words, said))
+        raise ConfigError(f"{where}: the lines above the headings speak of {_in_words(unit)} and of {others}; write one: # units: mm")
     if unit is None or not same_dimension(unit, "mm"):
         raise ConfigError(f"{where}: the unit '{match[1]}' is no length that is known; give mm, cm, m, um or inch")
     return unit
