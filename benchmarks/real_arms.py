@@ -263,7 +263,7 @@ CASES: tuple[tuple[str, str, Mistake, str], ...] = (
     (FIRST, "A3 counted the other way round", reversed_axis(2), "A3 reversed"),
     (FIRST, "A2 90 deg off", offset(1, 90), "-90 deg added to A2"),
     (FIRST, "A4 180 deg off", offset(3, 180), "+180 deg added to A4"),
-    (FIRST, "angles in radians", in_radians, "the angles read as radians, not degrees"),
+    (FIRST, "angles in radians", in_radians, "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)"),
     (FIRST, "points in metres", points(1e-3), "the measured points read as metres, not millimetres"),
     (FIRST, "orientation left-handed", left_handed, "the orientation mirrored along y (left-handed)"),
     (FIRST, "orientation inverted", inverted, "the orientation inverted"),

@@ -48,7 +48,7 @@ class UrRtdeRobot(ContextDevice):
         "RTDE is enabled (Settings, Security, Services); `ping` answers in under 1 ms. Note the software version.",
         "`mbcacq controller-files {plan} --out files`; mbcacq_ur.script is loaded in a Script node and plays, in reduced mode at first.",
         "`mbcacq doctor {plan} --arm` names software, speed slider, payload and safety; compare each with the pendant.",
-        "The angles in the viewer agree with the pendant's Move screen to 0.01 deg, base to wrist 3, signs too.",
+        "The angles in the viewer agree with the pendant's Move screen to 0.01°, base to wrist 3, signs too.",
         "Push against the arm until it stops protectively: the run ends with the sentence 'is protective stopped'.",
         "Stop the program on the pendant: the run ends with the sentence that its program was stopped.",
     )
@@ -136,7 +136,7 @@ class UrRtdeRobot(ContextDevice):
             axis = int(np.argmax(outside))
             low, high = np.degrees(self._limits[axis])
             angle = np.degrees(target[axis])
-            raise SafetyStop(f"{self._name}: A{axis + 1} would go to {angle:.3f} deg, beyond its limits {low:g}..{high:g} deg; it stays")
+            raise SafetyStop(f"{self._name}: A{axis + 1} would go to {angle:.3f}°, beyond its limits {low:g}..{high:g}°; it stays")
         speed, acceleration = float(np.min(limits.speed)), float(np.min(limits.acceleration))
         if not (np.isfinite([speed, acceleration]).all() and min(speed, acceleration) > 0):
             raise ConfigError(f"{self._name}: speed and acceleration limits must be positive")

@@ -42,7 +42,7 @@ class Follower:
 
     def summary(self) -> str:
         """How far the arm stood from its targets, as a clause."""
-        return f", taken up to {np.degrees(self.farthest):.2f} deg from their targets"
+        return f", taken up to {np.degrees(self.farthest):.2f}° from their targets"
 
     def pass_by(self, waypoint: np.ndarray) -> None:
         """Which way the arm takes is up to whoever moves it."""
@@ -93,10 +93,10 @@ class Follower:
 
 
 def _angles(q: np.ndarray) -> str:
-    return " ".join(f"A{k} {angle:.2f}" for k, angle in enumerate(np.degrees(q), 1)) + " deg"
+    return " ".join(f"A{k} {angle:.2f}°" for k, angle in enumerate(np.degrees(q), 1))
 
 
 def _farthest(away: np.ndarray) -> str:
     """The largest of the distances (n,) rad, with its axis."""
     axis = int(np.argmax(away))
-    return f"{np.degrees(away[axis]):.2f} deg (A{axis + 1})"
+    return f"{np.degrees(away[axis]):.2f}° (A{axis + 1})"

@@ -48,6 +48,6 @@ class Mover:
                 self._robot.stop()
                 away = np.degrees(np.max(np.abs(target - state.q)))
                 raise SafetyStop(
-                    f"the arm did not arrive in time ({away:.3f} deg away) and was stopped; is its path free, is the override 100 %?"
+                    f"the arm did not arrive in time ({away:.3f}° away) and was stopped; is its path free, is the override 100 %?"
                 )
             time.sleep(POLL_S)

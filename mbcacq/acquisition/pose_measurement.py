@@ -112,11 +112,9 @@ class PoseMeasurement:
         if moved <= limit and away <= limit:
             return True
         if moved <= limit:
-            text = f"the arm stood {np.degrees(away):.3f} deg from pose {pose.number} during its exposures"
+            text = f"the arm stood {np.degrees(away):.3f}° from pose {pose.number} during its exposures"
         else:
-            text = (
-                f"the arm moved by {np.degrees(moved):.3f} deg during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
-            )
+            text = f"the arm moved by {np.degrees(moved):.3f}° during the exposures of pose {pose.number}{_by_leap(cycles, self.fastest)}"
         if not left:
             raise SafetyStop(f"{text}, twice; its brakes or its controller do not hold it, so the run was ended")
         self.bus.message("warning", f"{text}; it is measured again")

@@ -84,7 +84,7 @@ def daniilidis(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     roots = np.roots([u1 @ w1, u1 @ w2 + u2 @ w1, u2 @ w2])
     size = [float(s * s * (u1 @ u1) + 2 * s * (u1 @ u2) + u2 @ u2) for s in np.real(roots)]
     if not size or max(size) <= 0:
-        raise CalibrationError("the dual quaternion of the hand-eye transform is not determined; turn about two axes by 10 deg and more")
+        raise CalibrationError("the dual quaternion of the hand-eye transform is not determined; turn about two axes by 10° and more")
     s = float(np.real(roots)[int(np.argmax(size))])
     l2 = 1 / np.sqrt(max(size))
     q, dual = l2 * (s * u1 + u2), l2 * (s * w1 + w2)

@@ -79,7 +79,7 @@ def _poses_of_both(obs: Observations, name: str) -> tuple[np.ndarray, np.ndarray
         equations = "AX = XB" if name in MOTION_METHODS else "AX = ZB"
         raise CalibrationError(
             f"the orientations at a station turn too little, or about one axis only, which leaves {equations} "
-            "undetermined; turn about two axes by 10 deg and more"
+            "undetermined; turn about two axes by 10° and more"
         )
     return hand, eye, station
 

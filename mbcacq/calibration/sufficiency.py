@@ -76,13 +76,13 @@ def refuse_degenerate(obs: Observations, options: CalibrationOptions) -> None:
     turn = orientation_range(obs, enough=LEAST_ROTATION)
     if turn < LEAST_ROTATION and not obs.cell.robot.of_flange_poses and float(np.abs(obs.q).max(initial=0.0)) < RADIANS_AS_DEG:
         raise CalibrationError(
-            f"no joint angle exceeds {np.degrees(RADIANS_AS_DEG):.2g} deg, and all poses of a station have the same orientation (within "
-            f"{np.degrees(turn):.1f} deg): they look like radians; give joint angles in degrees"
+            f"no joint angle exceeds {np.degrees(RADIANS_AS_DEG):.2g}°, and all poses of a station have the same orientation (within "
+            f"{np.degrees(turn):.1f}°): they look like radians; give joint angles in degrees"
         )
     if turn < LEAST_ROTATION:
         raise CalibrationError(
-            f"at every station all poses have the same orientation (within {np.degrees(turn):.1f} deg), which leaves "
-            "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20 deg and more"
+            f"at every station all poses have the same orientation (within {np.degrees(turn):.1f}°), which leaves "
+            "the hand-eye translation undetermined; add poses that tilt and turn the scanner by 20° and more"
         )
     unknowns = 6 + 6 * len(np.unique(obs.station)) + (4 * obs.cell.robot.n - 6 if options.kinematics else 0)
     rows = obs.n_centres * (3 if obs.rotation is None else 6)

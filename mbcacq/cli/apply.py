@@ -17,7 +17,7 @@ from mbcacq.quantities import K, uncertainty
 @click.command("apply")
 @click.argument("result", type=RunPath())
 @click.argument("cloud", type=click.Path(path_type=Path))
-@click.option("--joints", required=True, metavar="Q1,Q2,...", help="Joint angles of the exposure, deg, as the controller reports them.")
+@click.option("--joints", required=True, metavar="Q1,Q2,...", help="Joint angles of the exposure, in °, as the controller reports them.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="PLY to write [default: CLOUD with _base before its ending].")
 @click.option("--unit", type=click.Choice(["mm", "m", "cm", "um", "in"]), help="Of the cloud's coordinates [default: mm, if they can be].")
 @click.option("--force", is_flag=True, help="Replace a file that is already there.")
@@ -37,7 +37,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
     from mbcacq.exports.clouds import write_cloud
     from mbcacq.exports.result_json import load_result
     from mbcacq.exports.scan_correction import place_scan
-    from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
+    from mbcacq.spheres.cloud_file import in_mm, looks_small, read_cloud_file
     from mbcacq.workflow.load import unsealed_note
 
     out = out or cloud.with_name(f"{cloud.stem}_base.ply")
@@ -56,6 +56,9 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
         changed = write_cloud(out, moved, found.properties, placed.T_base_scanner)
     if found.missing:
         notes.append(f"{found.missing} places of the cloud hold no point and were left out")
+    balls = np.array([ball["centre_mm"] for ball in known.get("balls", ())], dtype=float).reshape(-1, 3)
+    if unit is None and (small := looks_small(found.points, balls)):
+        notes.append(small)
     if changed:
         notes.append(f"PLY has no type for {', '.join(changed)}; written as double")
     if as_json:

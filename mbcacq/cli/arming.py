@@ -75,4 +75,4 @@ def description(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept) 
 def _angles(q: Any) -> str:
     import numpy as np
 
-    return " ".join(f"A{k} {angle:.1f}" for k, angle in enumerate(np.degrees(q), 1)) + " deg"
+    return " ".join(f"A{k} {angle:.1f}°" for k, angle in enumerate(np.degrees(q), 1))

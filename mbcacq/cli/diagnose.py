@@ -163,7 +163,7 @@ def command(
         from mbcacq.files.atomic_write import write_file
 
         write_file(out, found.to_json() + "\n")
-    echo(found.to_json() if as_json else found.text)
+    echo(found.to_json() if as_json else found.in_words(calibrated=with_found))
     for line in calibrated:
         echo(line, err=as_json)
     if not as_json:

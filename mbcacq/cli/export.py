@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from mbcacq.cli.next_step import command_line, say_next
-from mbcacq.cli.run_path import RunPath
+from mbcacq.cli.run_path import RunPath, folder_of, judge_first
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.quantities import K, uncertainty
@@ -105,7 +105,10 @@ def next_step(run: Path, observations: Path | None, results: Path | None) -> tup
     if observations is not None:
         return "calibrate with the observation set", command_line("calibrate", observations)
     if results is not None:
-        return "let joint angles of a program reach their places by it", command_line("correct", "--help")
+        arm = results / "arm.mjcf.xml"
+        if folder_of(run) is None and arm.exists():
+            return "describe plans by the calibrated arm", command_line("robot", "import", arm, "--out", "calibrated-arm.yaml")
+        return judge_first(run)
     return "see the whole run", command_line("report" if run.is_dir() else "view", run)
 
 

@@ -46,7 +46,7 @@ from mbcacq.quantities import significant
     show_default=True,
     help="A: mean variance of the certified distances; D: volume of the parameters' confidence region.",
 )
-@click.option("--tilt", type=click.FloatRange(5, 60), default=40.0, show_default=True, help="Steepest view, deg.")
+@click.option("--tilt", type=click.FloatRange(5, 60), default=40.0, show_default=True, help="Steepest view, in °.")
 @click.option("--seed", default=0, show_default=True, help="Of the random views to choose from, and of the simulated cells.")
 @click.option("--force", is_flag=True, help="Replace the file if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")

@@ -28,7 +28,7 @@ def command() -> None:
 @click.option("--package", "packages", multiple=True, metavar="NAME=DIR", help="Folder of a ROS package that a xacro names.")
 @click.option("--arg", "arguments", multiple=True, metavar="NAME=VALUE", help="Value of an argument of a xacro.")
 @click.option("--name", help="Of the arm [default: the file's own].")
-@click.option("--speed", type=click.FloatRange(0, 1000, min_open=True), help="Largest joint speed, deg/s, where the file states none.")
+@click.option("--speed", type=click.FloatRange(0, 1000, min_open=True), help="Largest joint speed, in °/s, where the file states none.")
 @click.option("--force", is_flag=True, help="Replace the robot file if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def import_(

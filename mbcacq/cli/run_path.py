@@ -32,9 +32,18 @@ class RunPath(click.Path):
 def judge_first(result: Path) -> tuple[str, str]:
     """What to do before something that a result made is relied upon, and the command for it. result: a run folder with one, the folder of
     its result with effects, or a result.json."""
-    from mbcacq.report.sources.run_folder import WITH_EFFECTS
-
-    if not result.is_dir():
-        return "try the result on another recording first", command_line("verify", "--help")
-    run = result.parent if result.name == WITH_EFFECTS and (result.parent / "result.json").exists() else result
+    run = folder_of(result)
+    if run is None:
+        return "write down first what the result holds, parameter by parameter", command_line("export", result, "--results", "results")
     return "see first how far the result is to be trusted, and where", command_line("report", run)
+
+
+def folder_of(result: Path) -> Path | None:
+    """The folder that a report of a result can be made of; None for a result.json that lies by itself."""
+    from mbcacq.report.sources.run_folder import WITH_EFFECTS
+    from mbcacq.workflow.load import is_run_folder
+
+    folder = result if result.is_dir() else result.parent
+    if folder.name == WITH_EFFECTS and (folder.parent / "result.json").exists():
+        folder = folder.parent
+    return folder if result.is_dir() or is_run_folder(folder) else None

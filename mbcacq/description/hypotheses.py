@@ -62,7 +62,11 @@ def _units(o: Observations) -> Iterator[Misreading]:
 
 def _robot_units(o: Observations) -> Iterator[Misreading]:
     if np.degrees(np.abs(o.q)).max() < RADIANS:
-        yield Misreading("the angles read as radians, not degrees", "unit", lambda o: replace(o, q=np.degrees(o.q)))
+        yield Misreading(
+            "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)",
+            "unit",
+            lambda o: replace(o, q=np.degrees(o.q)),
+        )
     lengths = np.abs(np.concatenate([o.cell.robot.chain.a, o.cell.robot.chain.d]))
     if lengths.max() < LONGEST_ROW_M:
         yield Misreading("the robot's a and d read as metres, not millimetres", "unit", lambda o: _with_chain(o, _scaled_lengths))
@@ -92,7 +96,7 @@ def _axes(o: Observations) -> Iterator[Misreading]:
         yield Misreading(f"A{j + 1} reversed", "sign", lambda o, j=j: _angles(o, np.eye(n) - 2 * np.diag(np.eye(n)[j])))
         for quarter in (1, -1, 2):
             offset = quarter * QUARTER * np.eye(n)[j]
-            yield Misreading(f"{90 * quarter:+d} deg added to A{j + 1}", "offset", lambda o, d=offset: replace(o, q=o.q + d))
+            yield Misreading(f"{90 * quarter:+d}° added to A{j + 1}", "offset", lambda o, d=offset: replace(o, q=o.q + d))
     yield Misreading("all axes reversed", "sign", lambda o: _angles(o, -np.eye(n)))
     for i, j in combinations(range(n), 2):
         order = np.arange(n)
@@ -160,10 +164,10 @@ def _frames(o: Observations) -> Iterator[Misreading]:
     yield Misreading("the declared station poses inverted", "frame", lambda o: _stations(o, se3.inverse))
     for quarter in (1, -1, 2):
         turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, quarter * QUARTER]))
-        yield Misreading(f"the base turned by {90 * quarter:+d} deg about its z", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+        yield Misreading(f"the base turned by {90 * quarter:+d}° about its z", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
     for k, axis in enumerate("xy"):
         turn = se3.exp(np.r_[np.zeros(3), np.pi * np.eye(3)[k]])
-        yield Misreading(f"the base turned by 180 deg about its {axis}", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
+        yield Misreading(f"the base turned by 180° about its {axis}", "frame", lambda o, T=turn: _stations(o, lambda X: T @ X))
 
 
 def _columns(o: Observations) -> Iterator[Misreading]:

@@ -39,7 +39,7 @@ class Departure:
     poses: tuple[int, ...] = ()
 
     def __str__(self) -> str:
-        scale, unit = (180 / np.pi, " deg") if is_angle(self.covariate) else (1.0, "")
+        scale, unit = (180 / np.pi, "°") if is_angle(self.covariate) else (1.0, "")
         listed = ", ".join(map(str, self.poses[:NAMED_POSES])) + (", .." if len(self.poses) > NAMED_POSES else "")
         which = f" (numbers {listed})" if self.poses else ""
         return (

@@ -52,7 +52,7 @@ def _slow_orders(context: Context, candidate: Candidate) -> UntriedEffect | None
     described = [DescribedPart(part.place, part.index, part.component, columns)]
     span = np.degrees(np.ptp(context.value(on)))
     named = " and ".join(f"{order:g}" for order in missing)
-    reason = f"order {named} is not tried over {span:.0f} deg of travel"
+    reason = f"order {named} is not tried over {span:.0f}° of travel"
     typical = np.tile(candidate.typical, len(missing))
     return UntriedEffect(_unnamed(candidate.where, on, described, typical, "slow orders"), candidate.name, reason)
 

@@ -91,7 +91,7 @@ def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, option
     hand_eye = any(name.startswith("hand_eye") for name in names)
     n_stations = len(np.unique(obs.station))
     if hand_eye:
-        advice = "add poses that turn the scanner about two different axes by 20 deg and more"
+        advice = "add poses that turn the scanner about two different axes by 20° and more"
     elif n_stations == 1 and obs.cell.measurement != TARGET_IN_BASE:
         advice = "all poses are at one station: put the artefact at more places, at different heights and distances"
     else:

@@ -39,7 +39,12 @@ ABOUT = (
 )
 SIGMA = Column("sigma", "mm", aliases=("std", "standard_uncertainty"), required=False, assumed="mm")
 OURS = ("balls", "spheres", "unit", "units", "id", "name", "certificate", "comment", "notes")  # keys that say nothing of the geometry
-_UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
+_UNITS = re.compile(r"\b(?:units?|einheit(?:en)?)\b\W*(?:of length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
+# The same in a sentence: 'All dimensions in inch'. Of µm and m an uncertainty or a range may speak, which are therefore no unit of all.
+_SAID = re.compile(
+    r"(?:\bin|\b(?:dimension|length|coordinate|value|ma(?:ß|ss)|wert)\w*\W*[:=])\s+(inch(?:es)?|zoll|mm|millimet(?:er|re)s?|cm)\b",
+    re.IGNORECASE,
+)
 _SMALL_U = re.compile(r"u(?![A-Za-z0-9])")
 
 
@@ -166,8 +171,13 @@ def _from_csv(path: Path) -> tuple[list[Row], tuple[str, ...], list[str]]:
     schema = _schema(())
     text = read_csv_text(path, max_bytes=MAX_BYTES, comment="#", score=lambda headings: score(schema.columns, headings))
     above = " ".join((*text.preamble, *text.comments))
-    table = as_table(path, text, _schema(text.headings, _unit_in(above, str(path)) or "mm"))
-    notes = []
+    unit = _unit_in(above, str(path))
+    table = as_table(path, text, _schema(text.headings, unit or "mm"))
+    notes = (
+        []
+        if unit in ("", "mm")
+        else [f"lengths whose heading names no unit are read in {_in_words(unit)}, as the lines above the headings say"]
+    )
     if text.preamble:
         notes.append(f"of the lines above the headings only a unit of length and k are read: {' | '.join(text.preamble)[:300]}")
     return _rows(table, coverage_factor(above)), table.unused, notes
@@ -193,13 +203,21 @@ def _rows(table: Table, k: float | None = None) -> list[Row]:
 
 def _unit_in(text: str, where: str) -> str:
     """The unit of length that a comment or a key states for all, '' without any. Raises ConfigError for one that is not known."""
-    match = _UNITS.search(text)
+    match = _UNITS.search(text) or _SAID.search(text)
     if match is None:
         return ""
     unit = unit_named(match[1])
+    said = {unit_named(word) for word in _SAID.findall(text)} - {unit}
+    if said:
+        others = ", ".join(map(_in_words, said))
+        raise ConfigError(f"{where}: the lines above the headings speak of {_in_words(unit)} and of {others}; write one: # units: mm")
     if unit is None or not same_dimension(unit, "mm"):
         raise ConfigError(f"{where}: the unit '{match[1]}' is no length that is known; give mm, cm, m, um or inch")
     return unit
+
+
+def _in_words(unit: str | None) -> str:
+    return "inches" if unit == "in" else str(unit)
 
 
 def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:

@@ -81,9 +81,9 @@ def _within_limits(result: Mapping[str, Any], q: np.ndarray) -> None:
     limits = result["robot"].get("limits")
     for i, (angle, (low, high)) in enumerate(zip(q, limits or [], strict=bool(limits))):
         if not low - ROUNDING <= angle <= high + ROUNDING:
-            allowed = f"{np.degrees(low):g} to {np.degrees(high):g} deg"
+            allowed = f"{np.degrees(low):g} to {np.degrees(high):g}°"
             raise ConfigError(
-                f"joint {i + 1} at {np.degrees(angle):g} deg is outside its limits {allowed}; "
+                f"joint {i + 1} at {np.degrees(angle):g}° is outside its limits {allowed}; "
                 "give the angles in degrees as the controller reported them at the exposure"
             )
 

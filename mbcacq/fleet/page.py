@@ -1,4 +1,4 @@
-"""The content of a fleet's page: from rows, charts and outliers to plain values in mm and deg."""
+"""The content of a fleet's page: from rows, charts and outliers to plain values in mm and °."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from mbcacq.fleet.control_chart import ArmType, ControlChart, Outlier
 from mbcacq.fleet.evaluation import EVALUATED
 from mbcacq.model.cell import SIMULATED
-from mbcacq.quantities import fixed, micrometres
+from mbcacq.quantities import fixed, micrometres, with_unit
 from mbcacq.report.content import ArmTypeContent, FleetChart, FleetContent
 
 TITLES = {"rms_mm": "rms of the residuals", "spacing_max_mm": "largest sphere spacing error"}
@@ -70,7 +70,7 @@ def _recording(row: Mapping[str, Any]) -> tuple[str, ...]:
 def scale_and_unit(name: str) -> tuple[float, str]:
     """Factor and unit in which a figure is shown."""
     angle = name.startswith(("theta", "alpha", "beta")) or name.rpartition(".")[2] in ("rx", "ry", "rz")
-    return (180 / np.pi, "deg") if angle else (1.0, "mm")
+    return (180 / np.pi, "°") if angle else (1.0, "mm")
 
 
 def _listed(outlier: Outlier) -> tuple[str, str, str, str, str, str]:
@@ -79,7 +79,8 @@ def _listed(outlier: Outlier) -> tuple[str, str, str, str, str, str]:
     away = outlier.value - outlier.centre
     where = "all, against the other arms" if outlier.recording is None else Path(outlier.recording).name
     where = "all, from the first to the last" if outlier.drift else where
-    figures = (f"{scale * away:+.4f} {unit}", f"± {scale * outlier.limit:.4f} {unit}", f"{abs(away) / outlier.limit:.1f}")
+    difference, limit = with_unit(f"{scale * away:+.4f}", unit), with_unit(f"{scale * outlier.limit:.4f}", unit)
+    figures = (difference, f"± {limit}", f"{abs(away) / outlier.limit:.1f}")
     return (outlier.arm, where, TITLES.get(outlier.name, outlier.name), *figures)
 
 

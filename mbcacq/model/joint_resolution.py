@@ -46,7 +46,7 @@ def with_joint_step(obs: Observations) -> Observations:
 
 def rounding_sentence(step: float) -> str:
     return (
-        f"The joint angles are rounded to {np.degrees(step):g} deg, which adds {np.degrees(rounding_noise(step)):.2g} deg of noise to "
+        f"The joint angles are rounded to {np.degrees(step):g}°, which adds {np.degrees(rounding_noise(step)):.2g}° of noise to "
         "each joint; it is counted as noise. Have them written with more decimals: on a KUKA set Precision to 6 at the ETHERNET object of "
         "the RSI context, elsewhere in the program or the table that the angles come from"
     )

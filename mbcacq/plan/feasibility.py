@@ -63,7 +63,7 @@ def check_artefacts(loaded: LoadedPlan) -> Iterator[PlanFinding]:
 def check_motion_limits(loaded: LoadedPlan) -> Iterator[PlanFinding]:
     """Accelerations and jerks that the plan asks for and the arm does not allow."""
     wanted, allowed = requested_limits(loaded), axis_limits(loaded)
-    for what, key, unit in (("acceleration", "acceleration_time_s", "deg/s2"), ("jerk", "jerk_time_s", "deg/s3")):
+    for what, key, unit in (("acceleration", "acceleration_time_s", "°/s²"), ("jerk", "jerk_time_s", "°/s³")):
         asked, limit = (np.degrees(getattr(limits, what)) for limits in (wanted, allowed))
         axis = int(np.argmax(asked / limit))
         if asked[axis] > limit[axis] * (1 + loaded.planning.limit_rounding):
@@ -87,16 +87,16 @@ def check_joints(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> Iterator[P
         axis = int(np.argmin(room))
         angle = np.degrees(pose.q[axis])
         low, high = np.degrees(robot.limits[axis])
-        limits = f"its limits {low:g}..{high:g} deg"
+        limits = f"its limits {low:g}..{high:g}°"
         if room[axis] < 0:
-            yield finding(loaded, pose, "error", "limits", f"A{axis + 1} at {angle:.1f} deg exceeds {limits}; take another pose")
+            yield finding(loaded, pose, "error", "limits", f"A{axis + 1} at {angle:.1f}° exceeds {limits}; take another pose")
         elif room[axis] < loaded.planning.near_limit:
             yield finding(
                 loaded,
                 pose,
                 "warning",
                 "near-limit",
-                f"A{axis + 1} at {angle:.1f} deg comes close to {limits}; another tilt, azimuth or roll keeps away",
+                f"A{axis + 1} at {angle:.1f}° comes close to {limits}; another tilt, azimuth or roll keeps away",
             )
         for code, sentence in _singularities(loaded, pose.q):
             yield finding(loaded, pose, "warning", code, sentence)

@@ -56,7 +56,7 @@ def check_target(target: np.ndarray, limits: np.ndarray) -> None:
         axis = int(np.argmax(outside))
         low, high = np.degrees(limits[axis])
         angle = np.degrees(target[axis])
-        raise SafetyStop(f"A{axis + 1} would go to {angle:.2f} deg, outside its limits {low:g}..{high:g} deg; nothing was moved")
+        raise SafetyStop(f"A{axis + 1} would go to {angle:.2f}°, outside its limits {low:g}..{high:g}°; nothing was moved")
 
 
 def arms_beyond(cell: Cell) -> np.ndarray:

@@ -79,7 +79,7 @@ def _refuse_outside_limits(loaded: LoadedPlan, segment: MotionSegment, where: st
         outside = ~np.isfinite(q) | (q < limits[:, 0] - rounding) | (q > limits[:, 1] + rounding)
         if outside.any():
             axis = int(np.argmax(outside))
-            raise SafetyStop(f"{where} A{axis + 1} would reach {np.degrees(q[axis]):.1f} deg, outside its limits; nothing was moved")
+            raise SafetyStop(f"{where} A{axis + 1} would reach {np.degrees(q[axis]):.1f}°, outside its limits; nothing was moved")
 
 
 def swept(loaded: LoadedPlan, motions: Sequence[MotionSegment]) -> Swept:

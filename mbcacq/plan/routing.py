@@ -64,7 +64,7 @@ def check_start(loaded: LoadedPlan, q: np.ndarray) -> None:
     if near is not None:
         angles = ", ".join(f"{a:.1f}" for a in np.degrees(q))
         raise SafetyStop(
-            f"the arm stands at {angles} deg; on its straight way to home {near.a} would come within {near.distance:.0f} mm "
+            f"the arm stands at {angles}°; on its straight way to home {near.a} would come within {near.distance:.0f} mm "
             f"of {near.b}; bring it near home by hand, then start again"
         )
 

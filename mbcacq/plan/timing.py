@@ -67,7 +67,7 @@ def joint_motion(start: np.ndarray, end: np.ndarray, limits: MotionLimits) -> ru
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         axis = int(np.argmax(np.abs(end - start) / limits.speed))
         raise ConfigError(
-            f"a motion of {np.degrees(abs(end - start)[axis]):.3g} deg of A{axis + 1} at {np.degrees(limits.speed[axis]):.3g} deg/s cannot "
+            f"a motion of {np.degrees(abs(end - start)[axis]):.3g}° of A{axis + 1} at {np.degrees(limits.speed[axis]):.3g} °/s cannot "
             "be timed: it would take hours, or its acceleration_time_s or jerk_time_s is extreme; set robot: speed higher (0.05 is slow), "
             "and these times to 0.1 s to 1 s"
         )

@@ -59,7 +59,7 @@ def _card(number: int, effect: EffectContent) -> list[str]:
     table = [f"| {label} | {text} |" for label, text in rows]
     others = [f"- {text}" for text in effect.alternatives] or ["- no other candidate comes near"]
     return [
-        f"## {number}. {effect.title}",
+        f"## {'' if effect.trend else f'{number}. '}{effect.title}",
         "",
         "| | |",
         "|---|---|",

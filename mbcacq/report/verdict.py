@@ -9,6 +9,7 @@ import numpy as np
 
 from mbcacq.calibration.length_budget import temperature_sentence
 from mbcacq.calibration.verification import verdict_of_places
+from mbcacq.diagnosis.output.noise_floor import is_trend_in_json
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.errors import command_line
 from mbcacq.quantities import K, measured, micrometres, signed, uncertainty
@@ -229,7 +230,8 @@ def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: s
             "A repeated measurement in another order separates a lasting cause from a passing one.",
             measure_next(name, plan),
         )
-    names = " and ".join(f"{readable(e['name'])} at {', '.join(e['where'])}" for e in effects[:2])
+    named = [e for e in effects if not is_trend_in_json(e)] or effects
+    names = " and ".join(f"{readable(e['name'])} at {', '.join(e['where'])}" for e in named[:2])
     what = "Take it into the model" if verdict.level == "pass" else "Repair it, or take it into the model"
     return Action(
         f"{what}: {names}",

@@ -153,7 +153,7 @@ def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None
             low, high = (float(v) for v in joint.range)
             least, most = float(np.min(t.q[:, k])), float(np.max(t.q[:, k]))
             if joint.limited and (least < low - LIMIT_SLACK_RAD or most > high + LIMIT_SLACK_RAD):
-                span = f"{np.degrees(least):.1f} to {np.degrees(most):.1f} deg"
+                span = f"{np.degrees(least):.1f} to {np.degrees(most):.1f}°"
                 limits = f"{np.degrees(low):.1f} to {np.degrees(high):.1f}"
                 raise ConfigError(
                     f"{where}: A{k + 1} was recorded from {span}, joint '{name}' of {arm.path} turns {limits}; the units, the order "

@@ -19,6 +19,7 @@ PCD_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VI
 PACKED = ("rgb", "rgba")  # PCD's colours: four bytes in one number
 UNITS_MM = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "in": 25.4}
 FEWEST_TO_JUDGE = 10  # points whose size says something
+SMALL = 4.0  # a view of several balls spans two gaps and more, which inches show 25 times smaller
 SMALLEST_MM, LARGEST_MM = 5.0, 100e3  # of the largest coordinate: a field in mm is not smaller, a hall not larger
 
 
@@ -69,6 +70,21 @@ def in_mm(path: str | Path, points: np.ndarray, unit: str | None) -> np.ndarray:
     if len(points) >= FEWEST_TO_JUDGE and largest > LARGEST_MM:
         raise ConfigError(f"{path}: coordinates reach {largest:.3g}, which looks like um; say --unit um, or --unit mm if they are mm")
     return points
+
+
+def looks_small(points: np.ndarray, centres: np.ndarray) -> str:
+    """A sentence about points (N, 3) that span far less than the scanner showed of an artefact at once, as inches do; '' else.
+
+    centres: (B, 3) mm of its balls, of which those that stand nearest to each other were seen together.
+    """
+    if len(points) < FEWEST_TO_JUDGE or len(centres) < 3:
+        return ""
+    apart = np.linalg.norm(centres[:, None] - centres, axis=2) + np.diag(np.full(len(centres), np.inf))
+    gap, span = float(np.median(apart.min(axis=1))), float(np.ptp(points, axis=0).max())
+    if span * SMALL >= gap:
+        return ""
+    known = f"the balls that this scanner measured stand {gap:.0f} mm apart"
+    return f"the cloud spans {span:.3g} mm, and {known}; if it is in inches, say --unit in"
 
 
 def _ply(path: Path) -> dict[str, np.ndarray]:

@@ -78,6 +78,10 @@ class DiagnosisResult:
     @property
     def text(self) -> str:
         """The diagnosis in plain sentences, as the command line prints it."""
+        return self.in_words()
+
+    def in_words(self, calibrated: bool = False) -> str:
+        """``text``; calibrated: the cell was calibrated with what was found, and the next step follows that."""
         from mbcacq.diagnosis.motion.combine import combined_text
         from mbcacq.diagnosis.motion.text import headline, motion_details, motion_text
         from mbcacq.diagnosis.output.text import words
@@ -87,7 +91,8 @@ class DiagnosisResult:
         written = [] if self.simulation is None else [self.simulation.text]
         if self.poses is None:
             return "\n".join([motion_text(self.motion), *written]) if self.motion else ""
-        text = words(self.poses) if self.motion is None else combined_text(self.poses.to_json(), words(self.poses), self.motion)
+        text = words(self.poses, calibrated)
+        text = text if self.motion is None else combined_text(self.poses.to_json(), text, self.motion)
         return "\n".join([text, *(check.text for check in self.checks), *written])
 
     def pictures(self) -> dict[str, Any]:

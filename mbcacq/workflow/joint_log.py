@@ -123,6 +123,6 @@ def _paired(path: Path, q: np.ndarray, number: list[int] | None, poses: list[Pla
             position = k + 1
         if away[row, k] > NEAR:
             degrees = np.degrees(away[row, k])
-            notes.append(f"{path.name}: at pose {poses[k].number} the arm stood {degrees:.2f} deg from where the plan has it")
+            notes.append(f"{path.name}: at pose {poses[k].number} the arm stood {degrees:.2f}° from where the plan has it")
         found[poses[k].number] = q[row]
     return JointLog(found, notes)

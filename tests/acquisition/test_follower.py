@@ -64,8 +64,8 @@ def test_it_is_taken_where_it_stands_and_how_far_off_is_said():
     reached = arm.go(TARGET)
     assert np.allclose(np.degrees(reached.q - TARGET), [1.5, -0.5])
     assert robot.time >= 0.3 + 1.0 - 1e-9  # it stood for a second by its own clock
-    assert ear.said == ["bring the arm to A1 10.00 A2 -20.00 deg", "the arm stands 1.50 deg (A1) from its target"]
-    assert arm.summary() == ", taken up to 1.50 deg from their targets"
+    assert ear.said == ["bring the arm to A1 10.00° A2 -20.00°", "the arm stands 1.50° (A1) from its target"]
+    assert arm.summary() == ", taken up to 1.50° from their targets"
 
 
 def test_an_arm_that_creeps_does_not_stand():
@@ -86,7 +86,7 @@ def test_encoders_that_hum_stand():
     assert robot.time < 2.0
 
 
-@pytest.mark.parametrize(("away", "sentence"), [([5, 0], "is 5.00 deg (A1) from it"), (None, "does not stand still near it")])
+@pytest.mark.parametrize(("away", "sentence"), [([5, 0], "is 5.00° (A1) from it"), (None, "does not stand still near it")])
 def test_an_arm_that_is_not_brought_there_ends_the_wait(away, sentence):
     states = [away] if away else [[(-1) ** k, 0] for k in range(100_000)]
     arm, ear = following(Scripted(*states), timeout_s=50.0)

@@ -92,7 +92,7 @@ def test_joint_angles_elsewhere_than_the_pose_end_the_run(world):  # noqa: F811
             super().move_to(q + 0.001, limits)
 
     runner, seen, _ = make(world, robot=Elsewhere())
-    with pytest.raises(devices.SafetyStop, match=r"stood 0\.057 deg from pose 0"):
+    with pytest.raises(devices.SafetyStop, match=r"stood 0\.057° from pose 0"):
         runner.run()
     assert not seen.of(events.PoseDone)
 

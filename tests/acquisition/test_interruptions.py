@@ -140,7 +140,7 @@ def test_an_arm_that_moves_during_the_exposures_spoils_no_pose(world, times, end
 
     runner, seen, _ = make(world, robot=robot, scanner=Exposing())
     if ends:
-        with pytest.raises(devices.SafetyStop, match=r"moved by 0\.\d+ deg during the exposures of pose 0, twice"):
+        with pytest.raises(devices.SafetyStop, match=r"moved by 0\.\d+° during the exposures of pose 0, twice"):
             runner.run()
         return
     runner.run()

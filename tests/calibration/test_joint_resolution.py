@@ -28,7 +28,7 @@ def test_rounded_angles_are_seen_whatever_was_done_to_them_since(decimals):
 @pytest.mark.parametrize(
     "degrees",
     [ANGLES, np.round(ANGLES, 4), np.round(ANGLES), 0.5 * np.round(2 * ANGLES), np.tile(ANGLES[:1], (30, 1)).round(2), ANGLES[:3].round(2)],
-    ids=["measured", "0.0001 deg", "planned, whole", "planned, halves", "never moved", "too few"],
+    ids=["measured", "0.0001°", "planned, whole", "planned, halves", "never moved", "too few"],
 )
 def test_fine_angles_planned_postures_and_too_few_are_not_taken_for_rounded(degrees):
     assert joint_step(np.radians(degrees)) == 0.0
@@ -47,7 +47,7 @@ def test_rounding_is_seen_in_a_foreign_set_and_counted_as_noise(tmp_path, decima
     np.testing.assert_allclose(np.exp(noise_prior(read.cell).centre[3:9]), now.joint)
     said = [w for w in calibrate(read).extra["warnings"] if "rounded" in w]
     assert len(said) == 1
-    assert f"rounded to {step_deg:g} deg" in said[0]
+    assert f"rounded to {step_deg:g}°" in said[0]
     assert "Precision to 6 at the ETHERNET object" in said[0]
 
 

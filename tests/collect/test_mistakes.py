@@ -180,7 +180,7 @@ def test_12_another_flange(rehearsed, tmp_path):
     about_z = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     turned = {name: (about_z @ np.array(hand_eye[name])).tolist() for name in ("rotation", "translation_mm")}
     clouds = play(written_plan(tmp_path, hand_eye=turned), rehearsed / "program", tmp_path / "turned")
-    with pytest.raises(ConfigError, match="the scanner is turned by -90 deg about its own axis against the plan's hand_eye"):
+    with pytest.raises(ConfigError, match="the scanner is turned by -90° about its own axis against the plan's hand_eye"):
         paired(rehearsed, clouds)
 
 
@@ -188,7 +188,7 @@ def test_12_an_adapter_plate(rehearsed, tmp_path):
     hand_eye = content()["hand_eye"]
     hand_eye["translation_mm"][2] += 40.0
     clouds = play(written_plan(tmp_path, hand_eye=hand_eye), rehearsed / "program", tmp_path / "plate")
-    with pytest.raises(ConfigError, match=r"the scanner sits 4\d mm and \d deg from where the plan's hand_eye puts it"):
+    with pytest.raises(ConfigError, match=r"the scanner sits 4\d mm and \d° from where the plan's hand_eye puts it"):
         paired(rehearsed, clouds)
 
 

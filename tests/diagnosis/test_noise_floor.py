@@ -1,11 +1,14 @@
 """How far above the noise a model stays, and what is a trend and no figure."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
-from mbcacq.diagnosis.output.text import limit_lines
-from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
+from mbcacq.diagnosis.output.text import limit_lines, summary_lines, words
+from mbcacq.diagnosis.result import Diagnosis, EffectFound, ExclusionBand, ExclusionLimit
+from mbcacq.effects.effect import ParameterEstimate
 
 
 def test_the_uncertainty_of_an_rms_is_that_of_the_chi_square_distribution():
@@ -35,6 +38,40 @@ def test_a_model_within_the_uncertainty_of_the_noise_reaches_it():
 )
 def test_an_effect_below_its_expanded_uncertainty_is_a_trend(parameters, trend):
     assert is_trend(parameters) is trend
+
+
+@pytest.fixture
+def diagnosed():
+    """A diagnosis with a model that a calibration takes."""
+    before_and_after = {"before_rms_mm": 0.05, "after_rms_mm": 0.013, "before_chi2_dof": 7.0, "after_chi2_dof": 1.0}
+    fit = {"train": before_and_after, "held_out": {**before_and_after, "split": "station"}, "repeatability_floor_mm": 0.0129}
+    found = Diagnosis.from_json({"format": "mbcacq-diagnosis/3", "verdict": "explained", "mismatch": [], "effects": [], "fit": fit})
+    return replace(found, model=("some terms",))
+
+
+def effect(name, where, **parameters):
+    return EffectFound(name=name, where=(where,), parameters=parameters, p_value=1e-9, held_out_gain=0.1)
+
+
+def test_a_trend_is_no_finding(diagnosed):
+    """Of what and where it is only a trend, behind the findings, and without a figure."""
+    strong = effect("joint_compliance", "A2", compliance_rad_per_Nm=ParameterEstimate(2e-6, 1e-7))
+    weak = effect("scanner_warmup", "scanner", offset_mm=ParameterEstimate(0.018, 0.025))
+    both = replace(diagnosed, effects=(weak, strong))
+    lines = summary_lines(both, NoiseFloor(0.013, 0.0129))
+    assert lines[0] == "What and where: joint_compliance at A2"
+    assert lines[1] == "Trend, too weak for a figure: scanner_warmup at scanner"
+    text = words(both)
+    assert text.index("joint_compliance at A2 (p") < text.index("Trends, of which no figure") < text.index("scanner_warmup at scanner (p")
+    assert "offset" not in text
+    alone = summary_lines(replace(diagnosed, effects=(weak,)), NoiseFloor(0.013, 0.0129))
+    assert alone[0] == "What and where: no effect of a size that is beyond its uncertainty"
+
+
+def test_what_was_done_just_now_is_no_next_step(diagnosed):
+    assert "--calibrate" in words(diagnosed)
+    assert "--calibrate" not in words(diagnosed, calibrated=True)
+    assert "What next: try the calibration with what was found on another recording" in words(diagnosed, calibrated=True)
 
 
 def test_what_is_beyond_what_machines_have_was_not_tested():

@@ -18,7 +18,7 @@ def paused(at: int):
 
 
 def test_a_pause_is_found_with_the_temperatures_on_either_side():
-    assert pauses(paused(15)) == [(15, "a pause of 8.4 h after pose 14, air_C went from 22.3 to 21.4 deg C")]
+    assert pauses(paused(15)) == [(15, "a pause of 8.4 h after pose 14, air_C went from 22.3 to 21.4 °C")]
 
 
 def test_a_change_at_the_pause_is_said_to_be_confounded():

@@ -69,7 +69,7 @@ def test_joints_the_arm_cannot_reach_are_refused(solved, result_file, tmp_path, 
     """Limits of this arm: -170 to 170 deg on every axis."""
     q = np.degrees(Q)
     q[joint] = angle
-    with pytest.raises(ConfigError, match=f"joint {joint + 1} at {angle:g} deg is outside its limits -170 to 170 deg"):
+    with pytest.raises(ConfigError, match=f"joint {joint + 1} at {angle:g}° is outside its limits -170 to 170°"):
         place_scan(solved[0], np.radians(q), np.zeros((1, 3)))
     (tmp_path / "scan.ply").write_text(ONE_POINT)
     outcome = CliRunner().invoke(app, ["apply", str(result_file), "--joints", ",".join(map(str, q)), str(tmp_path / "scan.ply")])

@@ -177,6 +177,25 @@ def test_units_are_honoured(write, name, text, factor):
 
 
 @pytest.mark.parametrize(
+    "said", ["Units: inch", "Unit = in", "All dimensions in inch", "Messung in Zoll", "Einheit: Zoll", "Dimensions: inches"]
+)
+def test_inches_named_above_the_headings_are_read(write, said):
+    text = f"{said}\nlabel,x,y,z,d\n" + "".join(f"B{i},{2 * i},{0.1 * i * i},0,1.5\n" for i in range(3))
+    found = read_certificate_file(write("c.csv", text), "mbc")
+    assert found.artefact.diameters == pytest.approx([38.1] * 3)
+    assert found.artefact.centres[1] == pytest.approx([50.8, 2.54, 0])
+    assert "read in inches" in found.notes[0]
+
+
+def test_two_units_above_the_headings_are_refused(write):
+    text = "Units: mm. All dimensions in inch\nlabel,x,y,z,d\nB1,0,0,0,12\n"
+    with pytest.raises(ConfigError, match="speak of mm and of inches; write one"):
+        read_certificate(write("c.csv", text), "mbc")
+    same = "Units: mm. All dimensions in millimetres\nlabel,x,y,z,d\nB1,0,0,0,12\n"
+    assert read_certificate(write("c.csv", same), "mbc").diameters[0] == 12
+
+
+@pytest.mark.parametrize(
     ("heading", "value", "uncertainty"),
     [
         ("U (µm)", "12", 0.006),

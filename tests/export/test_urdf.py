@@ -179,7 +179,7 @@ def test_another_robot_is_refused(file):
     with pytest.raises(ConfigError, match=r"arm\.urdf:\d+: the axis of joint 'a3' is 100.0 mm"):
         urdf.patch(file, longer, longer)
     other_sense = Chain(-CHAIN.sign, CHAIN.theta, CHAIN.d, CHAIN.a, CHAIN.alpha, CHAIN.beta)
-    with pytest.raises(ConfigError, match="180.0 deg"):
+    with pytest.raises(ConfigError, match="180.0°"):
         urdf.patch(file, other_sense, other_sense)
 
 

@@ -24,13 +24,13 @@ from mbcacq.devices import ConfigError, ConnectError, IdentityError
         ({"model": "#KR6R900_2 C4"}, {}, r"drives a '#KR6R900_2 C4', the plan is for 'KR 10 R1100-2'"),
         ({}, {"tool": 2}, "works with tool 1, the plan expects tool 2"),
         ({}, {"base": 3}, "works with base 0, the plan expects base 3"),
-        ({"tools": {"1": (0, 0, 264.8, 0, 0, 0)}}, {"tool_frame": [0, 0, 265.8, 0, 0, 0]}, "1.00 mm and 0.00 deg between its tool data"),
+        ({"tools": {"1": (0, 0, 264.8, 0, 0, 0)}}, {"tool_frame": [0, 0, 265.8, 0, 0, 0]}, "1.00 mm and 0.00° between its tool data"),
         ({"loads": {"1": 10.0}}, {"load_kg": 2.3}, "a load of 10 kg, the plan says 2.3 kg"),
         ({"mode": "#EX"}, {"mode": "T1"}, "is in mode EXT, the plan expects T1"),
         ({"override": 30}, {}, "an override of 30 %, the plan expects 100 %"),
         ({"dh": tuple((s, t, d + 5.0 * (k == 3), a, x, b) for k, (s, t, d, a, x, b) in enumerate(DH))}, {}, "its flange 5.0 mm from where"),
         ({"robroot": (0, 0, 0, 0, 90.0, 0)}, {"flange_tolerance_mm": 1.0}, None),
-        ({}, {"limits_deg": [(2, 5), *EKI_LIMITS_DEG[1:]]}, "shows A1 at 0.00 deg, outside the plan's limits 2..5"),
+        ({}, {"limits_deg": [(2, 5), *EKI_LIMITS_DEG[1:]]}, "shows A1 at 0.00°, outside the plan's limits 2..5"),
     ],
 )
 def test_another_cell_than_the_plans_is_refused(eki_cell, controller, robot, says):

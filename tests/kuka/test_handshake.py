@@ -33,5 +33,5 @@ def test_a_controller_that_does_not_report_aspos_properly_is_taken_at_its_actual
 
 
 def test_a_large_correction_that_is_still_applied_is_refused():
-    with pytest.raises(SessionFault, match="AIPos and ASPos differ by 0.20 deg"):
+    with pytest.raises(SessionFault, match="AIPos and ASPos differ by 0.20°"):
         shaken((0.2, -90, 90, 0, 0, 0), (0, -90, 90, 0, 0, 0))

@@ -42,7 +42,7 @@ def test_a_jump_of_thirty_degrees_in_one_cycle_stops_the_arm_at_once(bench, axis
     bench.q = tuple(v + (30.0 if k == axis else 0.0) for k, v in enumerate(START))
     assert until_fault(bench) == 0
     assert bench.shared.fault()["kind"] == "implausible"
-    assert f"A{axis + 1} jumped by 30.00 deg" in bench.shared.fault()["text"]
+    assert f"A{axis + 1} jumped by 30.00°" in bench.shared.fault()["text"]
 
 
 def test_an_arm_that_freezes_in_motion_is_noticed_within_six_degrees(bench):

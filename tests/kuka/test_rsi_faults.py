@@ -196,7 +196,7 @@ def test_a_driver_that_died_leaves_a_correction_and_the_next_one_refuses_to_jump
         arrive(robot)
         robot.close()
         second = KukaRsi("arm", "", options)
-        with pytest.raises(ConnectError, match=r"AIPos and ASPos differ by 5.00 deg"):
+        with pytest.raises(ConnectError, match=r"AIPos and ASPos differ by 5.00°"):
             second.connect()
         assert np.degrees(krc.state.read().q[0]) == pytest.approx(5.0)
 

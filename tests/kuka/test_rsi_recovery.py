@@ -63,7 +63,7 @@ def test_an_arm_that_was_moved_meanwhile_does_not_go_on():
     with FakeKrc(**common, start_deg=tuple(HOME_DEG + [10.0, 0.0, 9.0, 0.0, 0.0, 0.0])):
         error = until_error(robot)
         assert type(error) is DeviceTimeout
-        assert "A3 stands 9.00 deg off the path" in str(error)
+        assert "A3 stands 9.00° off the path" in str(error)
     robot.close()
 
 

@@ -54,9 +54,9 @@ def test_motions_within_the_limits_are_never_refused(share):
 @pytest.mark.parametrize(
     ("beyond", "words"),
     [
-        ({"speed": 2 * SPEED}, "A1 would turn at 200 deg/s, its limit is 100; nothing was moved"),
-        ({"acceleration": 20 * ACCELERATION}, "A1 would accelerate with 8000 deg/s2, its limit is 400; nothing was moved"),
-        ({"jerk": np.nan}, "A1 would jerk with nan deg/s3"),
+        ({"speed": 2 * SPEED}, "A1 would turn at 200 °/s, its limit is 100; nothing was moved"),
+        ({"acceleration": 20 * ACCELERATION}, "A1 would accelerate with 8000 °/s², its limit is 400; nothing was moved"),
+        ({"jerk": np.nan}, "A1 would jerk with nan °/s³"),
     ],
 )
 def test_a_command_beyond_the_limits_of_the_axes_moves_nothing(one, beyond, words):
@@ -103,7 +103,7 @@ def test_a_set_point_that_jumps_is_not_sent(one, monkeypatch, where):
 
 def test_a_set_point_beyond_the_joint_limits_is_refused_and_one_on_the_way_back_is_not():
     limits = StepLimits((181.0, *START[1:]), LIMITS, RsiOptions(limits_deg=LIMITS).dynamics, T)
-    assert "A1 would go to 181.100 deg, outside its limits -180..180 deg" in limits.refusal((181.1, *START[1:]))
+    assert "A1 would go to 181.100°, outside its limits -180..180°" in limits.refusal((181.1, *START[1:]))
     assert limits.refusal((180.99, *START[1:])) == ""
 
 

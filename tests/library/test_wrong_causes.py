@@ -12,6 +12,8 @@ from click.testing import CliRunner
 
 import mbcacq.cli
 from mbcacq.cli.app import COMMANDS, app
+from mbcacq.cli.export import next_step
+from mbcacq.cli.run_path import judge_first
 
 CLI = Path(mbcacq.cli.__file__).parent
 PLANS = Path(__file__).parents[2] / "plans"
@@ -134,3 +136,21 @@ def test_the_last_line_is_one_command_that_can_be_pasted(arguments, tmp_path, mo
     found = re.fullmatch(r"next: (.+?): (mbcacq .+)", last)
     assert found, last
     assert parses(found[2])
+
+
+def test_the_next_step_of_a_result_by_itself_is_a_command_about_it(tmp_path):
+    """Not the help of another command; the result in a run's folder leads to the report of the run."""
+    alone = tmp_path / "alone.json"
+    alone.touch()
+    assert judge_first(alone)[1] == f"mbcacq export {alone} --results results"
+    results = tmp_path / "results"
+    results.mkdir()
+    (results / "arm.mjcf.xml").touch()
+    assert next_step(alone, None, results)[1] == f"mbcacq robot import {results / 'arm.mjcf.xml'} --out calibrated-arm.yaml"
+    run = tmp_path / "run"
+    (run / "with-effects").mkdir(parents=True)
+    for name in ("run.rrd", "result.json", "with-effects/result.json"):
+        (run / name).touch()
+    for result in (run, run / "result.json", run / "with-effects", run / "with-effects" / "result.json"):
+        assert judge_first(result)[1] == f"mbcacq report {run}"
+        assert next_step(result, None, results)[1] == f"mbcacq report {run}"

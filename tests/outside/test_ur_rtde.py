@@ -78,7 +78,7 @@ def test_it_passes_the_suite_every_driver_must_pass(each):
 
 def test_a_target_beyond_the_limits_moves_nothing(opened):
     with opened() as stand, stand.make(limits_deg=[[-100, 100]] * 6) as robot:
-        with pytest.raises(SafetyStop, match=r"A2 would go to -101.000 deg, beyond its limits -100..100 deg; nothing was moved"):
+        with pytest.raises(SafetyStop, match=r"A2 would go to -101.000°, beyond its limits -100..100°; nothing was moved"):
             robot.move_to(np.radians([0, -101, 90, -90, -90, 0]), LIMITS)
         assert np.degrees(robot.state().q) == pytest.approx(HOME_DEG)
 

@@ -103,7 +103,7 @@ def test_taught_poses_in_degrees_of_small_size_are_no_radians(folder):
 def test_taught_pose_beyond_a_limit_and_close_to_one(folder):
     found = {f.code: f for f in findings(taught(folder, (0, -90, 157, 0, 60, 0), (0, -90, 155, 0, 60, 0)))}
     assert found["limits"].level == "error"
-    assert "A3 at 157.0 deg exceeds its limits -120..156 deg" in found["limits"].sentence
+    assert "A3 at 157.0° exceeds its limits -120..156°" in found["limits"].sentence
     assert found["near-limit"].level == "warning"
 
 

@@ -43,8 +43,8 @@ def test_the_plans_that_come_with_the_program_stay_within_the_limits(name):
 @pytest.mark.parametrize(
     ("robot", "words"),
     [
-        ({"acceleration_time_s": 0.001}, r"acceleration of \d+ deg/s2, its limit is \d+; raise acceleration_time_s"),
-        ({"jerk_time_s": 0.0001}, r"jerk of \d+ deg/s3, its limit is \d+; raise jerk_time_s"),
+        ({"acceleration_time_s": 0.001}, r"acceleration of \d+ °/s², its limit is \d+; raise acceleration_time_s"),
+        ({"jerk_time_s": 0.0001}, r"jerk of \d+ °/s³, its limit is \d+; raise jerk_time_s"),
     ],
 )
 def test_more_than_the_arm_allows_is_refused_and_never_commanded(tmp_path, robot, words):

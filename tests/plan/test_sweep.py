@@ -109,7 +109,7 @@ def test_a_waypoint_beyond_a_joint_limit_is_refused(tmp_path):
     low = loaded.cell.robot.limits[4, 0]
     bent = found[3].end.copy()
     bent[4] = low - 1e-3
-    with pytest.raises(SafetyStop, match="A5 would reach -120.1 deg, outside its limits"):
+    with pytest.raises(SafetyStop, match="A5 would reach -120.1°, outside its limits"):
         refuse_unsafe(loaded, [*found[:3], replace(found[3], end=bent)])
 
 

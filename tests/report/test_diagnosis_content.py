@@ -2,6 +2,7 @@
 
 from made_up import diagnosis
 
+from mbcacq.report.cards import diagnosis_cards
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
 
@@ -21,3 +22,23 @@ def test_components_of_a_vector_are_no_harmonics():
     effect = diagnosis_content(content, None).effects[0]
     assert [(name, unit) for name, _, _, unit in effect.parameters] == [("offset x", "mm"), ("offset y", "mm"), ("offset z", "mm")]
     assert effect.harmonics is None
+
+
+def test_a_trend_stands_behind_the_findings_without_a_number():
+    """The warm-up is first by its evidence; its size is not beyond twice its standard deviation."""
+    content = diagnosis()
+    weak = {
+        "name": "scanner_warmup",
+        "where": ["scanner"],
+        "p_value": 1e-9,
+        "held_out_gain": 0.02,
+        "parameters": {"offset_mm": {"value": [0.018, -0.006, 0.023], "std": [0.025, 0.007, 0.026]}},
+        "alternatives": [],
+    }
+    content["effects"] = [weak, *content["effects"]]
+    shown = diagnosis_content(content, None)
+    assert [(e.title, e.trend) for e in shown.effects] == [("Joint compliance at A2", False), ("Trend: scanner warmup at scanner", True)]
+    assert shown.effects[1].parameters == []
+    cards = diagnosis_cards(shown)
+    assert "## 1. Joint compliance at A2" in cards
+    assert "## Trend: scanner warmup at scanner" in cards

@@ -126,6 +126,18 @@ def test_one_arm_on_a_vehicle_with_a_head_is_found(read):
     assert any("the longest, of 6 axes, is taken" in remark for remark in found.remarks)
 
 
+def test_a_vehicles_turn_that_counts_as_axis_1_is_said(read):
+    """A vehicle that slides, then turns, with an arm of seven axes: eight are left behind the slide."""
+    vehicle = [joint("slide", "world", "on_x", "prismatic"), joint("turn", "on_x", "link0", "continuous")]
+    found = read(described([*vehicle, *arm(7)]))
+    assert found.joints[0] == "turn"
+    assert any("'turn' behind what carries the arm counts as axis 1" in remark and "--base link0" in remark for remark in found.remarks)
+    without = read(described([*vehicle, *arm(7)]), base="link0")
+    assert len(without.joints) == 7
+    on_a_rail = read(described([joint("rail", "world", "link0", "prismatic"), *arm(7)]))
+    assert not any("counts as axis 1" in remark for remark in on_a_rail.remarks)
+
+
 def test_an_arm_on_a_vehicle_that_slides_and_turns_is_found(read):
     vehicle = [
         joint("x", "world", "on_x", "prismatic"),

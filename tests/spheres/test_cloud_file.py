@@ -6,7 +6,7 @@ from peer_open3d import open3d
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports.clouds import write_cloud
-from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
+from mbcacq.spheres.cloud_file import in_mm, looks_small, read_cloud_file
 
 ROWS = [(1.5, -2.0, 300.25, 40000, 65535), (2.5, 0.0, 301.0, 1, 0), (-3.5, 1.0, 299.5, 500, 256)]
 TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<u2"), ("red", "<u2")])
@@ -107,6 +107,10 @@ def test_what_another_library_writes_is_read(tmp_path):
         (ply("ascii", announced=5), "a.ply", "is cut off"),
         (ply(announced=5), "a.ply", "is cut off"),
         (ply(more=b"12345"), "a.ply", "where its header announces"),
+        (ply("ascii", more=b"9 9 9 9 9\n"), "a.ply", "its header announces 3 lines and 4 follow"),
+        (ply("ascii", announced=2), "a.ply", "its header announces 2 lines and 3 follow"),
+        (pcd(announced=2), "a.pcd", "has 3 lines of points where its header announces 2"),
+        (pcd("binary", announced=2), "a.pcd", "where its header announces"),
         (ply("ascii").replace(b"300.25", b"300,25"), "a.ply", "point 1: '300,25' is not a number; decimal commas are not read"),
         (ply("ascii").replace(b"300.25", b"0x1F"), "a.ply", "point 1: '0x1F' is not a number"),
         (ply("ascii").replace(b"300.25 ", b""), "a.ply", "point 1 has 4 numbers where its header announces 5"),
@@ -149,3 +153,12 @@ def test_normals_turn_with_the_points(tmp_path):
     write_cloud(tmp_path / "a.ply", np.ones((1, 3)), {"nx": np.ones(1), "ny": np.zeros(1), "nz": np.zeros(1), "id": np.array([7])}, T)
     found = read_cloud_file(tmp_path / "a.ply")
     assert [float(found.properties[n][0]) for n in ("nx", "ny", "nz", "id")] == [0, 1, 0, 7]
+
+
+def test_a_cloud_that_is_25_times_too_small_is_said():
+    """A scan of 150 mm by 100 mm in inches, of a scanner that saw balls 40 mm apart at once."""
+    centres = np.array([[0.0, 0, 0], [40, 3, 2], [5, 40, -3], [45, 41, 6]])
+    scan = np.random.default_rng(2).uniform([-75, -50, 250], [75, 50, 280], (500, 3))
+    assert "if it is in inches, say --unit in" in looks_small(scan / 25.4, centres)
+    assert looks_small(scan, centres) == ""
+    assert looks_small(scan / 25.4, centres[:2]) == ""  # of a bar nobody knows whether its balls were seen together

@@ -1,11 +1,17 @@
 """Clouds from files, as another laboratory writes them."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import clouds
 import numpy as np
 import pytest
 from peer_open3d import open3d
 
 from mbcacq.errors import ConfigError
+from mbcacq.model.cell import Station
+from mbcacq.plan import load
+from mbcacq.recording.datasets.scan_folder import centres_from_scans, write_ply
 from mbcacq.spheres import centres_from_ply, read_cloud
 
 MBC = clouds.artefact()
@@ -31,6 +37,18 @@ def test_a_binary_ply_is_read_exactly(tmp_path):
     o3d = open3d()
     o3d.io.write_point_cloud(str(tmp_path / "a.ply"), o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)))
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.ply"), points)
+
+
+def test_clouds_of_an_observation_set_in_inches_are_said(tmp_path):
+    cell = load(Path(__file__).parents[2] / "plans" / "quick.yaml").cell
+    cell = replace(cell, artefacts=(MBC,), stations=(Station("p1", "mbc"),))
+    points = clouds.scan(np.random.default_rng(0), MBC.centres, 12.0, spacing=0.5, plate_z=None)
+    (tmp_path / "scans").mkdir()
+    write_ply(tmp_path / "scans" / "1.ply", points / 25.4)
+    with pytest.raises(ConfigError, match="shows no ball read in mm and 8 read in inches; convert the clouds from inches to mm"):
+        centres_from_scans(tmp_path, cell, np.array([1]), np.array([0]))
+    write_ply(tmp_path / "scans" / "1.ply", points)
+    assert len(centres_from_scans(tmp_path, cell, np.array([1]), np.array([0]))["ball"]) == 8
 
 
 @pytest.mark.parametrize("text", ["", "ply\n", "not a cloud at all"])

@@ -75,7 +75,7 @@ def test_the_sentence_names_what_will_move_and_must_be_typed(tmp_path, typed, co
         "25 % of the axes",
         "x 520..1000, y -227..97, z 147..895",
         "kept within x -400..1300",
-        "A1 0.0 A2 -90.0 A3 90.0",
+        "A1 0.0° A2 -90.0° A3 90.0°",
         "pose 0 at station p1",
         "T1",
     ):

@@ -23,7 +23,7 @@ def check_cell(name: str, model: str, options: EkiOptions, hello: Hello, state: 
     for axis, (value, (low, high)) in enumerate(zip(state.axis, options.limits_deg, strict=True), 1):
         if not low - 1.0 <= value <= high + 1.0:
             raise IdentityError(
-                f"{where} shows A{axis} at {round(value, 2) + 0.0:.2f} deg, outside the plan's limits {low:g}..{high:g} deg; "
+                f"{where} shows A{axis} at {round(value, 2) + 0.0:.2f}°, outside the plan's limits {low:g}..{high:g}°; "
                 "jog the arm inside or correct the robot model"
             )
     check_flange(where, options, hello, state)
@@ -95,7 +95,7 @@ def frame_distance(a: Sequence[float], b: Sequence[float]) -> str | None:
     A, B = _frame(a), _frame(b)
     shift = float(np.linalg.norm(A[:3, 3] - B[:3, 3]))
     turn = float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(A[:3, :3].T @ B[:3, :3]) - 1.0), -1.0, 1.0))))
-    return None if shift <= _FRAME_MM and turn <= _FRAME_DEG else f"{shift:.2f} mm and {turn:.2f} deg"
+    return None if shift <= _FRAME_MM and turn <= _FRAME_DEG else f"{shift:.2f} mm and {turn:.2f}°"
 
 
 def flange(rows: Sequence[Sequence[float]], axis_deg: Sequence[float]) -> np.ndarray:

@@ -46,7 +46,7 @@ class KukaEki(ContextDevice):
         "`mbcacq controller-files {plan} --out files`; programs and channel are on the controller, the link program in its submit "
         "interpreter.",
         "`mbcacq doctor {plan} --arm` names model, machine data, tool and load; compare each with the smartPAD. Note KSS and EKI versions.",
-        "The angles in the viewer agree with the smartPAD's axis display to 0.001 deg, A1 to A6, signs too.",
+        "The angles in the viewer agree with the smartPAD's axis display to 0.001°, A1 to A6, signs too.",
         "In T1 start mbcacq_eki: doctor says that the program is ready; its first move waits for the start key.",
         "Stop the program on the smartPAD: the run ends with the sentence that the program was stopped.",
     )
@@ -117,8 +117,8 @@ class KukaEki(ContextDevice):
         if outside.any():
             axis = int(np.argmax(outside))
             raise SafetyStop(
-                f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f} deg, outside the joint limits "
-                f"{low[axis]:g}..{high[axis]:g} deg; nothing was moved"
+                f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f}°, outside the joint limits "
+                f"{low[axis]:g}..{high[axis]:g}°; nothing was moved"
             )
         speed = np.degrees(np.broadcast_to(np.asarray(limits.speed, dtype=float), (6,)))
         if not (np.isfinite(speed).all() and (speed > 0).all()):

@@ -28,4 +28,4 @@ def refuse_moved(name: str, before: State, now: State) -> None:
     """Raises SafetyStop if the arm was moved while nobody looked."""
     moved = max(abs(a - b) for a, b in zip(before.axis, now.axis, strict=True))
     if moved > MOVED_DEG:
-        raise SafetyStop(f"robot '{name}': the arm was moved by {moved:.2f} deg while the connection was lost; start the run again")
+        raise SafetyStop(f"robot '{name}': the arm was moved by {moved:.2f}° while the connection was lost; start the run again")

@@ -102,7 +102,7 @@ def _converted(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
         raise ConfigError(
             f"robot '{name}': option address must be a host name or an IP address, such as 172.31.1.147, not {values['address']!r}"
         )
-    for key, what in (("limits_deg", "joint limits, six pairs in deg"), ("speed_deg_s", "the axes' largest speeds, deg/s")):
+    for key, what in (("limits_deg", "joint limits, six pairs in °"), ("speed_deg_s", "the axes' largest speeds, °/s")):
         if values.get(key) is None:
             raise ConfigError(f"robot '{name}': option {key} ({what}) is missing, and the robot file does not say it either")
     for key, shape in (("limits_deg", (6, 2)), ("kinematics", (6, 6))):

@@ -40,5 +40,5 @@ def too_coarse(decimals: int, command: RsiCommand) -> str:
         return ""
     return (
         f"the telegrams show joint angles with {decimals} decimals only, too coarse to see an arrival within "
-        f"{command.tolerance:.2g} deg; set Precision to 6 at the ETHERNET object of the RSI context; nothing was moved"
+        f"{command.tolerance:.2g}°; set Precision to 6 at the ETHERNET object of the RSI context; nothing was moved"
     )

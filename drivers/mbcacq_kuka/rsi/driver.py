@@ -74,7 +74,7 @@ class KukaRsi(ContextDevice):
         "`mbcacq controller-files {plan} --out files`; the files are on the controller, and WARNINGS.txt is absent or understood.",
         "In T1 select the RSI program and start it. The smartPAD shows no message of RSI; `mbcacq doctor {plan} --arm` finds the robot. "
         "Note KSS and RSI versions.",
-        "The angles that doctor and the viewer show agree with the smartPAD's axis display to 0.001 deg, A1 to A6, signs too.",
+        "The angles that doctor and the viewer show agree with the smartPAD's axis display to 0.001°, A1 to A6, signs too.",
         "Delay stays 0 for a minute (column delay of the recording); note the largest gap between telegrams.",
         "Stop the program on the smartPAD: the run ends with the sentence that the controller fell silent.",
     )
@@ -206,7 +206,7 @@ class KukaRsi(ContextDevice):
         process.begin()
         if process.decimals < _FINE_DECIMALS:
             _log.warning(
-                "robot '%s': the controller writes joint angles with %d decimals only, which is rounding to %g deg: as much as the "
+                "robot '%s': the controller writes joint angles with %d decimals only, which is rounding to %g°: as much as the "
                 "joints of some arms scatter; set Precision to 6 at the ETHERNET object of its RSI context",
                 self._name,
                 process.decimals,
@@ -325,6 +325,6 @@ class KukaRsi(ContextDevice):
         if outside.any():
             axis = int(np.argmax(outside))
             raise SafetyStop(
-                f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f} deg, outside the {where} "
-                f"{round(low[axis], 2):g}..{round(high[axis], 2):g} deg; nothing was moved"
+                f"robot '{self._name}': A{axis + 1} would go to {target[axis]:.3f}°, outside the {where} "
+                f"{round(low[axis], 2):g}..{round(high[axis], 2):g}°; nothing was moved"
             )

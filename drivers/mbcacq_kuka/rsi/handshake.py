@@ -212,7 +212,7 @@ class Handshake:
         if not probe.conclusive:
             return SessionFault(
                 "connect",
-                f"A{AXIS + 1} is too restless, by {noise_of(self._rows)[AXIS]:.3f} deg, to tell whether the controller takes corrections "
+                f"A{AXIS + 1} is too restless, by {noise_of(self._rows)[AXIS]:.3f}°, to tell whether the controller takes corrections "
                 "as absolute; connect when the arm stands",
             )
         return None
@@ -246,7 +246,7 @@ def _refuse_correction(layout: Layout, row: Sequence[float]) -> None:
     if apart > _SET_POINT_DEG:
         raise SessionFault(
             "connect",
-            f"AIPos and ASPos differ by {apart:.2f} deg, so the controller still applies an earlier correction; "
+            f"AIPos and ASPos differ by {apart:.2f}°, so the controller still applies an earlier correction; "
             "restart its RSI program (or set check_set_point: false if it does not report ASPos properly)",
             muted=True,
         )

@@ -99,8 +99,8 @@ class RsiMotion:
         self._calculate(ask, trajectory)
         for axis, (extrema, (low, high)) in enumerate(zip(trajectory.position_extrema, self._joint_limits, strict=True)):
             if self.moving and (extrema.min < low - 1e-9 or extrema.max > high + 1e-9):
-                reach = f"{extrema.min:.2f}..{extrema.max:.2f} deg"
-                raise MotionRefused(f"A{axis + 1} would swing to {reach}, outside its limits {low:g}..{high:g} deg")
+                reach = f"{extrema.min:.2f}..{extrema.max:.2f}°"
+                raise MotionRefused(f"A{axis + 1} would swing to {reach}, outside its limits {low:g}..{high:g}°")
         self._dynamics, self._target = limits, target
         self._begin(trajectory)
 

@@ -110,7 +110,7 @@ def read_options(name: str, given: Mapping[str, Any]) -> RsiOptions:
     """Raises ConfigError for an unknown option or a value that cannot be."""
     refuse_unknown(name, given, [f.name for f in fields(RsiOptions)])
     if given.get("limits_deg") is None:
-        raise ConfigError(f"robot '{name}': option limits_deg (joint limits, six pairs in deg) is missing")
+        raise ConfigError(f"robot '{name}': option limits_deg (joint limits, six pairs in °) is missing")
     values = {**(KUKA_SERVER if given.get("eki") else {}), **given}
     values["limits_deg"] = tuple((float(low), float(high)) for low, high in array(name, "limits_deg", given["limits_deg"], (6, 2)))
     for key in _PER_AXIS:

@@ -14,7 +14,7 @@ _LIMITED = "look for a correction limit of the controller (AXISCORR, AXISCORRMON
 _IGNORED = (
     "no axis has moved at all. Compare sen_type '{sen_type}' with SENTYPE, and correction '{correction}' with the names in the RECEIVE "
     "section, of the controller's RSI Ethernet configuration; see that RSI_MOVECORR runs (in T1 its message must be "
-    "acknowledged) and that AXISCORR is connected and not limited to 0 deg"
+    "acknowledged) and that AXISCORR is connected and not limited to 0°"
 )
 
 
@@ -34,7 +34,7 @@ class ArmPlausibility:
         if jumped is not None:
             raise SessionFault(
                 "implausible",
-                f"the controller reports that A{jumped[0] + 1} jumped by {jumped[1]:.2f} deg within {steps * self._cycle_s * 1e3:.0f} ms, "
+                f"the controller reports that A{jumped[0] + 1} jumped by {jumped[1]:.2f}° within {steps * self._cycle_s * 1e3:.0f} ms, "
                 "faster than it can turn; look at the arm, its resolvers and the RSI Ethernet configuration",
             )
         if self._settings["follow"]:  # others move it
@@ -46,7 +46,7 @@ class ArmPlausibility:
         if axis is not None:
             raise SessionFault(
                 "follow",
-                f"A{axis + 1} does not follow: commanded {sent[axis]:.3f} deg, measured {measured[axis]:.3f} deg; "
+                f"A{axis + 1} does not follow: commanded {sent[axis]:.3f}°, measured {measured[axis]:.3f}°; "
                 + (_LIMITED if self._moved else _IGNORED.format(**self._settings)),
             )
 

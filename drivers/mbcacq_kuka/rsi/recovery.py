@@ -32,4 +32,4 @@ def off_path(now: np.ndarray, before: np.ndarray, pending: PendingMove | None) -
     axis = int(np.argmax(away))
     if away[axis] <= OFF_PATH_DEG:
         return ""
-    return f"A{axis + 1} stands {away[axis]:.2f} deg off the path that was interrupted, so the arm was moved meanwhile"
+    return f"A{axis + 1} stands {away[axis]:.2f}° off the path that was interrupted, so the arm was moved meanwhile"

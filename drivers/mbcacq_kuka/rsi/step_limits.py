@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from mbcacq_kuka.rsi.shared import RsiCommand
 
 _ROUNDING = 1e-3  # share of a limit
-_UNITS = ("deg/s", "deg/s2", "deg/s3")
+_UNITS = ("°/s", "°/s²", "°/s³")
 _NAMES = ("turn at", "accelerate with", "jerk with")
 
 Dynamics = tuple[list[float], list[float], list[float]]
@@ -43,7 +43,7 @@ class StepLimits:
         for axis, (now, before, (step, change)) in enumerate(zip(position, self._position, self._past, strict=True)):
             low, high = self._joint_limits[axis]
             if not min(low, before) - 1e-9 <= now <= max(high, before) + 1e-9:  # an arm that stands outside may come back
-                return f"A{axis + 1} would go to {now:.3f} deg, outside its limits {low:g}..{high:g} deg"
+                return f"A{axis + 1} would go to {now:.3f}°, outside its limits {low:g}..{high:g}°"
             first = now - before
             differences = (first, first - step, first - step - change)
             for order, (value, most) in enumerate(zip(differences, self._most, strict=True)):

@@ -130,8 +130,8 @@ class UrRtde:
         if outside.any():
             axis = int(np.argmax(outside))
             raise SafetyStop(
-                f"robot '{self._name}': A{axis + 1} would go to {np.degrees(target[axis]):.3f} deg, beyond its limits "
-                f"{np.degrees(low[axis]):g}..{np.degrees(high[axis]):g} deg; nothing was moved"
+                f"robot '{self._name}': A{axis + 1} would go to {np.degrees(target[axis]):.3f}°, beyond its limits "
+                f"{np.degrees(low[axis]):g}..{np.degrees(high[axis]):g}°; nothing was moved"
             )
         speed, acceleration = float(np.min(limits.speed)), float(np.min(limits.acceleration))
         if not (np.isfinite([speed, acceleration]).all() and speed > 0 and acceleration > 0):

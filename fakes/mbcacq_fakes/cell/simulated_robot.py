@@ -99,7 +99,7 @@ class SimulatedRobot:
             if outside.any():
                 axis = int(np.argmax(outside))
                 raise SafetyStop(
-                    f"robot '{self._name}': A{axis + 1} would go to {np.degrees(target[axis]):.3f} deg, beyond its limits; it stays"
+                    f"robot '{self._name}': A{axis + 1} would go to {np.degrees(target[axis]):.3f}°, beyond its limits; it stays"
                 )
             bounds = [np.broadcast_to(np.asarray(v, dtype=float), target.shape) for v in (limits.speed, limits.acceleration, limits.jerk)]
             if not all(np.isfinite(b).all() and (b > 0).all() for b in bounds):

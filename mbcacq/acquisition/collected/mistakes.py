@@ -89,7 +89,7 @@ def refuse_other_session(
         turned_fitting = [tried.distances[c, slot.pose] < OWN_MM for slot, c in zip(slots, tried.cloud, strict=True) if c is not None]
         if sum(turned_fitting) >= OF_THIS_PLAN * len(some):
             raise ConfigError(
-                f"the scanner sits otherwise on the flange than the plan's hand_eye says: turned by {axis:.0f} deg about the flange's z "
+                f"the scanner sits otherwise on the flange than the plan's hand_eye says: turned by {axis:.0f}° about the flange's z "
                 "axis the clouds fit; correct hand_eye, or mount it as planned"
             )
     raise ConfigError(
@@ -107,7 +107,7 @@ def _refuse_exchanged(R: np.ndarray, axes: str) -> None:
     if nearest[2, 2] > 0.5:
         angle = np.degrees(np.arctan2(nearest[1, 0], nearest[0, 0]))
         raise ConfigError(
-            f"the scanner is turned by {angle:.0f} deg about its own axis against the plan's hand_eye: mounted otherwise on the flange? "
+            f"the scanner is turned by {angle:.0f}° about its own axis against the plan's hand_eye: mounted otherwise on the flange? "
             f"Correct hand_eye, or, if it is the clouds that have other axes, add --axes '{named}'"
         )
     raise ConfigError(
@@ -125,7 +125,7 @@ def _refuse_other_mount(loaded: LoadedPlan, fit: PlacementFit, axes: str) -> Non
     if np.linalg.norm(shift) > OTHER_MOUNT_MM or turn > OTHER_MOUNT_DEG:
         at = ", ".join(f"{v:.0f}" for v in fit.T_flange_scanner[:3, 3])
         raise ConfigError(
-            f"the scanner sits {np.linalg.norm(shift):.0f} mm and {turn:.0f} deg from where the plan's hand_eye puts it: another flange or "
+            f"the scanner sits {np.linalg.norm(shift):.0f} mm and {turn:.0f}° from where the plan's hand_eye puts it: another flange or "
             f"bracket? The clouds say translation_mm [{at}]; correct hand_eye"
         )
 

@@ -44,6 +44,6 @@ def translation_from_orientations(T_base_flange: np.ndarray, virtual: np.ndarray
     if size[-1] < 0.02 * np.sqrt(len(R)):
         raise CalibrationError(
             "the orientations turn too little, or about one axis only, which leaves the hand-eye translation "
-            "undetermined; turn about two axes by 10 deg and more"
+            "undetermined; turn about two axes by 10° and more"
         )
     return np.linalg.lstsq(columns, -(point - point.mean(axis=0)).reshape(-1), rcond=None)[0]

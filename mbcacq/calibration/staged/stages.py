@@ -77,7 +77,7 @@ def preliminary(obs: Observations) -> tuple[np.ndarray, list[dict]]:
         if found is None:
             raise CalibrationError(
                 "the poses do not determine a first hand-eye transform for the paper's method; record its translations "
-                "and orientations, or turn the scanner about two axes by 20 deg and more at a position"
+                "and orientations, or turn the scanner about two axes by 20° and more at a position"
             )
         return found, [
             {

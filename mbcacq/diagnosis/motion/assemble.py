@@ -198,7 +198,7 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, 
     ranges = ", ".join(f"A{j + 1} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
     names = "; ".join(" and ".join(n.effects) for n in not_separable)
     reason = (
-        f"{names} go together over the angles recorded (deg: {ranges or 'all wide'}): record a motion over as much of these ranges as the "
+        f"{names} go together over the angles recorded (in °: {ranges or 'all wide'}): record a motion over as much of these ranges as the "
         "cell allows (mbcacq plan design PLAN --motion RECORDING makes one), and the same motion once with a known weight on the flange"
     )
     return [Advice(reason, ())]

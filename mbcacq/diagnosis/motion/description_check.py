@@ -103,10 +103,10 @@ def _readings(robot: RobotModel, samples: Samples) -> Iterator[Reading]:
     yield Reading("all axes and torques reversed", -one, zero, -one, straight, straight)
     for j in range(n):
         for quarter in (1, -1, 2):
-            yield Reading(f"{90 * quarter:+d} deg added to A{j + 1}", one, quarter * QUARTER * np.eye(n)[j], one, straight, straight)
+            yield Reading(f"{90 * quarter:+d}° added to A{j + 1}", one, quarter * QUARTER * np.eye(n)[j], one, straight, straight)
     for a, b in product((1, -1), (1, -1)) if n >= 3 else ():
         offset = QUARTER * (a * np.eye(n)[1] + b * np.eye(n)[2])
-        yield Reading(f"{90 * a:+d} deg added to A2 and {90 * b:+d} deg to A3", one, offset, one, straight, straight)
+        yield Reading(f"{90 * a:+d}° added to A2 and {90 * b:+d}° to A3", one, offset, one, straight, straight)
     for i, j in combinations(range(n), 2):
         order = straight.copy()
         order[[i, j]] = j, i

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -53,3 +54,14 @@ def is_trend(parameters: Mapping[str, tuple[Iterable[float | None], Iterable[flo
     sizes = [pairs for name, pairs in parameters.items() if name.rpartition(".")[2] not in NOT_SIZES]
     known = [(v, s) for values, stds in sizes for v, s in zip(values, stds, strict=False) if v is not None and s]
     return bool(known) and all(abs(v) < K * s for v, s in known)
+
+
+def is_trend_in_json(effect: Mapping[str, Any]) -> bool:
+    """``is_trend`` of an effect as a diagnosis is written: 'parameters' with 'value' and 'std', numbers or lists of them."""
+    return is_trend({name: components(entry) for name, entry in effect["parameters"].items()})
+
+
+def components(entry: Mapping[str, Any]) -> tuple[list[float | None], list[float | None]]:
+    """Values and standard deviations of the components of a parameter as a diagnosis is written."""
+    values, stds = (v if isinstance(v, list) else [v] for v in (entry["value"], entry["std"]))
+    return values, stds

@@ -23,7 +23,7 @@ from mbcacq.effects.periods import periods_covered
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import micrometres, p_value, significant
+from mbcacq.quantities import micrometres, p_value, significant, with_unit
 
 UNSAID = 0.02  # share of which nothing is said: shares are printed in per cent
 SIGNIFICANT = 3.0  # standard deviations from which it is
@@ -90,7 +90,8 @@ def noise_in_words(found: Sequence[NoiseDependence], weighted: bool = True) -> l
         what = "the noise of the instrument" if one.of == "instrument" else "the noise of whole poses, of joints and instrument,"
         ratio = max(one.sigma_low_mm, one.sigma_high_mm) / min(one.sigma_low_mm, one.sigma_high_mm)
         grows = "grows" if one.sigma_high_mm > one.sigma_low_mm else "falls"
-        ends = f"from {one.low:.0f} to {one.high:.0f} {one.unit} it is {significant(ratio, 2)} times as large ({p_value(one.p_value)})"
+        high = with_unit(f"{one.high:.0f}", one.unit)
+        ends = f"from {one.low:.0f} to {high} it is {significant(ratio, 2)} times as large ({p_value(one.p_value)})"
         ends = ends if grows == "grows" else ends.replace("times as large", "times smaller")
         sizes = f": {micrometres(one.sigma_low_mm)} and {micrometres(one.sigma_high_mm)} an axis" if one.of == "instrument" else ""
         out.append(f"{what} {grows} with the {one.covariate}: {ends}{sizes}; {used}")
@@ -146,7 +147,7 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
             low, high = np.degrees([values.min(), values.max()])
             out.append(
                 f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period, so that it is a "
-                f"smooth function of {name} from {low:.0f} to {high:.0f} deg and not shown to repeat beyond"
+                f"smooth function of {name} from {low:.0f} to {high:.0f}° and not shown to repeat beyond"
             )
     return out
 
@@ -257,6 +258,6 @@ def pauses(obs: Observations) -> list[tuple[int, str]]:
         if (pause := obs.time_s[b] - obs.time_s[a]) > PAUSE_S:
             lasting = f"{pause / 3600:.1f} h" if pause > 5400 else f"{pause / 60:.0f} min"
             degrees = {name: (f"{T[a]:.1f}", f"{T[b]:.1f}") for name, T in obs.temperatures.items()}
-            changes = [f"{name} went from {old} to {new} deg C" for name, (old, new) in degrees.items() if old != new]
+            changes = [f"{name} went from {old} to {new} °C" for name, (old, new) in degrees.items() if old != new]
             out.append((int(obs.pose_id[b]), ", ".join([f"a pause of {lasting} after pose {obs.pose_id[a]}", *changes])))
     return out

@@ -113,15 +113,15 @@ def at_centres(context: Context, name: str) -> np.ndarray | None:
 def axis_of(depends_on: str) -> tuple[str, str, float]:
     """Label, unit and factor to that unit of a covariate."""
     for pattern, label, unit, factor in (
-        (r"q(\d+)", "angle of A{}", "deg", 180 / np.pi),
-        (r"gravity_torque_(\d+)", "gravity torque about A{}", "N m", 1.0),
+        (r"q(\d+)", "angle of A{}", "°", 180 / np.pi),
+        (r"gravity_torque_(\d+)", "gravity torque about A{}", "N·m", 1.0),
         (r"direction_(\d+)", "direction of A{}'s last motion", "", 1.0),
         (r"time", "time", "min", 1 / 60),
         (r"pose", "order of measurement", "", 1.0),
-        (r"qd(\d+)", "speed of A{}", "deg/s", 180 / np.pi),
-        (r"tau(\d+)", "motor torque of A{}", "N m", 1.0),
+        (r"qd(\d+)", "speed of A{}", "°/s", 180 / np.pi),
+        (r"tau(\d+)", "motor torque of A{}", "N·m", 1.0),
         (r"([xyz])", "position in the view along {}", "mm", 1.0),
-        (r"tilt", "tilt of the artefact in the view", "deg", 180 / np.pi),
+        (r"tilt", "tilt of the artefact in the view", "°", 180 / np.pi),
         (r"payload_kg", "payload", "kg", 1.0),
         (r"(.+)_C", "temperature {}", "°C", 1.0),
     ):

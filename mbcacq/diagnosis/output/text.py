@@ -27,24 +27,26 @@ MOST_LIMITS = 3  # effects that could still hide, in the text
 NOT_DETERMINED = "is not determined"
 LARGEST_PHASE_STD_DEG = 90.0
 STANDS_IN = "A smooth model stands in its place."
-TREND = "  a trend: no figure of it is beyond its expanded uncertainty (k = 2)"
+FINDINGS = "Effects, ± U (k = 2):"
+TRENDS = "Trends, of which no figure is beyond its expanded uncertainty (k = 2):"
 SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
 
 
-def words(d: Diagnosis) -> str:
-    """The whole diagnosis as text of several lines."""
+def words(d: Diagnosis, calibrated: bool = False) -> str:
+    """The whole diagnosis as text of several lines. calibrated: the cell was calibrated with what was found, which is no next step then."""
     floor = noise_floor(d)
     lines = [verdict_in_words(d.verdict, floor)]
-    lines += summary_lines(d, floor)
+    lines += summary_lines(d, floor, calibrated)
     lines.append("")
     if d.mismatch:
         lines.append("Where model and data disagree:")
         lines += [f"  {m.at:<10} depends on {m.depends_on:<18} share {m.share:.0%}" for m in d.mismatch]
         lines.append("")
-    if d.effects:
-        lines += ["Effects, ± U (k = 2):"]
-    for effect in d.effects:
-        lines += describe(effect)
+    findings, trends = findings_and_trends(d.effects)
+    for heading, effects in ((FINDINGS, findings), (TRENDS, trends)):
+        lines += [heading] if effects else []
+        for effect in effects:
+            lines += describe(effect)
     held = d.fit.held_out
     lines += geometry_lines(d.geometry_alone)
     lines.append(
@@ -60,12 +62,26 @@ def words(d: Diagnosis) -> str:
     return "\n".join(lines)
 
 
-def summary_lines(d: Diagnosis, floor: NoiseFloor) -> list[str]:
+def findings_and_trends(effects: Sequence[EffectFound]) -> tuple[list[EffectFound], list[EffectFound]]:
+    """The effects with a figure that may be relied on, and those without one, each in their order."""
+    return [e for e in effects if not _is_trend(e)], [e for e in effects if _is_trend(e)]
+
+
+def _is_trend(effect: EffectFound) -> bool:
+    return is_trend({name: _components(estimate) for name, estimate in effect.parameters.items()})
+
+
+def _named(effects: Sequence[EffectFound]) -> str:
+    said = [f"{effect_in_words(e.name)} at {', '.join(e.where)}" for e in effects]
+    more = f" and {len(said) - MOST_NAMED} more" if len(said) > MOST_NAMED else ""
+    return "; ".join(said[:MOST_NAMED]) + more
+
+
+def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> list[str]:
     """What it is and where, how much of the misfit it explains, how sure that is, and what to do next."""
     held = d.fit.held_out
-    said = [f"{effect_in_words(e.name)} at {', '.join(e.where)}" for e in d.effects]
-    more = f" and {len(said) - MOST_NAMED} more" if len(said) > MOST_NAMED else ""
-    what = f"{'; '.join(said[:MOST_NAMED])}{more}" if said else "no effect"
+    findings, trends = findings_and_trends(d.effects)
+    what = _named(findings) or ("no effect of a size that is beyond its uncertainty" if trends else "no effect")
     if d.verdict == "unexplained":
         what += f". {STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED}"
     excess = held.before_rms_mm**2 - floor.floor_mm**2
@@ -73,7 +89,8 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor) -> list[str]:
     before, after = micrometres(held.before_rms_mm), micrometres(held.after_rms_mm)
     much = f"{before} before, {after} after, on held-out data; noise alone leaves {floor.noise} (k = 2)"
     much = f"{removed:.0%} of the misfit beyond noise, {much}" if d.effects else much
-    return [f"What and where: {what}", f"How much: {much}", f"How sure: {how_sure(d)}", f"What next: {what_next(d)}"]
+    trend = [f"Trend, too weak for a figure: {_named(trends)}"] if trends else []
+    return [f"What and where: {what}", *trend, f"How much: {much}", f"How sure: {how_sure(d)}", f"What next: {what_next(d, calibrated)}"]
 
 
 def how_sure(d: Diagnosis) -> str:
@@ -92,10 +109,12 @@ def how_sure(d: Diagnosis) -> str:
     return f"the next explanation in place of {effect_in_words(first.name)} is {other} ({likelihood(strongest)})"
 
 
-def what_next(d: Diagnosis) -> str:
+def what_next(d: Diagnosis, calibrated: bool = False) -> str:
     """One step: what tells the candidates apart, or that what was found be tried."""
     if d.advice:
         return d.advice[0].reason
+    if d.model and calibrated:
+        return "try the calibration with what was found on another recording (mbcacq verify), or put it to use"
     if d.model:
         return "calibrate with what was found (--calibrate), and try it on another recording (--check)"
     tested = [e for e in d.exclusion_limits if e.tested]
@@ -197,12 +216,11 @@ def limited(limit: ExclusionLimit) -> str:
 
 def describe(effect: EffectFound) -> list[str]:
     """The lines of one effect, with an empty one at the end; of a trend no figure."""
-    trend = is_trend({name: _components(estimate) for name, estimate in effect.parameters.items()})
     out = [
-        f"{'Trend: ' if trend else ''}{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
+        f"{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
         f"removes {effect.held_out_gain:.0%} of the excess over noise)"
     ]
-    out += [TREND] if trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
+    out += [] if _is_trend(effect) else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
     if effect.alternatives:
         out.append(
             "  could also be: "

@@ -153,8 +153,8 @@ def _first_element(path: Path) -> str:
 def _frame_remarks(rows: ChainInFrames) -> list[str]:
     out = []
     for T, sentence in (
-        (rows.T_given_base, "the rows' base lies on axis 1 and differs from the file's: X Y Z A B C of it there {} (mm, deg)"),
-        (rows.T_flange_given, "the rows' flange lies on the last axis and differs from the file's: X Y Z A B C of that in it {} (mm, deg)"),
+        (rows.T_given_base, "the rows' base lies on axis 1 and differs from the file's: X Y Z A B C of it there {} (mm, °)"),
+        (rows.T_flange_given, "the rows' flange lies on the last axis and differs from the file's: X Y Z A B C of that in it {} (mm, °)"),
     ):
         xyz, abc = se3.to_abc(T)
         said = [_short(v, 4) for v in (*xyz, *np.degrees(abc))]

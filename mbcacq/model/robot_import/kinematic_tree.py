@@ -22,6 +22,9 @@ MOST_JOINTS = 2000  # of a description; robots have a hundred
 ARM_BEFORE_FINGERS = 3  # axes: what branches behind fewer of them may be a torso with arms
 LONGEST_FINGER, LONGEST_HAND_FINGER = 3, 8  # joints of a finger of a gripper; of a hand on an arm, coupled ones among them
 ARM_BEFORE_HAND = 5  # axes before a hand, and before a single slide that is a gripper
+ARM_BEHIND_A_TURN = (
+    7  # axes behind a slide of which the first may be a vehicle's turn: more than any arm has, or as many and without limits
+)
 TURNS_OF_A_VEHICLE, ARM_ON_A_VEHICLE = 1, 5  # axes of a vehicle that slides and turns; of the arm on it, which has more behind its slides
 SHORTEST_ARM = 4  # axes of an arm that is told from legs, wheels and heads of at most half as many
 LIKE_A_JAW = 2.2, 0.2  # rad: the range of a last joint that opens from nearly zero to one side only, as jaws do
@@ -141,6 +144,10 @@ class KinematicTree:
             )
             remarks.append(f"{_list(named)} {what} as at zero")
             first = next(i for i in range(last + 1, len(joints)) if joints[i].kind in TURNING)
+            turn = joints[first]
+            if axes > ARM_BEHIND_A_TURN or (axes == ARM_BEHIND_A_TURN and turn.kind == "continuous"):
+                out = f"leave it out with --base {turn.child}"
+                remarks.append(f"'{turn.name}' behind what carries the arm counts as axis 1; if a vehicle turns by it, {out}")
         elif carrying and carrying[0] < first:
             first = carrying[0]
         return joints[first:]

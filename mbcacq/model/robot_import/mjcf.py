@@ -80,7 +80,7 @@ def read_mjcf(path: Path, base: str | None, flange: str | None) -> ArmSource:
         *compiled.remarks,
     ]
     if not limited.all():
-        remarks.append("joints without a range in the file get -360..360 deg")
+        remarks.append("joints without a range in the file get -360..360°")
     if invented := placeholder_masses(mujoco, model, hinges):
         remarks.append(placeholder_remark(invented))
     if others := [names.label(j) for j in range(model.njnt) if j not in hinges]:

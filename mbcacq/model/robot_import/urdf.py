@@ -177,7 +177,7 @@ def _limits(moving: Sequence[Joint]) -> tuple[np.ndarray, list[str]]:
         low, high = j.lower, j.upper
         said = f"'{j.name}' has limits {low:g} {high:g}"
         if j.kind == "continuous" or min(abs(low), abs(high)) > WITHOUT_LIMITS:
-            remarks.append(f"{j.name} turns without limits in the file; -360..360 deg is taken")
+            remarks.append(f"{j.name} turns without limits in the file; -360..360° is taken")
             low, high = -2 * np.pi, 2 * np.pi
         elif low == high:
             remarks.append(f"{said}, between which nothing moves; none are taken")

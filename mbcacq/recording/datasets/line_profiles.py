@@ -164,7 +164,7 @@ def sphere_observations(
     if start.ambiguous:
         raise ConfigError(
             f"{source}: two hand-eye transforms fit the profiles (residuals {start.misfit_mm:.3g} and {start.other_mm:.3g} mm); sweep "
-            "across the sphere with four orientations and more, turned by 20 deg about two axes"
+            "across the sphere with four orientations and more, turned by 20° about two axes"
         )
     xyz, covariance = measured_centres(start, sections.circles, radius, sections.noise_mm)
     q, count = flange_coordinates(hand), len(xyz)

@@ -8,7 +8,9 @@ import numpy as np
 
 from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.files.atomic_write import write_file
-from mbcacq.model.cell import Cell
+from mbcacq.model.cell import Artefact, Cell
+
+TRIED = 5  # clouds without a ball that are looked at in other units
 
 
 def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: np.ndarray) -> dict[str, np.ndarray]:
@@ -20,20 +22,27 @@ def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: n
 
     index = {ball: i for i, ball in enumerate(cell.ball_ids)}
     pose, ball, xyz, count, rms = [], [], [], [], []
+    blind: dict[Path, Artefact] = {}
     for p, number in enumerate(pose_id.tolist()):
         path = folder / "scans" / f"{number}.ply"
         if not path.exists():
             continue
+        artefact = cell.artefact(cell.stations[station[p]].artefact)
         try:
-            found = centres_from_ply(path, cell.artefact(cell.stations[station[p]].artefact))
+            found = centres_from_ply(path, artefact)
         except DeviceFault as error:
+            _refuse_other_unit(path, artefact)
             raise ConfigError(f"{path}: {error}") from None
+        if not len(found.ball):
+            blind[path] = artefact
         pose.append(np.full(len(found.ball), p))
         ball.append([index[b] for b in found.ball.tolist()])
         xyz.append(found.xyz)
         count.append(found.n_points)
         rms.append(found.rms_mm)
     if not any(map(len, pose)):
+        for path, artefact in list(blind.items())[:TRIED]:
+            _refuse_other_unit(path, artefact)
         raise ConfigError(f"{folder / 'scans'}: no cloud of a pose (POSE.ply) shows a ball; name each cloud by the number of its pose")
     return {
         "pose": np.concatenate(pose),
@@ -42,6 +51,22 @@ def centres_from_scans(folder: Path, cell: Cell, pose_id: np.ndarray, station: n
         "n_points": np.concatenate(count),
         "rms_mm": np.concatenate(rms),
     }
+
+
+def _refuse_other_unit(path: Path, artefact: Artefact) -> None:
+    """Raise ConfigError naming the unit in which a cloud that shows no ball of the artefact in mm shows some."""
+    from mbcacq.spheres import find_spheres, read_cloud
+    from mbcacq.spheres.cloud_file import UNITS_MM
+
+    points = read_cloud(path)
+    for unit, factor in UNITS_MM.items():
+        try:
+            seen = 0 if unit == "mm" else len(find_spheres(factor * points, artefact).ball)
+        except DeviceFault:
+            seen = 0
+        if seen:
+            named = "inches" if unit == "in" else unit
+            raise ConfigError(f"{path}: shows no ball read in mm and {seen} read in {named}; convert the clouds from {named} to mm")
 
 
 def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = None, simulated: bool = False) -> None:

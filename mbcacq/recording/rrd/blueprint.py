@@ -92,9 +92,9 @@ def _cell(viewpoint: ViewerCamera, enlarged: Enlarged, balls: int) -> rrb.Contai
 
 def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     axes = rrb.Vertical(
-        _curves("Joint positions: commanded (broad), actual (thin), deg", [layout.SET, layout.JOINTS], legend=False, whole=True),
+        _curves("Joint positions: commanded (broad), actual (thin), °", [layout.SET, layout.JOINTS], legend=False, whole=True),
         rrb.Horizontal(
-            _curves("Following error (commanded minus actual), deg", [layout.FOLLOWING], legend=False, whole=True),
+            _curves("Following error (commanded minus actual), °", [layout.FOLLOWING], legend=False, whole=True),
             _curves("Motor current, % of the largest", [layout.CURRENT], legend=False, whole=True),
         ),
         row_shares=[15, 8],
@@ -110,7 +110,7 @@ def _motion(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
         rrb.Horizontal(
             _curves("Cycle period, ms", [layout.PERIOD], whole=True),
             _curves("Answers late, count", [layout.DELAY], legend=False, whole=True),
-            _curves("Temperatures, deg C", [f"{layout.TEMPERATURE}/**"], whole=True),
+            _curves("Temperatures, °C", [f"{layout.TEMPERATURE}/**"], whole=True),
         ),
         row_shares=[23, 6],
         name="Motion",

@@ -140,7 +140,7 @@ def residual_over_axis(data: Residuals, q_deg: np.ndarray, axis: int) -> go.Figu
     )
     x, y = _running(q, rms)
     figure.add_scatter(x=x, y=y, mode="lines", name="running rms", line={"color": "#0B3C5D", "width": 2.5})
-    figure.update_xaxes(title=f"A{axis + 1} / deg")
+    figure.update_xaxes(title=f"A{axis + 1} / °")
     figure.update_yaxes(title="3D residual / µm", rangemode="tozero")
     return styled(figure, 240)
 

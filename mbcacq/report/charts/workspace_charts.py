@@ -28,7 +28,7 @@ def joint_coverage(data: Coverage) -> go.Figure:
             marker={"color": colour, "size": 8, "symbol": "line-ns", "line": {"width": 1.2, "color": colour}},
             hovertemplate="%{x:.1f}°<extra></extra>",
         )
-    figure.update_xaxes(title="joint angle / deg")
+    figure.update_xaxes(title="joint angle / °")
     figure.update_yaxes(
         tickvals=list(range(1, n + 1)), ticktext=[f"A{i}" for i in range(1, n + 1)], autorange="reversed", showgrid=False, title="axis"
     )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor, components, is_trend_in_json
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.quantities import K, micrometres, p_value, pair, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent
@@ -46,7 +46,7 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
         level=level,
         headline=headline,
         reason=reason.format(distance=floor.distance),
-        effects=[effect_content(e) for e in diagnosis["effects"]],
+        effects=sorted((effect_content(e) for e in diagnosis["effects"]), key=lambda e: e.trend),
         mismatch=[(m["at"], axis_of(m["depends_on"])[0], share(m["share"])) for m in diagnosis["mismatch"]],
         validation=validation,
         noise_floor=floor.noise,
@@ -90,7 +90,7 @@ def effect_content(effect: Mapping[str, Any]) -> EffectContent:
 
     name = _effect_name(effect["name"])
     alternatives = [f"{_effect_name(a['name'])} at {', '.join(a['where'])} ({_likelihood(a)})" for a in effect["alternatives"]]
-    trend = is_trend({key: _components(entry) for key, entry in effect["parameters"].items()})
+    trend = is_trend_in_json(effect)
     shown = {} if trend else effect["parameters"]
     return EffectContent(
         title=f"{'Trend: ' if trend else ''}{name if trend else name[0].upper() + name[1:]} at {', '.join(effect['where'])}",
@@ -102,11 +102,6 @@ def effect_content(effect: Mapping[str, Any]) -> EffectContent:
         harmonics=_harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
         trend=trend,
     )
-
-
-def _components(entry: Mapping[str, Any]) -> tuple[list[float | None], list[float | None]]:
-    values, stds = (v if isinstance(v, list) else [v] for v in (entry["value"], entry["std"]))
-    return values, stds
 
 
 def _note(note: str) -> str:
@@ -153,7 +148,7 @@ def _harmonics(parameters: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], 
 
 def _parameter(key: str, entry: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
     name, unit, factor = split_unit(key)
-    values, stds = ([None if x is None else factor * x for x in v] for v in _components(entry))
+    values, stds = ([None if x is None else factor * x for x in v] for v in components(entry))
     return [
         (
             f"{name} {'xyz'[k] if _is_vector(key, entry) else f'[{k + 1}]'}" if len(values) > 1 else name,

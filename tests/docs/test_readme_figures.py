@@ -1,0 +1,60 @@
+"""The figures that the README states of its own dry runs are those that its commands come to, to the digits that matter."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from doc_pages import ROOT
+
+from mbcacq.cli.app import app
+
+sys.path.insert(0, str(ROOT / "docs" / "_make"))
+
+from printed import same  # noqa: E402
+
+README = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+
+
+def stated(pattern: str) -> str:
+    """The number that the README gives in a sentence."""
+    found = re.search(pattern, README)
+    assert found, f"README.md no longer says '{pattern}'"
+    return found[1]
+
+
+def bar(folder: Path, when: str = "after") -> float:
+    """Mean error of the bar, mm."""
+    return json.loads((folder / "result.json").read_text())["verification"][when]["mean_mm"]
+
+
+@pytest.fixture(scope="module")
+def concealed(finished_run, tmp_path_factory):
+    """The run with effects that its plan does not mention, to be written in."""
+    return Path(shutil.copytree(finished_run("concealed.yaml").folder, tmp_path_factory.mktemp("runs") / "concealed"))
+
+
+def test_before_with_the_run_and_with_its_effects(concealed):
+    assert same(stated(r"The error of the bar is ([\d.]+) mm in the mean before"), f"{bar(concealed, 'before'):.3f}")
+    assert bar(concealed) < float(stated(r"The run itself ends below ([\d.]+) mm"))
+    done = CliRunner().invoke(app, ["diagnose", str(concealed), "--calibrate"])
+    assert done.exit_code == 0, done.output
+    assert bar(concealed / "with-effects") < float(stated(r"and leave less than ([\d.]+) mm"))
+    assert "What next: calibrate" not in done.output  # it was done just now
+
+
+def test_with_the_geometry_alone(concealed, tmp_path):
+    done = CliRunner().invoke(app, ["calibrate", str(concealed), "--geometry-alone", "--out", str(tmp_path / "result.json")])
+    assert done.exit_code == 0, done.output
+    assert same(stated(r"and ([\d.]+) mm after a calibration of the geometry alone"), f"{bar(tmp_path):.3f}")
+
+
+def test_the_published_plan(finished_run):
+    assert bar(finished_run("paper.yaml").folder) < float(
+        stated(r"the same plan \(`plans/paper.yaml`\) ends below ([\d.]+) mm in the mean")
+    )
