@@ -173,6 +173,7 @@ def test_another_urdf_is_refused_with_a_warning_and_the_links_are_drawn(tmp_path
 def test_what_the_viewer_has_no_shape_for_is_shown_as_a_question_mark_and_kept_in_the_data(tmp_path):
     assert drawable("Überprüfung 5 µm ± 0,1 → ✓ Калибровка") == "Überprüfung 5 µm ± 0,1 → ✓ Калибровка"
     assert drawable("測定 ✘ 😀") == "?? ? ?"
+    assert drawable("p < 10⁻⁶, 10⁻¹², 10⁶ and m²") == "p < 10^-6, 10^-12, 10⁶ and m²"
     start = synthetic.start()
     with Recorder(tmp_path) as recorder:
         recorder(replace(start, name="測定", plan_yaml=start.plan_yaml + "# 測定\n"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import rerun as rr
 
 # Blocks that both of its fonts have, Inter and JetBrains Mono; within them the characters that one of them lacks are left out.
@@ -12,10 +14,14 @@ _BLOCKS = (
 )
 _DRAWN = frozenset(chr(c) for a, b in zip(_BLOCKS[::2], _BLOCKS[1::2], strict=True) for c in range(ord(a), ord(b) + 1))
 REPLACEMENT = "?"
+# A raised minus is in neither font: a negative power is written on the line.
+_NEGATIVE_POWER = re.compile("⁻[⁰¹²³⁴-⁹]+")
+_LOWERED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 def drawable(text: str) -> str:
-    """The text with a question mark for each character that the viewer has no shape for."""
+    """The text with a question mark for each character that the viewer has no shape for; negative powers as 10^-6."""
+    text = _NEGATIVE_POWER.sub(lambda power: f"^{power[0].translate(_LOWERED)}", text)
     return "".join(c if c in _DRAWN else REPLACEMENT for c in text)
 
 
