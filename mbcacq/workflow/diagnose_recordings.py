@@ -14,6 +14,7 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError, MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.model.cell import RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
@@ -39,8 +40,10 @@ def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
     from mbcacq.diagnosis.diagnose import diagnose
     from mbcacq.diagnosis.validation.workers import cores
 
-    motions = [one for one in data if is_trajectory(one)]
+    motions = as_trajectories([one for one in data if is_trajectory(one) and not isinstance(one, Observations)])
     recordings = [as_observations(one) for one in data if not is_trajectory(one) and not isinstance(one, Trajectory)]
+    for motion in motions:
+        refuse_motion_of_other_arm(recordings[0].cell.robot, motion.robot)
     if len(recordings) == 1:
         found = diagnose_poses(recordings[0], how)
     else:
@@ -48,8 +51,18 @@ def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
         found = DiagnosisResult(poses=poses)
     if motions:
         how.progress("comparing the motion")
-        found = replace(found, motion=diagnose_motion([m for m in motions if not isinstance(m, Observations)], how).motion)
+        found = replace(found, motion=diagnose_motion(motions, how).motion)
     return found
+
+
+def refuse_motion_of_other_arm(poses: RobotModel, motion: RobotModel) -> None:
+    """Raises ConfigError where the nominal links of the arm that moves are others than those of the arm of the poses. A name is no reason:
+    a controller and a cell file may call one arm differently."""
+    if motion.n != poses.n or not motion.chain.same_links(poses.chain):
+        raise ConfigError(
+            f"the poses are of '{poses.name}' ({poses.n} axes) and the motion is of '{motion.name}' ({motion.n} axes), whose nominal links "
+            "are others; diagnose them one after the other, or give both the same robot file"
+        )
 
 
 def to_be_checked(learnt: Observations, others: Sequence[Data]) -> list[tuple[str, Observations]]:
