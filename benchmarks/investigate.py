@@ -236,7 +236,7 @@ def processor_s() -> float:
 
 
 def mixed(count: int) -> list[str]:
-    """Of ten cells four of the catalogue, two with an effect outside of it, one pair and three of nothing, each name equally often."""
+    """Ten cells hold four effects of the catalogue, two outside of it, one pair and three of nothing, each name equally often."""
     inside, outside = cycle(catalogued()), cycle(OUTSIDE)
     pattern = (inside, NONE, outside, inside, NONE, TWO, inside, outside, NONE, inside)
     return [one if isinstance(one := pattern[k % len(pattern)], str) else next(one) for k in range(count)]

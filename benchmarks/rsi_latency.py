@@ -119,7 +119,7 @@ def compiled(name: str, folder: Path) -> Path:
 
 
 def measure(metronome: Path, programs: dict[str, Callable], seconds: int) -> dict[str, np.ndarray]:
-    """Of each program (n, 2): when each telegram was sent, s, and the latency in us, negative for a cycle without an answer. All of them
+    """For each program (n, 2): when each telegram was sent, s, and the latency in us, negative for a cycle without an answer. All of them
     are asked by one controller, which begins when the last of them is ready."""
     ports = free_ports(len(programs))
     controller: list[subprocess.Popen[bytes]] = []

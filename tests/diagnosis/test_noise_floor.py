@@ -54,7 +54,7 @@ def effect(name, where, **parameters):
 
 
 def test_a_trend_is_no_finding(diagnosed):
-    """Of what and where it is only a trend, behind the findings, and without a figure."""
+    """A trend stands behind the findings, and without a figure."""
     strong = effect("joint_compliance", "A2", compliance_rad_per_Nm=ParameterEstimate(2e-6, 1e-7))
     weak = effect("scanner_warmup", "scanner", offset_mm=ParameterEstimate(0.018, 0.025))
     both = replace(diagnosed, effects=(weak, strong))

@@ -105,7 +105,7 @@ def devices(seed=0):
 
 
 def motion(seed=0):
-    """Of every kind of channel, with a gap, a refused model and an unmodelled effect."""
+    """A diagnosis with every kind of channel, a gap, a refused model and an unmodelled effect."""
     rng = np.random.default_rng(seed)
     time = np.arange(0, 12, 0.004)
     channels, series = [], []

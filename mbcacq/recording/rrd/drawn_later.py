@@ -14,7 +14,7 @@ POSES = 12  # that are drawn together where nobody watches
 
 
 class DrawnLater:
-    """Takes the rows of a stream, with the times that they belong to, and writes them when it is told to.
+    """Takes the rows of a stream, with the times that they belong to, and writes them when it is asked to.
 
     stream: of the recording. at_once: somebody watches, so that every row is written as it comes.
     """
