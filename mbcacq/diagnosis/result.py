@@ -221,8 +221,8 @@ class ExclusionBand:
 
 @dataclass(frozen=True, kw_only=True)
 class ExclusionLimit:
-    """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence, everything that it is confused
-    with being free.
+    """The size of an effect at a location that is excluded with 95 % confidence, everything that it is confused with being free: of effects
+    as large, with any value from ``holds_for`` and any direction of the coefficients, 95 % would have shown more than the recording does.
 
     parameter: its name, with the unit as suffix; value: None where the free geometry absorbs the effect. workspace_mm: largest error that
     it would make in the workspace. length_mm: error of a length between two postures that 95 % of lengths do not exceed. Both are None for

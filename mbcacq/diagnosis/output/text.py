@@ -210,8 +210,8 @@ def limited(limit: ExclusionLimit) -> str:
         but = f", but at {len(band.left_out)} moments between" if band.left_out else ""
         return f"{at} at any pose from {band.low:.0f} to {band.high:.0f}{but}"
     words, unit, factor = split_unit(band.parameter)
-    ends = " to ".join(dict.fromkeys(significant(factor * end, 2) for end in (band.low, band.high)))
-    return f"{at} of {words} {with_unit(ends, unit)}"
+    low, high = (significant(factor * end, 2) for end in (band.low, band.high))
+    return f"{at} of {words} {with_unit(low, unit)}" if low == high else f"{at} of any {words} from {low} to {with_unit(high, unit)}"
 
 
 def describe(effect: EffectFound) -> list[str]:
