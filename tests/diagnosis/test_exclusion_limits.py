@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import simulated
 
-from mbcacq.diagnosis.output.exclusion_limits import independent, limits_of, limits_of_band, parameters_of, with_confounders
+from mbcacq.diagnosis.output.compensation import Compensation
+from mbcacq.diagnosis.output.exclusion_limits import confounders, independent, limits_of, limits_of_band, parameters_of, with_confounders
 from mbcacq.diagnosis.output.limit_bands import ORDERS, bands
+from mbcacq.diagnosis.output.next_measurements import as_measured
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import directions, largest_ratio, upper_limit
 from mbcacq.diagnosis.problem import prepare
@@ -128,6 +130,28 @@ def test_moments_next_to_each_other_are_hardly_two_independent_values(projected,
     (band,) = bands(step)
     number = independent(projected, step, band, "A4.step_deg", np.array([0]))
     assert 2 < number < 0.7 * len(band.values)
+
+
+def test_what_hides_an_effect_acts_elsewhere_too(projected, few, setup):
+    """At the poses of the recording a slow error of a gear is hidden, as large as its limit: what compensates it leaves little of it."""
+    gear = one(few, "gear_transmission_error", "A2")
+    (limit,) = limits_of_band(with_confounders(projected, gear, few), gear, band_of(gear, SLOW))
+    there = as_measured(setup.context)
+    alone = there.displacement(limit.sized)
+    hidden = Compensation.of(projected, there).displacement(limit.sized, confounders(gear, few))
+    # A station absorbs what moves all of its poses alike.
+    station = setup.linear.obs.station
+    left, by_itself = (within(moved, station, there) for moved in (hidden, alone))
+    assert left < 0.3 * by_itself
+    assert left < 0.05
+
+
+def within(moved, station, there):
+    """rms (mm) of displacements (P, 3), in the base, about the mean of their station."""
+    T = there.linear.prediction.T_base_scanner[:, :3, :3]
+    in_base = np.einsum("pij,pj->pi", T, moved)
+    means = np.array([in_base[station == s].mean(axis=0) for s in range(station.max() + 1)])
+    return float(np.sqrt(np.mean(np.sum((in_base - means[station]) ** 2, axis=1))))
 
 
 def test_what_an_effect_reports_are_lengths_of_its_own_coefficients(few):

@@ -20,7 +20,8 @@ import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere, harmless
+from mbcacq.diagnosis.output.compensation import Compensation
+from mbcacq.diagnosis.output.errors_elsewhere import errors_of, harmless
 from mbcacq.diagnosis.output.limit_bands import LimitBand, alike, bands, kept
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
 from mbcacq.diagnosis.output.noise_floor import NOT_SIZES
@@ -74,17 +75,22 @@ def limits_of(
 
 def with_confounders(problem: CandidateScoring, candidate: Candidate, others: Sequence[Candidate]) -> CandidateScoring:
     """The problem with everything free that an effect is confused with: other effects at its location, and what every arm has."""
-    blocks, sigma = [], []
+    beside = confounders(candidate, others)
+    if not beside:
+        return problem
+    blocks = [problem.block(other, value) for other, value in beside]
+    sigma = [OPTIONS.largest_usual * other.typical for other, _ in beside]
+    return problem.conditioned_on([(np.concatenate(blocks, axis=1), np.concatenate(sigma) ** -2.0)])
+
+
+def confounders(candidate: Candidate, others: Sequence[Candidate]) -> list[tuple[Candidate, float | None]]:
+    """The effects that are free beside one, each at values of its hyper-parameter."""
+    out = []
     for other in others:
         here = set(other.where) & set(candidate.where) and other.name != candidate.name
-        if other.key == candidate.key or not (here or catalogue.declaration(other.name).every_arm):
-            continue
-        for value in values_beside(other):
-            blocks.append(problem.block(other, value))
-            sigma.append(OPTIONS.largest_usual * other.typical)
-    if not blocks:
-        return problem
-    return problem.conditioned_on([(np.concatenate(blocks, axis=1), np.concatenate(sigma) ** -2.0)])
+        if other.key != candidate.key and (here or catalogue.declaration(other.name).every_arm):
+            out += [(other, value) for value in values_beside(other)]
+    return out
 
 
 def values_beside(other: Candidate) -> tuple[float | None, ...]:
@@ -200,13 +206,17 @@ def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Els
     nothing that will be measured.
     """
     context = Context(full.geometry_only.linear.obs, there.context.state, full.geometry_only.linear.prediction)
+    compensation = Compensation.of(full.geometry_only, there)
+    found = {(c.name, c.where) for c, _ in full.model.effects}
+    others = [c for c in of_fewest_coefficients(candidates) if (c.name, c.where) not in found]
     out: dict[tuple, ExclusionLimit] = {}
     for limit in limits_of(conditioned_on_everything(full), candidates, full.model.effects):
         gone = not np.isfinite(limit.value)
         if gone and (catalogue.declaration(limit.candidate.name).acts_in_time or harmless(there, limit.sized)):
             continue
         tested = limit.in_usual_sizes <= OPTIONS.largest_usual
-        workspace_mm, length_mm = errors_elsewhere(there, limit.sized) if tested else (None, None)
+        moved = compensation.displacement(limit.sized, confounders(limit.candidate, others)) if tested else None
+        workspace_mm, length_mm = errors_of(there, moved)
         one = ExclusionLimit(
             name=limit.candidate.name,
             where=limit.candidate.where,
