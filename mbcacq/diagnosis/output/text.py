@@ -123,6 +123,9 @@ def how_sure(d: Diagnosis) -> str:
         if not d.exclusion_limits:
             return "no limits of what could hide are known"
         return f"of {len(d.exclusion_limits)} effects of usual size that were looked for, {len(usual)} are excluded (95 %)"
+    if d.not_separable:
+        pair = max(d.not_separable, key=lambda one: one.odds or 0.0)
+        return f"{' and '.join(map(effect_in_words, pair.effects))} cannot be told apart ({odds_of(pair)})"
     first = d.effects[0]
     others = [a for a in first.alternatives if a.odds is not None]
     strongest = max(others, key=lambda a: a.odds or 0.0, default=None)
@@ -136,6 +139,8 @@ def what_next(d: Diagnosis, calibrated: bool = False) -> str:
     """One step: what tells the candidates apart, or that what was found be tried."""
     if d.advice:
         return d.advice[0].reason
+    if d.not_separable:
+        return "measure more, at postures that the recording does not have: these do not decide between what is left"
     if d.model and calibrated:
         return "try the calibration with what was found on another recording (mbcacq verify), or put it to use"
     if d.model:
