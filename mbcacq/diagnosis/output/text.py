@@ -141,19 +141,21 @@ def what_next(d: Diagnosis, calibrated: bool = False) -> str:
         return d.advice[0].reason
     if d.not_separable:
         return "measure more, at postures that the recording does not have: these do not decide between what is left"
-    if d.model and calibrated:
-        return "try the calibration with what was found on another recording (mbcacq verify), or put it to use"
     if d.model:
-        return "calibrate with what was found (--calibrate), and try it on another recording (--check)"
-    tested = [e for e in d.exclusion_limits if e.tested]
-    if not tested:
+        taken = "try the calibration with what was found on another recording (mbcacq verify), or put it to use"
+        return taken if calibrated else "calibrate with what was found (--calibrate), and try it on another recording (--check)"
+    return what_could_hide(d.exclusion_limits)
+
+
+def what_could_hide(limits: Sequence[ExclusionLimit]) -> str:
+    """What to do where nothing was found, or nothing that can be kept."""
+    most = next((e for e in limits if e.tested), None)
+    if most is None:
         return "measure other postures"
-    most = tested[0]
     if most.workspace_mm is None:
         return f"nothing; the largest that could hide is {limited(most)}"
-    return (
-        f"nothing; or, where {significant(most.workspace_mm, 2)} mm matter, postures that show {limited(most)}, the largest that could hide"
-    )
+    size = f"{significant(most.workspace_mm, 2)} mm"
+    return f"nothing; or, where {size} matter, postures that show {limited(most)}, the largest that could hide"
 
 
 def noise_floor(d: Diagnosis) -> NoiseFloor:
