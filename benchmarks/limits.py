@@ -189,7 +189,7 @@ def coverage_page(kept: list[dict]) -> str:
         return [str(len(yes)), f"{100 * np.mean(yes):.1f}", f"{low:.1f} to {high:.1f}"]
 
     heads = ["cases", "covered, %", "95 % interval"]
-    said = [[plan, verdict, *rate(yes)] for (plan, _, verdict), yes in cases.items() if _ == "all"]
+    said = [[plan, verdict, *rate(yes)] for (plan, name, verdict), yes in cases.items() if name == "all"]
     lines = [COVERAGE, "", *table(["plan", "verdict", *heads], sorted(said))]
     for plan in NAMES:
         each = [[name, band, *rate(yes)] for (one, name, band), yes in sorted(cases.items()) if one == plan and name != "all"]

@@ -67,7 +67,7 @@ def test_a_verdict_that_cannot_tell_says_of_what():
     assert text.startswith("Cannot tell: these poses do not tell apart")
     assert "How sure: joint_compliance at A2 and lost_motion at A2 cannot be told apart (correlation 0.99, odds 1 : 5" in text
     assert "What next: measure more" in text
-    assert words(diagnosed("cannot_tell", before=0.009)).startswith("Cannot tell: these poses would have shown too little")
+    assert words(diagnosed("cannot_tell", before=0.009)).startswith("Cannot tell: these poses leave open whether there is an effect")
 
 
 def test_parameters_of_one_effect_that_was_not_tested_are_one_entry():

@@ -7,7 +7,7 @@ confused with, compensate it there: they then have the values that do so, and ac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Compensation:
     Z: np.ndarray
     normal: np.ndarray
     geometry: np.ndarray
+    kept: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, problem: CandidateScoring, there: Elsewhere) -> Compensation:
@@ -44,17 +45,30 @@ class Compensation:
         moved = self.there.displacement(effect)
         if moved is None:
             return None
-        sizes = [OPTIONS.largest_usual * other.typical for other, _ in beside]
-        blocks = [self.problem.block(other, value) * size for (other, value), size in zip(beside, sizes, strict=True)]
-        C = np.concatenate([np.zeros((len(self.Z), 0)), *blocks], axis=1)
+        C, normal = self._with(effect.candidate, beside)
         x = self.problem.block(effect.candidate, effect.hyper) @ effect.coefficients
-        across = self.Z.T @ C
-        normal = np.block([[self.normal, across], [across.T, C.T @ C + np.eye(C.shape[1])]])
         taken = -np.linalg.solve(normal, np.concatenate([self.Z.T @ x, C.T @ x]))
-        z, g = self.Z.shape[1], self.geometry.shape[2]
-        moved = moved + self.geometry[:, :3] @ taken[z - g : z]
-        ends = z + np.cumsum([0, *(len(size) for size in sizes)])
-        for (other, value), size, first, end in zip(beside, sizes, ends[:-1], ends[1:], strict=True):
-            also = self.there.displacement(SizedEffect(other, value, size * taken[first:end]))
+        end, g = self.Z.shape[1], self.geometry.shape[2]
+        moved = moved + self.geometry[:, :3] @ taken[end - g : end]
+        for other, value in beside:
+            first, end = end, end + other.k
+            also = self.there.displacement(SizedEffect(other, value, largest(other) * taken[first:end]))
             moved = moved if also is None else moved + also
         return moved
+
+    def _with(self, candidate: Candidate, beside: Beside) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened columns C (rows, a) of the effects beside a candidate, in units of their largest size, and the normal matrix of geometry
+        and these; kept for all bands of the candidate.
+        """
+        if candidate.key not in self.kept:
+            self.kept.clear()
+            blocks = [self.problem.block(other, value) * largest(other) for other, value in beside]
+            C = np.concatenate([np.zeros((len(self.Z), 0)), *blocks], axis=1)
+            across = self.Z.T @ C
+            self.kept[candidate.key] = C, np.block([[self.normal, across], [across.T, C.T @ C + np.eye(C.shape[1])]])
+        return self.kept[candidate.key]
+
+
+def largest(other: Candidate) -> np.ndarray:
+    """(k,) size up to which the coefficients of an effect that is free may be."""
+    return OPTIONS.largest_usual * other.typical

@@ -20,7 +20,7 @@ import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.compensation import Compensation
+from mbcacq.diagnosis.output.compensation import Compensation, largest
 from mbcacq.diagnosis.output.errors_elsewhere import errors_of, harmless
 from mbcacq.diagnosis.output.limit_bands import LimitBand, alike, bands, kept
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
@@ -79,8 +79,8 @@ def with_confounders(problem: CandidateScoring, candidate: Candidate, others: Se
     if not beside:
         return problem
     blocks = [problem.block(other, value) for other, value in beside]
-    sigma = [OPTIONS.largest_usual * other.typical for other, _ in beside]
-    return problem.conditioned_on([(np.concatenate(blocks, axis=1), np.concatenate(sigma) ** -2.0)])
+    sigma = np.concatenate([largest(other) for other, _ in beside])
+    return problem.conditioned_on([(np.concatenate(blocks, axis=1), sigma**-2.0)])
 
 
 def confounders(candidate: Candidate, others: Sequence[Candidate]) -> list[tuple[Candidate, float | None]]:

@@ -23,7 +23,7 @@ VERDICTS = {
     "cannot_tell": "Cannot tell: these poses do not let the candidates be told apart, or be seen.",
 }
 NOT_TOLD_APART = "Cannot tell: these poses do not tell apart what could be behind the mismatch."
-TOO_LITTLE = "Cannot tell: these poses would have shown too little of what could be there."
+OPEN = "Cannot tell: these poses leave open whether there is an effect."
 DIFFERENT = 0.01  # p-value below which recordings are said to differ
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
@@ -62,10 +62,10 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
 
 
 def first_sentence(d: Diagnosis, floor: NoiseFloor) -> str:
-    """The verdict; of one that cannot tell, whether that is for what was found or for what would not have been."""
-    if d.verdict != "cannot_tell":
-        return verdict_in_words(d.verdict, floor)
-    return NOT_TOLD_APART if d.not_separable else verdict_in_words(d.verdict, floor) if d.effects else TOO_LITTLE
+    """The verdict; of one that cannot tell, what of."""
+    if d.verdict == "cannot_tell" and d.not_separable:
+        return NOT_TOLD_APART
+    return OPEN if d.verdict == "cannot_tell" and not d.effects else verdict_in_words(d.verdict, floor)
 
 
 def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
