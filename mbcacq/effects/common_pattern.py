@@ -11,7 +11,7 @@ of its own, for every offset and direction. What other joints, the geometry and 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -145,10 +145,7 @@ def best_alignment(errors: OwnErrors, found: Mapping[int, JointAlignment], joint
     near = np.abs(np.angle(np.exp(1j * (OFFSETS - OFFSETS[at])))) < NEAR
     best = int(np.argmax(fine))
     return JointAlignment(
-        float(OFFSETS[at] + FINE[best]),
-        (1, -1)[which],
-        top + float(np.log(weight.mean())),
-        float(weight[which][near].sum() / weight.sum()),
+        float(OFFSETS[at] + FINE[best]), (1, -1)[which], top + float(np.log(weight.mean())), float(weight[which][near].sum() / weight.sum())
     )
 
 
