@@ -176,9 +176,7 @@ def calibration(given: argparse.Namespace) -> None:
     derivatives. --pybotics, --figaroh: they fit the arm to 104 readings of a reflector by a tracker, and so does ``calibrate``.
     """
     print(f"<!-- {machine()} -->")
-    print(
-        "| poses | stations | calibrate ms | adjustment alone ms | scipy ms (trf sparse, LM dense) | scipy over calibrate | peak memory MB |"
-    )
+    print("| poses | stations | calibrate ms | adjustment alone ms | scipy ms, sparse and dense | scipy over calibrate | peak memory MB |")
     print("|--:|--:|--:|--:|--:|--:|--:|")
     for poses in given.poses:
         obs = recording(poses)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -189,13 +190,13 @@ def paired(own: Estimates, other: Estimates) -> Iterator[tuple[str, SingleValue,
                 yield key, mine, theirs
 
 
-def same_orders(own: object, other: object) -> list[tuple[int, int]]:
+def same_orders(own: Any, other: Any) -> list[tuple[int, int]]:
     """Positions of periodic components that are the same, in both lists of orders."""
     apart_by = np.abs(np.subtract.outer(np.atleast_1d(own).astype(float), np.atleast_1d(other).astype(float)))
     return [(j, int(row.argmin())) for j, row in enumerate(apart_by) if row.min() < SAME_ORDER]
 
 
-def single_value(entry: Mapping[str, object], component: int | None = None) -> SingleValue | None:
+def single_value(entry: Mapping[str, Any], component: int | None = None) -> SingleValue | None:
     """None for a parameter that is not finite. component: of one with several orders."""
     value, std = (np.atleast_1d(np.asarray(entry[key], dtype=float)) for key in ("value", "std"))  # None is not a number
     if component is not None:
