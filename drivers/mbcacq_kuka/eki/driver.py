@@ -50,7 +50,7 @@ class KukaEki(ContextDevice):
         "The angles in the viewer agree with the smartPAD's axis display to 0.001°, A1 to A6, signs too.",
         "In T1 start mbcacq_eki: doctor says that the program is ready; its first move waits for the start key.",
         "Stop the program on the smartPAD: the run ends with the sentence that the program was stopped.",
-        "Only if the plan names digital_outputs: the smartPAD's display of outputs shows each on for the pulse of an exposure, and off again; "
+        "Only if the plan names digital_outputs: the smartPAD's outputs show each on for the pulse of an exposure, then off; "
         "stop a run in a pulse: it goes off.",
     )
 

@@ -78,7 +78,7 @@ class KukaRsi(ContextDevice):
         "The angles that doctor and the viewer show agree with the smartPAD's axis display to 0.001°, A1 to A6, signs too.",
         "Delay stays 0 for a minute (column delay of the recording); note the largest gap between telegrams.",
         "Stop the program on the smartPAD: the run ends with the sentence that the controller fell silent.",
-        "Only if the plan names digital_outputs: the smartPAD's display of outputs shows each on for the pulse of an exposure, and off again; "
+        "Only if the plan names digital_outputs: the smartPAD's outputs show each on for the pulse of an exposure, then off; "
         "stop a run in a pulse: it goes off.",
     )
 
