@@ -56,13 +56,18 @@ def check_positive(name: str, key: str, values: tuple[float, ...] | None) -> Non
 def output_numbers(name: str, given: Mapping[str, Any]) -> tuple[int, ...]:
     """The option digital_outputs: numbers of $OUT, each once."""
     numbers = given.get("digital_outputs", ())
-    robot = f"robot '{name}': option digital_outputs"
     if not isinstance(numbers, list | tuple) or not all(type(n) is int and 1 <= n <= LAST_OUTPUT for n in numbers):
-        raise ConfigError(f"{robot} must be a list of whole numbers from 1 to {LAST_OUTPUT}, it is {numbers!r}")
+        raise ConfigError(
+            f"robot '{name}': option digital_outputs must be a list of whole numbers from 1 to {LAST_OUTPUT}, it is {numbers!r}"
+        )
     if len(set(numbers)) != len(numbers) or len(numbers) > MOST_OUTPUTS:
-        raise ConfigError(f"{robot} must name up to {MOST_OUTPUTS} outputs, each once, it is {list(numbers)}")
+        raise ConfigError(
+            f"robot '{name}': option digital_outputs must name up to {MOST_OUTPUTS} outputs, each once, it is {list(numbers)}"
+        )
     if numbers and given.get("follow"):
-        raise ConfigError(f"{robot}: an arm that is only followed is sent nothing, outputs neither; leave them out, or follow")
+        raise ConfigError(
+            f"robot '{name}': an arm that is only followed is sent nothing, digital_outputs neither; leave them out, or remove follow"
+        )
     return tuple(numbers)
 
 

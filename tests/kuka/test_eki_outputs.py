@@ -133,7 +133,7 @@ def test_a_controller_that_does_not_acknowledge_is_stopped(eki_cell):
     fake, robot = eki_cell(
         controller={"sources": with_outputs("kss", 3, **mute)}, robot={"digital_outputs": [3], "silence_s": 1.0, "reconnect_s": 0}
     )
-    with pytest.raises(DeviceTimeout, match="did not acknowledge that output 3 was to be switched"):
+    with pytest.raises(DeviceTimeout, match="did not acknowledge the switching of output 3"):
         robot.set_output(3, True)
     wait(lambda: fake.state.output(3) == (False, 1))
 

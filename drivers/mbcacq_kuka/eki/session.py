@@ -114,7 +114,8 @@ class EkiSession:
             if not self._wait(settled, time.monotonic() + self._options.silence_s):
                 self.halt(self.latest.last)
                 raise DeviceTimeout(
-                    f"{robot}: the controller did not acknowledge that output {output} was to be switched; is its link program ours?"
+                    f"{robot}: the controller did not acknowledge the switching of output {output}; copy the files that "
+                    "`mbcacq controller-files` writes again"
                 )
             if self.latest.switched < number:
                 raise DeviceTimeout(
