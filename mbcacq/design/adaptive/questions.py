@@ -135,16 +135,23 @@ def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: boo
 
 def surviving(look: InterimEvidence) -> list[Hypothesis]:
     """The sets that the evidence leaves, the reported one first; without any other those that are neither part nor extension of it and
-    against which a decision has little to spare. Where it is open whether there is an effect, the empty set and the most probable ones.
+    against which a decision has little to spare. Where an effect is shown neither to be there nor to be absent, the empty set and the most
+    probable ones.
     """
     fit = look.full.evidence
     if fit.significant:
         least = look.reported.log_posterior - OPTIONS.enough - OPTIONS.spare
         near = [h for h in fit.hypotheses if h.members and h.log_posterior > least and not nested(h, look.reported)]
         return [look.reported, *(look.alternatives or near)[: OPTIONS.rivals]]
-    if not fit.undecided:
+    if not doubtful(look):
         return []
     return [fit.none, *[h for h in fit.hypotheses if h.members][: OPTIONS.rivals]]
+
+
+def doubtful(look: InterimEvidence) -> bool:
+    """Whether no effect is shown, and yet one is too probable for the answer that there is none."""
+    fit = look.full.evidence
+    return not fit.significant and fit.log_e_value > float(np.log(OPTIONS.doubtful))
 
 
 def differ_in_time(look: InterimEvidence) -> bool:
