@@ -76,10 +76,9 @@ def in_time(old: Challenger, new: Challenger, count: int, seed: int) -> None:
         )
     print("\n".join(bench.table(("effect", "cells", *tried), lines)))
     obs, _ = observe(old.loaded, old.poses, Scenario(0, "none", seed, (), 1, 1.0), [])
-    T = np.asarray(obs.temperatures["robot_C"])
-    print(
-        f"\nthe arm warms by {np.ptp(T[:FIRST]):.1f} K in {FIRST} poses, by {np.ptp(T):.1f} K in {len(T)}: {(np.ptp(T[:FIRST]) / np.ptp(T)) ** 2:.2f}"
-    )
+    warmth = np.asarray(obs.temperatures["robot_C"])
+    half, whole = np.ptp(warmth[:FIRST]), np.ptp(warmth)
+    print(f"\nthe arm warms by {half:.1f} K in {FIRST} poses, by {whole:.1f} K in {len(warmth)}: information {(half / whole) ** 2:.2f}")
 
 
 def main() -> None:

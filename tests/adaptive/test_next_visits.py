@@ -66,7 +66,7 @@ def test_the_next_poses_are_a_plan_without_errors_at_stations_of_the_cell(begun,
 
 def test_without_moves_only_stations_whose_artefact_stands_there_are_chosen(begun, looked):
     last = {s.artefact: s.id for s in (begun.cell.station(p.station) for p in expand(begun))}
-    chosen = choose_next(looked, begun, poses=6, moves=0, options=FEW)
+    chosen = choose_next(looked, begun, visits=1, poses=6, moves=0, options=FEW)
     assert {v.station for v in chosen.visits} <= set(last.values())
 
 
@@ -154,6 +154,8 @@ def test_an_effect_that_may_be_chance_is_not_given_up_as_out_of_reach():
     chosen = choose_next(look, plan, visits=1, poses=10)
     assert not chosen.futile
     assert len(chosen.poses) >= 6
+    assert {pair.a for pair in chosen.open_pairs} == {("joint_compliance:A2", "joint_compliance:A3")}  # the most probable set
+    assert {(), ("joint_scale:A3",), ("joint_compliance:A2",)} <= {pair.b for pair in chosen.open_pairs}
 
 
 def test_a_search_does_not_end_with_none_while_an_effect_is_half_as_probable(begun):
