@@ -19,9 +19,9 @@ import yaml
 from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
 from mbcacq.files.csv_text import Dialect, csv_text, read_csv_text, read_text, text_of_mappings
+from mbcacq.files.stated_unit import in_words, stated_unit
 from mbcacq.files.table import Column, Table, TableSchema, as_table
 from mbcacq.files.table_schema import HeadingError, HeadingMatch, coverage_factor, matched, score
-from mbcacq.files.units import same_dimension, unit_named
 from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact
 from mbcacq.plan.plausibility import SMALLEST_BALL_MM
@@ -39,12 +39,6 @@ ABOUT = (
 )
 SIGMA = Column("sigma", "mm", aliases=("std", "standard_uncertainty"), required=False, assumed="mm")
 OURS = ("balls", "spheres", "unit", "units", "id", "name", "certificate", "comment", "notes")  # keys that say nothing of the geometry
-_UNITS = re.compile(r"\b(?:units?|einheit(?:en)?)\b\W*(?:of length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
-# The same in a sentence: 'All dimensions in inch'. Of µm and m an uncertainty or a range may speak, which are therefore no unit of all.
-_SAID = re.compile(
-    r"(?:\bin|\b(?:dimension|length|coordinate|value|ma(?:ß|ss)|wert)\w*\W*[:=])\s+(inch(?:es)?|zoll|mm|millimet(?:er|re)s?|cm)\b",
-    re.IGNORECASE,
-)
 _SMALL_U = re.compile(r"u(?![A-Za-z0-9])")
 
 
@@ -170,13 +164,13 @@ def _from_csv(path: Path) -> tuple[list[Row], tuple[str, ...], list[str]]:
     """One row a sphere, what was not used, and notes."""
     schema = _schema(())
     text = read_csv_text(path, max_bytes=MAX_BYTES, comment="#", score=lambda headings: score(schema.columns, headings))
-    above = " ".join((*text.preamble, *text.comments))
-    unit = _unit_in(above, str(path))
+    above = "\n".join((*text.preamble, *text.comments))
+    unit = stated_unit(above, str(path))
     table = as_table(path, text, _schema(text.headings, unit or "mm"))
     notes = (
         []
         if unit in ("", "mm")
-        else [f"lengths whose heading names no unit are read in {_in_words(unit)}, as the lines above the headings say"]
+        else [f"lengths whose heading names no unit are read in {in_words(unit)}, as the lines above the headings say"]
     )
     if text.preamble:
         notes.append(f"of the lines above the headings only a unit of length and k are read: {' | '.join(text.preamble)[:300]}")
@@ -201,25 +195,6 @@ def _rows(table: Table, k: float | None = None) -> list[Row]:
     return [{name: v for name, v in row.items() if isinstance(v, str) or not np.isnan(v)} for row in of_each]
 
 
-def _unit_in(text: str, where: str) -> str:
-    """The unit of length that a comment or a key states for all, '' without any. Raises ConfigError for one that is not known."""
-    match = _UNITS.search(text) or _SAID.search(text)
-    if match is None:
-        return ""
-    unit = unit_named(match[1])
-    said = {unit_named(word) for word in _SAID.findall(text)} - {unit}
-    if said:
-        others = ", ".join(map(_in_words, said))
-        raise ConfigError(f"{where}: the lines above the headings speak of {_in_words(unit)} and of {others}; write one: # units: mm")
-    if unit is None or not same_dimension(unit, "mm"):
-        raise ConfigError(f"{where}: the unit '{match[1]}' is no length that is known; give mm, cm, m, um or inch")
-    return unit
-
-
-def _in_words(unit: str | None) -> str:
-    return "inches" if unit == "in" else str(unit)
-
-
 def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:
     """One row a sphere, what holds for all of them, and keys that were not used."""
     data = _mapping(path)
@@ -230,7 +205,7 @@ def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:
         if not isinstance(ball, dict):
             raise ConfigError(f"{path}: sphere {i} is not a mapping; give label, x, y, z and diameter")
     stated = data.get("units", data.get("unit"))
-    unit = (_unit_in(f"unit {stated}", str(path)) if stated is not None else "") or "mm"
+    unit = (stated_unit(f"unit: {stated}", str(path)) if stated is not None else "") or "mm"
     text = text_of_mappings(_under_one_heading(path, [_with_axes(ball) for ball in balls], unit), "sphere")
     table = as_table(path, text, _schema(text.headings, unit))
     # Our own artefact files give the standard uncertainty (k = 1) as uncertainty_mm.

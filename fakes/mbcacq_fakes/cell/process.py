@@ -127,7 +127,7 @@ class Servers:
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="mbcacq-clouds-")))
         self._sensor = self._stack.enter_context(FakeScannerProgram(self._camera, folder))
         trigger = {"tcp": f"127.0.0.1:{self._sensor.port}", "send": "trigger\n", "reply": "OK"}
-        plain = {"pattern": "*.ply", "unit": "mm", "axes": "x y z", "range_map": None}
+        plain = {"pattern": "*.ply", "unit": None, "axes": "x y z", "range_map": None}
         return {"folder": str(folder), "trigger": trigger, "quiet_s": 0.02, **plain, "read_cloud": read_points}
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
