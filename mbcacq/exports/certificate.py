@@ -29,15 +29,20 @@ from mbcacq.plan.plausibility import SMALLEST_BALL_MM
 MAX_BYTES = 16 << 20
 WHAT = "a certificate"
 NEEDED = ("label", "x", "y", "z", "d")
-LABEL = Column("label", kind="text", aliases=("ball", "id", "name", "feature", "sphere"))
+LABEL = Column("label", kind="text", aliases=("ball", "id", "name", "feature", "sphere", "kugel"))
 # Uncertainty of all balls, or of each.
 ABOUT = (
-    Column("U", "mm", aliases=("uncertainty", "expanded_uncertainty", "u95"), required=False, assumed="mm"),
+    Column(
+        "U", "mm", aliases=("uncertainty", "expanded_uncertainty", "u95", "unsicherheit", "messunsicherheit"), required=False, assumed="mm"
+    ),
     Column("k", required=False, aliases=("coverage_factor",)),
-    Column("T", "degC", aliases=("temperature", "reference_temperature"), required=False, assumed="degC"),
-    Column("alpha", "ppm/K", aliases=("expansion", "cte"), required=False, assumed="ppm/K"),
+    Column("T", "degC", aliases=("temperature", "reference_temperature", "temperatur"), required=False, assumed="degC"),
+    Column("alpha", "ppm/K", aliases=("expansion", "cte", "ausdehnung"), required=False, assumed="ppm/K"),
 )
 SIGMA = Column("sigma", "mm", aliases=("std", "standard_uncertainty"), required=False, assumed="mm")
+LARGEST_U_MM = 0.3  # of a certified sphere whose heading names no unit: in µm certificates write 0.5 and more
+COLDEST_C, WARMEST_C = 0.0, 50.0  # of a measuring room
+LEAST_PPM = 1e-3  # per K: glass ceramics expand by some 0.02
 OURS = ("balls", "spheres", "unit", "units", "id", "name", "certificate", "comment", "notes")  # keys that say nothing of the geometry
 _SMALL_U = re.compile(r"u(?![A-Za-z0-9])")
 
@@ -99,7 +104,7 @@ def read_certificate_file(path: str | Path, artefact_id: str, name: str = "") ->
     )
     notes += [f"not used: {', '.join(unused)}"] if unused else []
     if not U:
-        notes.append("it states no uncertainty; 0.001 mm (k = 1) is taken")
+        notes.append("no uncertainty was read from it; 0.001 mm (k = 1) is taken")
     return Certificate(artefact, tuple(unused), tuple(notes))
 
 
@@ -149,7 +154,10 @@ def _schema(headings: Sequence[str], unit: str = "mm") -> TableSchema:
 
 def _geometry(unit: str) -> tuple[Column, ...]:
     """Label, centre and diameter of a sphere."""
-    lengths = (*(Column(axis, "mm", assumed=unit) for axis in "xyz"), Column("d", "mm", aliases=("diameter", "dia"), assumed=unit))
+    lengths = (
+        *(Column(axis, "mm", assumed=unit) for axis in "xyz"),
+        Column("d", "mm", aliases=("diameter", "dia", "durchmesser"), assumed=unit),
+    )
     return (LABEL, *lengths)
 
 
@@ -191,8 +199,25 @@ def _rows(table: Table, k: float | None = None) -> list[Row]:
         wrong = np.flatnonzero(columns.get(name, np.ones(1)) <= 0)
         if wrong.size:
             raise ConfigError(f"{table.where(int(wrong[0]), name)}: the {what} is not positive; correct the certificate")
+    _refuse_implausible(table, columns)
     of_each = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
     return [{name: v for name, v in row.items() if isinstance(v, str) or not np.isnan(v)} for row in of_each]
+
+
+def _refuse_implausible(table: Table, columns: Mapping[str, np.ndarray]) -> None:
+    """Raise ConfigError for what looks like another unit: an uncertainty without unit, a temperature, an expansion."""
+    for name, out_of, words in (
+        ("U", lambda v: v > LARGEST_U_MM, "looks like µm; name its unit: U (µm) or U (mm)"),
+        ("sigma", lambda v: v > LARGEST_U_MM, "looks like µm; name its unit: sigma (µm) or sigma (mm)"),
+        ("T", lambda v: (v < COLDEST_C) | (v > WARMEST_C), "is no temperature of a measuring room in °C; name its unit: T (°F) or T (K)"),
+        ("alpha", lambda v: (v != 0) & (np.abs(v) < LEAST_PPM), "in ppm/K looks like 1/K; name its unit: alpha (1/K)"),
+    ):
+        if name not in columns or (name in ("U", "sigma") and table.names_unit(name)):
+            continue
+        wrong = np.flatnonzero(out_of(columns[name]))
+        if wrong.size:
+            row = int(wrong[0])
+            raise ConfigError(f"{table.where(row, name)}: {table.text(name)[row].strip()} {words}")
 
 
 def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:

@@ -123,7 +123,8 @@ def _ply(path: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     if len(set(names)) != len(names):
         raise ConfigError(f"{path}: a property of its vertices stands twice; export the cloud anew")
     if header.text:
-        lines = [line for line in path.read_bytes()[header.size :].splitlines() if line.strip()]
+        data = path.read_bytes()[header.size :]
+        lines = [line for line in data.splitlines() if line.strip()]
         first = sum(element.count for element in before)
         rows = lines[first : first + vertex.count]
         announced = sum(element.count for element in header.elements)
@@ -131,6 +132,8 @@ def _ply(path: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
             raise ConfigError(f"{path}: is cut off: its header announces {vertex.count} points and {len(rows)} lines follow; copy it anew")
         if len(lines) > announced:
             raise ConfigError(f"{path}: its header announces {announced} lines and {len(lines)} follow; export the cloud anew")
+        if lines[-1] == rows[-1]:
+            _refuse_cut_number(path, data, rows)
         return _text_columns(path, rows, [(p.name, np.dtype(p.type)) for p in vertex.properties]), header.comments
     order = "<" if header.little else ">"
     dtype = _row_type(vertex, order)
@@ -167,6 +170,15 @@ def _text_columns(path: Path, lines: Sequence[bytes], columns: Sequence[tuple[st
             raise ConfigError(f"{path}: point {row + 1}: {name} is {values[row]:g}, which is no {dtype.name}; export the cloud anew")
         out[name] = typed
     return out
+
+
+def _refuse_cut_number(path: Path, data: bytes, rows: Sequence[bytes]) -> None:
+    """Raise ConfigError where a file ends in a number with fewer decimals than all numbers above it have."""
+    if data.endswith((b"\n", b"\r")):
+        return
+    decimals = [len(row.split()[-1].partition(b".")[2]) for row in rows]
+    if len(rows) >= FEWEST_TO_JUDGE and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
+        raise ConfigError(f"{path}: is cut off in its last number, '{rows[-1].split()[-1].decode('ascii', 'replace')[:40]}'; copy it anew")
 
 
 def _first_bad_row(lines: Sequence[bytes], count: int) -> str:
@@ -208,6 +220,7 @@ def _pcd(path: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
         rows = [row for row in data.splitlines() if row.strip()]
         if len(rows) != count:
             raise ConfigError(f"{path}: has {len(rows)} lines of points where its header announces {count}; copy it anew")
+        _refuse_cut_number(path, data, rows)
         columns = _text_columns(path, rows, [(name, t) for name, t in fields])
     else:
         columns = _pcd_binary(path, data, fields, count, compressed=kind == "binary_compressed")

@@ -131,6 +131,14 @@ def test_nothing_of_a_file_that_is_not_whole(read, data, name, sentence):
         read(data, name)
 
 
+def test_a_last_number_that_is_cut_is_seen(read):
+    rows = b"".join(b"%d.2500 -2.5000 30%d.1250\n" % (i, i % 10) for i in range(20))
+    head = b"ply\nformat ascii 1.0\nelement vertex 20\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    assert len(read(head + rows.rstrip(), "a.ply").points) == 20
+    with pytest.raises(ConfigError, match="is cut off in its last number, '309.1'"):
+        read(head + rows[:-4], "a.ply")
+
+
 def test_places_without_a_point_are_left_out(read):
     found = read(ply(rows=[(np.nan, np.nan, np.nan, 7, 7), *ROWS]), "a.ply")
     assert (len(found.points), found.missing) == (3, 1)
