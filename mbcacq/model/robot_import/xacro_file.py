@@ -63,7 +63,7 @@ def macros(data: bytes) -> list[str]:
 def _reason(error: Exception, xacro: Any, path: Path) -> str:
     said = str(error)
     if _OURS in said:
-        return said.split(_OURS, 1)[1].splitlines()[0]
+        return said.split(_OURS)[1].splitlines()[0].strip()
     name = str(error.args[0]) if error.args else ""
     if type(error).__name__ == "ArgException" or (undefined := re.search(r"Undefined substitution argument (\S+)", said)):
         name = name if type(error).__name__ == "ArgException" else undefined[1]  # type: ignore[possibly-unbound]
