@@ -7,12 +7,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_up import diagnosis, motion, pictures
 from result_page import AFTER, BEFORE, Page, make_observations, make_result, page
 
+from mbcacq.diagnosis.motion.combine import combined
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.quantities import fixed as fixed_point
 from mbcacq.quantities import signed
 from mbcacq.report import read_run_identity, report_from_result
+from mbcacq.report.sources.from_motion import motion_pictures
+
+
+def test_the_report_of_a_run_holds_the_motion_between_its_poses_too(tmp_path):
+    """As it is kept: JSON alone, read again."""
+    of_motion = motion()
+    weak = replace(of_motion.named_effects[0], where=("A3",), parameters={"A3.coulomb_Nm": {"value": 5.0, "std": 4.0}})
+    of_motion = replace(of_motion, effects=(weak, *of_motion.effects))
+    info = {
+        "diagnosis": combined(diagnosis() | {"evidence": None}, of_motion),
+        "pictures": pictures() | {"motion": motion_pictures(of_motion)},
+    }
+    info = json.loads(json.dumps(info, allow_nan=False))
+    html = report_from_result(make_result(), path=tmp_path / "report.html", run_info=info).read_text(encoding="utf-8")
+    words = Page(html).words
+    assert words.index("Joint compliance at A2") < words.index("Motion between the poses") < words.index("Friction at A2")
+    assert words.index("Friction at A2") < words.index("Trend: friction at A3")
+    for c in of_motion.channels:
+        assert f'id="figure-motion_{c.channel}_{c.at}"' in html
+    del info["pictures"]["motion"]["channels"][0]["before"][3]  # damaged: the tables stay
+    html = report_from_result(make_result(), path=tmp_path / "report.html", run_info=info).read_text(encoding="utf-8")
+    assert "Friction at A2" in Page(html).words
+    assert "figure-motion" not in html
 
 
 def test_the_table_is_that_of_the_published_experiment(tmp_path):

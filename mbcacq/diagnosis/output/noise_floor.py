@@ -13,6 +13,9 @@ from mbcacq.quantities import K, measured, micrometres
 NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
 
 
+TREND = "a trend: no figure is beyond its expanded uncertainty (k = 2)"
+
+
 @dataclass(frozen=True)
 class NoiseFloor:
     """3D rms (mm) on held-out data after the model, the rms that noise alone would leave, and its expanded uncertainty (0: not known)."""

@@ -17,6 +17,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
+from mbcacq.report.sources.from_motion import kept_motion_content
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
 from mbcacq.report.verdict import (
     SUSPICIOUS,
@@ -83,6 +84,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
         diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
+        motion=None if diagnosis is None else kept_motion_content(diagnosis, run_info.get("pictures")),
         earlier=earlier,
         arm_improved=ArmImprovement.from_dict(geometry["arm_improved"]) if geometry.get("arm_improved") else None,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
