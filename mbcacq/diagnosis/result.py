@@ -14,11 +14,11 @@ from pydantic import PlainValidator, WithJsonSchema
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import Parameter
-from mbcacq.diagnosis.output.noise_floor import TREND, is_trend
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_file import EffectModelFile, TermInFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
+from mbcacq.effects.trend import TREND, is_trend
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS

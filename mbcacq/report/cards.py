@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.output.noise_floor import TREND
+from mbcacq.effects.trend import TREND
 from mbcacq.report.content import Content, DiagnosisContent, EffectContent, MotionContent
 from mbcacq.report.verdict import largest_error
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbcacq.calibration.length_budget import temperature_sentence
 from mbcacq.calibration.verification import verdict_of_places
-from mbcacq.diagnosis.output.noise_floor import is_trend_in_json
 from mbcacq.effects.effect_term import UNKNOWN
+from mbcacq.effects.trend import is_trend_in_json
 from mbcacq.errors import command_line
 from mbcacq.quantities import K, measured, micrometres, signed, uncertainty
 from mbcacq.report.content import Action, ReportVerdict, Spacing

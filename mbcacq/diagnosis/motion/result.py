@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import PlainValidator
 
-from mbcacq.diagnosis.output.noise_floor import TREND, components, is_trend
 from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.trend import TREND, components, is_trend
 from mbcacq.errors import ConfigError
 from mbcacq.model.channel_series import MotionSeries
 from mbcacq.model.json_text import Number, damage, from_fields, plain
