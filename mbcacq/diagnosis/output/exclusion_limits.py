@@ -24,13 +24,13 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere, harmless
 from mbcacq.diagnosis.output.limit_bands import LimitBand, alike, bands, kept
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
-from mbcacq.diagnosis.output.noise_floor import NOT_SIZES
 from mbcacq.diagnosis.output.sufficient_poses import QUANTILE, of_fewest_coefficients
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects import catalogue, steps
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import MOMENT, Candidate
+from mbcacq.effects.trend import NOT_SIZES
 
 ABSORBED = 1e-6  # information on a typical size below which the geometry absorbs the effect
 ASCENTS = 12  # towards the direction of the largest limit; each is nearer by far more than half
