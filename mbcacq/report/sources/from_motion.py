@@ -26,6 +26,12 @@ AXES = {"tau": "torque", "q_joint": "joint side − motor side", "q_set": "actua
 NAMES = {"tau": "the torque", "q_joint": "the joint-side angle", "q_set": "the set point"}
 LEAST_SHARE = 0.005  # of the excess over noise; the dependences below it are counted, not listed
 REFUSED = "no model is kept: on held-out data it leaves {}"
+OTHER_SET = (
+    "the fit leaves more than held-out data do, for these are two sets of effects. Each held-out part is predicted by what is selected on "
+    "the others, which there has an effect more; selected on all data are the effects below, and what is unmodelled or not separable from "
+    "another stays in the fit"
+)
+MORE = 1.25  # of the held-out rms, from which that of the fit is another set's: with one set it is the smaller of both
 
 
 def motion_content(found: MotionDiagnosis, poses: Mapping[str, Any] | None = None) -> MotionContent:
@@ -128,8 +134,14 @@ def _channel(channel: Mapping[str, Any]) -> MotionChannel:
         held_out=held_out,
         chi2=held_out_chi2,
         fitted=fitted,
-        remark="" if refused is None else REFUSED.format(f"{significant(refused)} {unit}"),
+        remark=REFUSED.format(f"{significant(refused)} {unit}") if refused is not None else OTHER_SET if _of_another_set(channel) else "",
     )
+
+
+def _of_another_set(channel: Mapping[str, Any]) -> bool:
+    """Whether the fit to all data leaves so much more than the held-out data that these were predicted by other effects."""
+    fitted, held_out = channel["train"]["after_rms"], channel["held_out"]["after_rms"]
+    return fitted is not None and held_out is not None and fitted > MORE * held_out
 
 
 def _before_after(error: Mapping[str, Any]) -> tuple[tuple[str, str], tuple[str, str]]:
