@@ -15,6 +15,7 @@ from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.quantities import fixed as fixed_point
 from mbcacq.quantities import signed
 from mbcacq.report import read_run_identity, report_from_result
+from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_motion import motion_pictures
 
 
@@ -38,6 +39,27 @@ def test_the_report_of_a_run_holds_the_motion_between_its_poses_too(tmp_path):
     html = report_from_result(make_result(), path=tmp_path / "report.html", run_info=info).read_text(encoding="utf-8")
     assert "Friction at A2" in Page(html).words
     assert "figure-motion" not in html
+
+
+def test_coefficients_of_effects_are_named_in_words_and_never_two_alike():
+    names = [
+        "a_1",
+        "hand_eye.x",
+        "joint_compliance:A2:gravity_torque_2",
+        "gear_transmission_error:A1:q1:order=2[0]",
+        "scanner_warmup:scanner:time:time_constant_s=177.931[2]",
+        "thermal_growth:link2:time",
+        "thermal_growth:link2:room_C",
+    ]
+    assert names_in_words(names) == [
+        "a_1",
+        "hand_eye.x",
+        "joint compliance at A2",
+        "gear transmission error at A1, order 2 (1)",
+        "scanner warmup at scanner, time constant 178 s (3)",
+        "thermal growth at link2, over time",
+        "thermal growth at link2, over temperature room",
+    ]
 
 
 def test_the_table_is_that_of_the_published_experiment(tmp_path):
