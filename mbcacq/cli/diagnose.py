@@ -242,6 +242,7 @@ def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path
 
 def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:
     """Calibrate with what was found, write the result, and say what came of it."""
+    from mbcacq.recording.run_folder.lock import write_lock
     from mbcacq.report.sources.run_folder import WITH_EFFECTS
     from mbcacq.workflow.calibrate import limit_of
     from mbcacq.workflow.calibrate_with_found import calibrate_with_found
@@ -252,5 +253,8 @@ def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options:
     result = calibrate_with_found(found, options, limit_of(run) if run is not None else None)
     files = result.write((run or Path()) / WITH_EFFECTS)
     if run is not None:
+        assert found.observations is not None, "what was calibrated has observations"
         files.append(write_report(run))  # whose first page is about the best model that the run has
+        with write_lock(run, "diagnose"):
+            files.append(result.show_in_viewer(run, found.observations))
     return ["", result.text, *(str(file) for file in files)]
