@@ -22,7 +22,8 @@ NOT_SHOWN = re.compile(r"Note: .* was not considered: |  \S+ phase ")  # what th
 
 
 def kept(text: str) -> str:
-    """The JSON of a diagnosis without what its words do not need. Of its model they say only that there is one: its shortest term is kept."""
+    """The JSON of a diagnosis without what its words do not need. Of its model they say only that there is one: its
+    shortest term is kept."""
     content = {key: value for key, value in json.loads(text).items() if key not in NOT_IN_WORDS}
     if content.get("model"):
         content["model"]["terms"] = sorted(content["model"]["terms"], key=lambda term: len(json.dumps(term)))[:1]
