@@ -66,7 +66,12 @@ class Operator:
         if loaded.plan.robot.follow is None:
             remaining = [p for p in acquisition.poses if p.number not in acquisition.done]
             self.allow_motion(loaded, remaining, acquisition.sweep())
-        refuse_unattended(loaded, self.assume_yes)
+        try:
+            refuse_unattended(loaded, self.assume_yes)
+        except ConfigError as error:
+            if not on_loopback_only(loaded.plan.robot.options):
+                raise
+            raise ConfigError(f"{error}; the plan's robot is on this computer, a fake: --dry-run takes the whole fake cell") from error
 
 
 def run(  # noqa: PLR0913 -- the whole job: one argument an option of its command
