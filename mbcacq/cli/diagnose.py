@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.next_step import command_line, put_to_use, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -176,7 +176,7 @@ def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found:
 
     run = is_run_folder(data[0])
     if with_found:
-        return "put the result to use", command_line("export", data[0] / "with-effects" if run else "with-effects", "--results", "results")
+        return put_to_use(data[0] / "with-effects" if run else Path("with-effects"))
     if found.model:
         return "calibrate with what was found", command_line("diagnose", *data, "--calibrate")
     if found.poses is not None and run:

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 import mbcacq.cli
+from mbcacq.calibration.caveats import export_command
 from mbcacq.cli.app import COMMANDS, app
 from mbcacq.cli.export import next_step
 from mbcacq.cli.run_path import judge_first
@@ -179,3 +180,10 @@ def test_a_name_that_is_almost_right_is_answered_by_the_right_one(typed, meant, 
     done = CliRunner().invoke(app, typed)
     assert done.exit_code == 2
     assert meant in done.stderr.replace("\n", " ")
+
+
+def test_the_next_step_of_a_simulated_result_is_not_refused(tmp_path):
+    """Its export has to be meant; the command that is shown says so."""
+    for simulated, option in ((True, " --simulated-anyway"), (False, "")):
+        assert export_command({"simulated": simulated}, tmp_path) == f"mbcacq export {tmp_path} --results results{option}"
+        assert parses(export_command({"simulated": simulated}, tmp_path))
