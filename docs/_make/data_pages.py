@@ -24,7 +24,10 @@ NOT_SHOWN = re.compile(r"Note: .* was not considered: |  \S+ phase ")  # what th
 def kept(text: str) -> str:
     """The JSON of a diagnosis without what its words do not need. Of its model they say only that there is one: its
     shortest term is kept."""
-    content = {key: value for key, value in json.loads(text).items() if key not in NOT_IN_WORDS}
+    whole = json.loads(text)
+    content = {key: value for key, value in whole.items() if key not in NOT_IN_WORDS}
+    if "channels" in whole["fit"]:  # of motion: whether there is an effect is said, the sets of effects are not
+        content["evidence"] = [one | {"evidence": one["evidence"] | {"sets": [], "untried": []}} for one in whole["evidence"]]
     if content.get("model"):
         content["model"]["terms"] = sorted(content["model"]["terms"], key=lambda term: len(json.dumps(term)))[:1]
         content["model"]["learnt"] = {**content["model"]["learnt"], "anchors": []}
