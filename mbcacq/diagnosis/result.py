@@ -276,13 +276,17 @@ class Proposal:
 @dataclass(frozen=True)
 class ComparedEffect:
     """One effect of a set that was compared. parameters: its posterior mean with standard deviations, the geometry refitted. tried: False
-    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried.
+    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried. prior: the parameters
+    without the effect, with the standard deviations that they have before the recording; log_prior: natural logarithm of its probability
+    next to the others of the set, before the recording; both are empty in older files.
     """
 
     name: str
     where: tuple[str, ...]
     parameters: Mapping[str, ParameterEstimate]
     tried: bool = True
+    prior: Mapping[str, ParameterEstimate] = field(default_factory=dict)
+    log_prior: float | None = None
 
 
 @dataclass(frozen=True)

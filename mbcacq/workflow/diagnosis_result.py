@@ -55,8 +55,13 @@ class DiagnosisResult:
 
     @property
     def verdict(self) -> str:
-        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'."""
-        return self.main.verdict
+        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'; of poses and motion together where there are both."""
+        from mbcacq.diagnosis.motion.combine import together, verdict_of_both
+
+        if self.poses is None or self.motion is None:
+            return self.main.verdict
+        poses = self.poses.to_json()
+        return verdict_of_both(poses, self.motion, together(poses, self.motion))
 
     @property
     def effects(self) -> Sequence[EffectFound | MotionEffect | UnmodelledMotionEffect]:
