@@ -19,6 +19,10 @@ from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_motion import motion_pictures
 
 
+def headline(verdict):
+    return {"none": "No effect found", "explained": "Explained", "cannot_tell": "Cannot tell"}.get(verdict, "Partly explained")
+
+
 def test_the_report_of_a_run_holds_the_motion_between_its_poses_too(tmp_path):
     """As it is kept: JSON alone, read again."""
     of_motion = motion()
@@ -33,6 +37,7 @@ def test_the_report_of_a_run_holds_the_motion_between_its_poses_too(tmp_path):
     words = Page(html).words
     assert words.index("Joint compliance at A2") < words.index("Motion between the poses") < words.index("Friction at A2")
     assert words.index("Friction at A2") < words.index("Trend: friction at A3")
+    assert f"Verdict on poses and motion as one problem {headline(info['diagnosis']['together']['verdict'])}" in words
     for c in of_motion.channels:
         assert f'id="figure-motion_{c.channel}_{c.at}"' in html
     del info["pictures"]["motion"]["channels"][0]["before"][3]  # damaged: the tables stay

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.combine import agreement, contradictions, in_both
+from mbcacq.diagnosis.motion.combine import agreement, contradictions, in_both, together, verdict_of_both
 from mbcacq.diagnosis.motion.result import CheckedChannel, MotionDiagnosis, MotionEffect, MotionMismatch, UnmodelledMotionEffect
 from mbcacq.diagnosis.motion.text import CHANNELS, size_of_shape, verdict_sentence
 from mbcacq.diagnosis.output.pictures import axis_of
@@ -103,8 +103,15 @@ def _content(found: MotionDiagnosis, series: MotionSeries, poses: Mapping[str, A
         checks=[(one.recording or "the other recording", [_checked(c) for c in one.channels]) for one in found.checks],
         remarks=_remarks(diagnosis),
         contradictions=[] if poses is None else contradictions(agreement(poses, found)),
-        both=[] if poses is None else in_both(poses, found),
+        both=[] if poses is None else _as_one_problem(poses, found),
     )
+
+
+def _as_one_problem(poses: Mapping[str, Any], found: MotionDiagnosis) -> list[tuple[str, list[str]]]:
+    """The verdict on the run, and what poses and motion say together."""
+    verdict = verdict_of_both(poses, found, together(poses, found))
+    _, headline, _ = VERDICTS.get(verdict, ("none", readable(verdict), ""))
+    return [("Verdict on poses and motion as one problem", [f"{headline}."]), *in_both(poses, found)]
 
 
 def _effect(effect: MotionEffect | UnmodelledMotionEffect, content: Mapping[str, Any]) -> EffectContent:
