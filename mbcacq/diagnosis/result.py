@@ -18,6 +18,7 @@ from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_file import EffectModelFile, TermInFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
+from mbcacq.effects.trend import TREND, is_trend
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
@@ -136,6 +137,11 @@ class EffectFound:
     p_corrected: float | None = None
     log_bayes_factor: float | None = None
     equivalent: tuple[str, ...] = ()
+
+    @property
+    def is_trend(self) -> bool:
+        """Whether no size of it reaches its expanded uncertainty: it helps, but no figure of it may be relied on."""
+        return is_trend({name: estimate.components for name, estimate in self.parameters.items()})
 
 
 @dataclass(frozen=True)
@@ -377,7 +383,7 @@ class Diagnosis:
             (
                 e.name,
                 ", ".join(e.where),
-                "<br>".join(escape(parameter_in_words(k, v)) for k, v in list(e.parameters.items())[:8]),
+                TREND if e.is_trend else "<br>".join(escape(parameter_in_words(k, v)) for k, v in list(e.parameters.items())[:8]),
                 f"{e.held_out_gain:.0%}",
             )
             for e in self.effects

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.text import limit_lines, summary_lines, words
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, ExclusionBand, ExclusionLimit
 from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.trend import is_trend
 
 
 def test_the_uncertainty_of_an_rms_is_that_of_the_chi_square_distribution():

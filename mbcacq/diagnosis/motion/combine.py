@@ -228,30 +228,36 @@ def _sets_of(evidence: Mapping[str, Any], every: Estimates) -> EvidenceSets:
 
 def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> str:
     """poses, text: the pose diagnosis as JSON and in words."""
-    found = agreement(poses, motion)
-    lines = [*contradictions(found), "Poses, at standstill", "====================", text, ""]
+    front, both = contradictions(agreement(poses, motion)), in_both(poses, motion)
+    lines = [*front, *([""] if front else []), "Poses, at standstill", "====================", text, ""]
     lines += ["Motion, between the poses", "=========================", motion_text(motion)]
-    if found:
-        lines += ["", "Found in both:"]
-        for a in found:
-            poses_say, motion_says = a.stated()
-            verdict = "they agree" if a.agrees else "they contradict each other"
-            lines.append(f"  {a.label}: {poses_say} from the poses, {motion_says} from the motion: {verdict} ({a.sigmas:.1f} sigma)")
-    pairs = decided(poses, motion)
-    if pairs:
-        lines += ["", "Decided by both together:", *(f"  {pair}" for pair in pairs)]
-    lines += _together_in_words(together(poses, motion))
+    for heading, said in both:
+        lines += ["", f"{heading}:", *(f"  {line}" for line in said)]
     return "\n".join(lines)
 
 
-def _together_in_words(both: JointEvidence) -> list[str]:
+def in_both(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[tuple[str, list[str]]]:
+    """What poses and motion say together, in words: heading and lines. poses: JSON of the pose diagnosis."""
+    found, pairs = agreement(poses, motion), decided(poses, motion)
+    out = [("Found in both", [_agreement_in_words(a) for a in found])] if found else []
+    out += [("Decided by both together", [str(pair) for pair in pairs])] if pairs else []
+    return out + _together_in_words(together(poses, motion))
+
+
+def _agreement_in_words(a: ParameterAgreement) -> str:
+    poses_say, motion_says = a.stated()
+    verdict = "they agree" if a.agrees else "they contradict each other"
+    return f"{a.label}: {poses_say} from the poses, {motion_says} from the motion: {verdict} ({a.sigmas:.1f} sigma)"
+
+
+def _together_in_words(both: JointEvidence) -> list[tuple[str, list[str]]]:
     """The most probable joint set, and the others that are not excluded."""
     sets = both.sets
     if not both.reported:
         return []
     names = [" and ".join(effect_in_words(label) for label in one.effects) or "no effect" for one in (sets[0], *not_excluded(sets))]
-    rest = [f"  not excluded: {name}" for name in names[1:]] or ["  no other set is within 20 : 1"]
-    return ["", "By the evidence of poses and motion together:", f"  {names[0]}", *rest]
+    rest = [f"not excluded: {name}" for name in names[1:]] or ["no other set is within 20 : 1"]
+    return [("By the evidence of poses and motion together", [names[0], *rest])]
 
 
 def contradictions(found: Sequence[ParameterAgreement]) -> list[str]:
@@ -264,4 +270,4 @@ def contradictions(found: Sequence[ParameterAgreement]) -> list[str]:
                 f"Poses and motion contradict each other on {a.label}: {poses_say} by the poses and {motion_says} by the motion "
                 f"({a.sigmas:.1f} sigma). One of both has another cause: believe neither value before that is found."
             )
-    return [*out, ""] if out else []
+    return out

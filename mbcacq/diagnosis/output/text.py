@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
-from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Alternative, Diagnosis, EffectFound, ExclusionLimit, GeometryAlone, NotSeparable, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
@@ -79,11 +79,7 @@ def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
 
 def findings_and_trends(effects: Sequence[EffectFound]) -> tuple[list[EffectFound], list[EffectFound]]:
     """The effects with a figure that may be relied on, and those without one, each in their order."""
-    return [e for e in effects if not _is_trend(e)], [e for e in effects if _is_trend(e)]
-
-
-def _is_trend(effect: EffectFound) -> bool:
-    return is_trend({name: _components(estimate) for name, estimate in effect.parameters.items()})
+    return [e for e in effects if not e.is_trend], [e for e in effects if e.is_trend]
 
 
 def _named(effects: Sequence[EffectFound]) -> str:
@@ -260,18 +256,13 @@ def describe(effect: EffectFound) -> list[str]:
         f"{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
         f"removes {effect.held_out_gain:.0%} of the excess over noise)"
     ]
-    out += [] if _is_trend(effect) else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
+    out += [] if effect.is_trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
     excluded = [a for a in effect.alternatives if a not in possible]
     for heading, some in (("could also be", possible), ("excluded in its place", excluded)):
         if some:
             out.append(f"  {heading}: " + "; ".join(f"{effect_in_words(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in some))
     return [*out, ""]
-
-
-def _components(estimate: ParameterEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    values, stds = (x if isinstance(x, tuple) else (x,) for x in (estimate.value, estimate.std))
-    return values, stds
 
 
 def phase_is_undetermined(name: str, std: float) -> bool:
@@ -281,8 +272,7 @@ def phase_is_undetermined(name: str, std: float) -> bool:
 
 def _reported(name: str, estimate: ParameterEstimate) -> str:
     """A parameter with its expanded uncertainty; a phase that has no value as such, where it has one in no harmonic."""
-    stds = estimate.std if isinstance(estimate.std, tuple) else (estimate.std,)
-    if all(phase_is_undetermined(name, s) for s in stds):
+    if all(phase_is_undetermined(name, s) for s in estimate.components[1]):
         return f"{split_unit(name)[0]} {NOT_DETERMINED}"
     return parameter_in_words(name, estimate)
 
