@@ -104,7 +104,8 @@ def next_step(run: Path, observations: Path | None, results: Path | None, artefa
     """What to do after an export, and the command for it. artefact: its file, where RUN is a certificate."""
     if artefact is not None:
         what = "make a plan with it, here for an arm and a scanner of the tool's own"
-        return what, command_line("plan", "new", "--robot", "kr6_r900_2", "--scanner", "gocator-3210", "--artefact", artefact)
+        devices = ("--robot", "kr6_r900_2", "--scanner", "gocator-3210")
+        return what, command_line("plan", "new", *devices, "--artefact", artefact)
     if observations is not None:
         return "calibrate with the observation set", command_line("calibrate", observations)
     if results is not None:
