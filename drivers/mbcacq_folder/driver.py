@@ -50,7 +50,7 @@ class FolderScanner(ContextDevice):
             "scanner",
             self._model or "a program that saves clouds",
             (Field("points", "mm", (3,), meaning="in the scanner frame"),),
-            settings={"folder": str(o.folder), "pattern": o.pattern, "unit": o.unit, "axes": o.axes},
+            settings={"folder": str(o.folder), "pattern": o.pattern, "unit": o.unit or "as the clouds say, or mm", "axes": o.axes},
         )
 
     def connect(self) -> None:

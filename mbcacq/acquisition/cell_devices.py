@@ -168,7 +168,7 @@ def scanner_options(loaded: LoadedPlan, replaced: Mapping[str, Any] | None = Non
     if "scanner" in (replaced or {}) or "cloud_reader" not in getattr(load_driver("scanners", use.driver), "plan_facts", ()):
         return dict(use.options)
     given = use.options
-    form = CloudFormat(str(given.get("unit", "mm")), str(given.get("axes", "x y z")), given.get("range_map"))
+    form = CloudFormat(given.get("unit"), str(given.get("axes", "x y z")), given.get("range_map"))
     form.matrix()  # says now, in one sentence, what it would not accept later
     return {**given, "read_cloud": partial(read_points, form=form)}
 

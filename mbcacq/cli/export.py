@@ -103,7 +103,7 @@ def command(
 def next_step(
     run: Path, observations: Path | None, results: Path | None, trajectory: Path | None = None, artefact: str | None = None
 ) -> tuple[str, str]:
-    """What to do after an export, and the command for it."""
+    """What to do after an export, and the command for it. artefact: its file, where RUN is a certificate."""
     if observations is not None:
         return "calibrate with the observation set", command_line("calibrate", observations)
     if results is not None:
@@ -114,7 +114,8 @@ def next_step(
     if trajectory is not None:
         return "ask which effects the motion shows", command_line("diagnose", trajectory)
     if artefact is not None:
-        return "make a plan for it (add --robot and --scanner)", command_line("plan", "new", "--artefact", artefact)
+        what = "make a plan with it, here for an arm and a scanner of the tool's own"
+        return what, command_line("plan", "new", "--robot", "kr6_r900_2", "--scanner", "gocator-3210", "--artefact", artefact)
     return "see the whole run", command_line("report" if run.is_dir() else "view", run)
 
 

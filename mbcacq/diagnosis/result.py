@@ -227,14 +227,15 @@ class ExclusionBand:
 
 @dataclass(frozen=True, kw_only=True)
 class ExclusionLimit:
-    """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence, everything that it is confused
-    with being free.
+    """The size of an effect at a location that is excluded with 95 % confidence, everything that it is confused with being free: of effects
+    as large, with any value from ``holds_for`` and any direction of the coefficients, 95 % would have shown more than the recording does.
 
     parameter: its name, with the unit as suffix; value: None where the free geometry absorbs the effect. workspace_mm: largest error that
-    it would make in the workspace. length_mm: error of a length between two postures that 95 % of lengths do not exceed. Both are None for
-    what depends on time or on single balls, and where the effect is not tested. in_usual_sizes: the limit relative to the effect's usual
-    size; None where value is, and in older files. tested: whether the limit is within what machines have; a larger one says nothing.
-    holds_for: the values of the effect's hyper-parameter for which the limit holds; None where it has none.
+    it would make in the workspace, together with what would hide it here. length_mm: error of a length between two postures that 95 % of
+    lengths do not exceed. Both are None for what depends on time or on single balls, and where the effect is not tested. in_usual_sizes:
+    the limit relative to the effect's usual size; None where value is, and in older files. tested: whether the limit is within what
+    machines have; a larger one says nothing. holds_for: the values of the effect's hyper-parameter for which the limit holds; None where
+    it has none.
     """
 
     name: str

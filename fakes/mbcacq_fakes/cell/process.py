@@ -131,7 +131,7 @@ class Servers:
         self._sensor = self._stack.enter_context(FakeScannerProgram(self._camera, folder, rises))
         network = {"tcp": f"127.0.0.1:{self._sensor.port}", "send": "trigger\n", "reply": "OK"}
         trigger = network if output is None else {"output": output, "pulse_s": 0.02}
-        plain = {"pattern": "*.ply", "unit": "mm", "axes": "x y z", "range_map": None}
+        plain = {"pattern": "*.ply", "unit": None, "axes": "x y z", "range_map": None}
         return {"folder": str(folder), "trigger": trigger, "quiet_s": 0.02, **plain, "read_cloud": read_points}
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:
