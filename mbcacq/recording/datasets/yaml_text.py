@@ -91,8 +91,10 @@ def validate(model: type[Spec], data: dict[str, Any], node: yaml.Node, name: str
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         more = f" ({error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        said = f"'{place}' is missing{more}; add it" if first["type"] == "missing" else f"{place}: {first['msg']}{more}; correct it"
-        raise ConfigError(f"{name}:{line_of(node, first['loc'])}: {said}") from None
+        line = line_of(node, first["loc"])
+        if first["type"] == "missing":
+            raise ConfigError(f"{name}:{line}: '{place}' is missing{more}; add it") from None
+        raise ConfigError(f"{name}:{line}: {place}: {first['msg']}{more}; correct it") from None
 
 
 def known_only(kind: Any, data: Any) -> Any:
