@@ -7,8 +7,8 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from datetime import datetime
 
 from asyncua import ua
@@ -26,6 +26,19 @@ RETRY_S = 0.1
 Reading = Callable[[float, list[float]], None]
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what is wrong is said by our errors, once
+
+
+@asynccontextmanager
+async def _within(seconds: float) -> AsyncIterator[None]:
+    """As asyncio.timeout, which does not know the exception in which a request of asyncua ends that is answered while it is cancelled."""
+    limit = asyncio.timeout(seconds)
+    try:
+        async with limit:
+            yield
+    except asyncio.CancelledError as error:
+        if limit.expired():
+            raise TimeoutError from error
+        raise
 
 
 class OpcUaLink:
@@ -66,7 +79,7 @@ class OpcUaLink:
 
     def _client(self) -> Client:
         o = self._options
-        client = Client(o.url, timeout=min(o.connect_timeout_s, o.silence_s))
+        client = Client(o.url, timeout=max(o.connect_timeout_s, o.silence_s))  # of a request; the narrower limits are ours
         if o.user is not None:
             client.set_user(o.user)
         if o.password_env is not None:
@@ -103,7 +116,7 @@ class OpcUaLink:
         """Connect, and read until that fails. within_s: until the first reading."""
         o = self._options
         try:
-            async with asyncio.timeout(within_s):
+            async with _within(within_s):
                 if o.security is not None:
                     await client.set_security_string(o.security)
                 await client.connect()
@@ -112,11 +125,11 @@ class OpcUaLink:
             self._ready.set()
             while True:
                 await asyncio.sleep(1.0 / o.rate_hz)
-                async with asyncio.timeout(o.silence_s):
+                async with _within(o.silence_s):
                     await self._read(client)
         finally:
             with suppress(Exception):
-                async with asyncio.timeout(min(1.0, o.silence_s)):
+                async with _within(min(1.0, o.silence_s)):
                     await client.disconnect()
             client.disconnect_socket()
 
