@@ -7,6 +7,7 @@ holds, bit for bit.
 from __future__ import annotations
 
 import ctypes
+import random
 import shutil
 import sys
 from collections.abc import Callable
@@ -103,6 +104,12 @@ class ResumedSession(Struck):
 
     def begin(self) -> Work:
         return self._case.begin(self._run)
+
+    def planned(self, rng: random.Random) -> list[tuple[str, int]]:
+        """In any order: a campaign that is ended early has some of each kind."""
+        out = super().planned(rng)
+        rng.shuffle(out)
+        return out
 
     def judged(self, code: int | None) -> str:
         """'new': resumed to what the undisturbed session holds; 'old': nothing had begun, and it was begun anew."""
