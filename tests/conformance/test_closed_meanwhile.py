@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 from benches import BENCHES, marked
 
-OPENED_AGAIN = {
+OPENED_AGAIN = {  # with options: no retries; on a busy computer it takes longer to find a robot again
     "gocator": {"retries": 0},
     "gocator trigger": {"retries": 0},
     "gopxl": {"retries": 0},
-    "kuka_eki": {},
+    "kuka_eki": {"reconnect_s": 60.0},
     "modbus positioner": {},
     "modbus sensor": {},
-    "opcua": {},
+    "opcua": {"silence_s": 60.0},
     "serial sensor": {},
 }
 

@@ -137,7 +137,7 @@ def test_a_channel_that_lives_shorter_than_the_run_is_renewed(controller, monkey
         renewed.append(renew)
 
     monkeypatch.setattr(Client, "open_secure_channel", shorter)
-    with arm(controller) as robot:
+    with arm(controller, silence_s=60.0) as robot:
         while renewed.count(True) < 5:
             robot.state()
             time.sleep(0.005)
@@ -150,7 +150,7 @@ def test_a_channel_that_lives_shorter_than_the_run_is_renewed(controller, monkey
 def test_a_server_that_was_started_again_is_not_read_on(controller, on_a_track):
     """Its clock counts from another start."""
     with TcpProxy(Channel("opcua"), ("127.0.0.1", controller.port)) as proxy:
-        robot = arm(controller, port=proxy.port, angle_unit="deg")
+        robot = arm(controller, port=proxy.port, angle_unit="deg", silence_s=60.0)
         with robot:
             proxy._device = ("127.0.0.1", on_a_track.port)
             proxy.cut()
