@@ -24,7 +24,7 @@ from hand_eye_data import ARTEFACT_IN_SCANNER, BALLS, POSE_SIGMA, TARGET_IN_BASE
 from profile_data import observed, profiles
 
 import mbcacq
-from mbcacq.calibration import CalibrationOptions, calibrate
+from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate
 from mbcacq.calibration.methods import COMPARED_METHODS, artefact_poses
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
@@ -182,9 +182,9 @@ def bound(found, obs, kind: str, measurement: str) -> np.ndarray:
     return C[np.ix_(rows, rows)]
 
 
-def stated(found, measurement: str) -> np.ndarray:
+def stated(found: CalibratedCell, measurement: str) -> np.ndarray:
     if measurement == TARGET_IN_BASE:
-        return found.station_covariance[0]
+        return found.fit.station_covariance[0]
     rows = [found.names.index(name) for name in HAND_EYE]
     return found.covariance[np.ix_(rows, rows)]
 

@@ -25,7 +25,7 @@ import mbcacq
 from mbcacq.challenge.scenarios import NONE, Scenario, draw
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.strength import LARGEST_STRENGTH, Gauge
-from mbcacq.design.adaptive.next_plan import choose_next, next_plan_text
+from mbcacq.design.adaptive.next_plan import advised, next_plan_text
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.errors import MbcacqError
 from mbcacq.model.observations import Observations
@@ -38,9 +38,9 @@ SHOWN = (8.0, 40.0)  # information of each effect in these poses
 ROUNDS = 2
 
 
-def advised(loaded: LoadedPlan, look: InterimEvidence, folder: Path) -> tuple[LoadedPlan | None, dict]:
+def followed_by(loaded: LoadedPlan, look: InterimEvidence, folder: Path) -> tuple[LoadedPlan | None, dict]:
     """The plan that has grown by the advice, if that runs; and what was advised."""
-    chosen = choose_next(look, loaded, visits=3, poses=24)
+    chosen = advised(look, loaded)
     said = {"advised": len(chosen.poses), "visits": len(chosen.visits), "reasons": chosen.reasons[:3]}
     if not chosen.visits:
         return None, said | {"runs": None}
@@ -89,7 +89,7 @@ def followed(loaded: LoadedPlan, scenario: Scenario, folder: Path) -> dict:
     for _ in range(ROUNDS):
         if look.verdict != "cannot_tell":
             break
-        longer, said = advised(loaded, look, folder)
+        longer, said = followed_by(loaded, look, folder)
         row["rounds"].append(said)
         if longer is None:
             break

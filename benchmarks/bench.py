@@ -111,6 +111,13 @@ def counted(counts: Counter, heads: Sequence[str], ways: Sequence[Any], order: C
     return table([*heads, *map(str, ways)], [[*key, *(counts[(*key, way)] or "" for way in ways)] for key in keys])
 
 
+def wilson(yes: int, n: int) -> tuple[float, float]:
+    """95 % interval of a rate, in percent (Wilson)."""
+    p = yes / n
+    middle, half = (p + 1.92 / n) / (1 + 3.84 / n), 1.96 * (p * (1 - p) / n + 0.96 / n**2) ** 0.5 / (1 + 3.84 / n)
+    return max(100 * (middle - half), 0.0), min(100 * (middle + half), 100.0)
+
+
 def svg(width: float, height: float, parts: Iterable[str], size: int = 11) -> str:
     """A picture on white."""
     head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" font-family="sans-serif" font-size="{size}">'

@@ -24,7 +24,7 @@ from typing import Any
 
 import bench
 import numpy as np
-from bench import HERE, PLANS, Kept, keeps, option, put, writes
+from bench import HERE, PLANS, Kept, keeps, option, put, wilson, writes
 from detection_power import PowerCell, evidence_of, ninety_percent_point, search_multiple, try_cell, with_interval
 
 from mbcacq.challenge import simulated_cells
@@ -154,10 +154,9 @@ def bounds(part: str, scores: list[Score]) -> list[str]:
     name, yes = {"clean": ("false alarms", clean), "outside": ("located", [s.located for s in count])}.get(part, right)
     if not yes:
         return []
-    n, p = len(yes), float(np.mean(yes))
-    middle, half = (p + 1.92 / n) / (1 + 3.84 / n), 1.96 * np.sqrt(p * (1 - p) / n + 0.96 / n**2) / (1 + 3.84 / n)
-    low, high = max(100 * (middle - half), 0), min(100 * (middle + half), 100)
-    return [f"{name.capitalize()}: {sum(yes)} of {n} ({100 * p:.1f} %, 95 % interval {low:.1f} to {high:.1f} %).", ""]
+    low, high = wilson(sum(yes), len(yes))
+    share = f"{100 * np.mean(yes):.1f} %, 95 % interval {low:.1f} to {high:.1f} %"
+    return [f"{name.capitalize()}: {sum(yes)} of {len(yes)} ({share}).", ""]
 
 
 def failures(records: list[dict], scores: list[Score]) -> list[str]:

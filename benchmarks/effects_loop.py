@@ -29,13 +29,13 @@ from mbcacq.calibration.verification import verification_poses
 from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
-from mbcacq.exports import clouds
 from mbcacq.exports.scan_correction import place_scan
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand
 from mbcacq.recording.rrd.scan_export import write_scans
+from mbcacq.spheres import read_cloud
 from mbcacq.workflow.corrected_targets import corrected_targets, improvement_of_run
 
 CAPTURE_MM = 1.0  # about a measured sphere, within which points of a cloud belong to it
@@ -69,7 +69,7 @@ def spacing_of_scans(run: Path, bars: Observations, cell: mbcacq.CalibratedCell,
     ends: dict[int, dict[int, list[np.ndarray]]] = {}
     for m in range(bars.n_centres):
         pose, ball = int(bars.pose[m]), bars.cell.ball_ids[bars.ball[m]]
-        points, _ = clouds.read(folder / "scans" / f"{int(bars.pose_id[pose])}.ply")
+        points = read_cloud(folder / "scans" / f"{int(bars.pose_id[pose])}.ply")
         near = points[np.abs(np.linalg.norm(points - bars.xyz[m], axis=1) - radius[ball]) < CAPTURE_MM]
         placed, _ = place_scan(result, bars.q[pose], near)
         ends.setdefault(int(bars.station[pose]), {}).setdefault(ball, []).append(centre_of(placed, radius[ball]))

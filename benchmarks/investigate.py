@@ -2,7 +2,7 @@
 
     python benchmarks/investigate.py cells --count 200 --seed 1100      # four of ten of the catalogue, two outside, a pair, three clean
     python benchmarks/investigate.py protocols --count 20 --seed 1100   # every ninth of them through the fakes of robot and scanner
-    python benchmarks/investigate.py looks --count 1000 --seed 1200     # clean cells, ten looks each: largest e-value of each
+    python benchmarks/investigate.py looks --count 1000 --seed 1200     # clean cells, every instrument in turn, ten looks each: e-values
     python benchmarks/investigate.py page --seed 1100                   # the tables of benchmarks/investigate.md
     python benchmarks/investigate.py kills --count 20                   # kill -9 after a random pose, then resumed: is all as undisturbed?
 
@@ -24,10 +24,12 @@ from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 
+import bench
 import numpy as np
+from detection import INSTRUMENTS, recorded
 from threadpoolctl import threadpool_limits
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "adaptive"))
+sys.path.insert(0, str(bench.TESTS / "adaptive"))
 import simulated_cell
 
 import mbcacq
@@ -57,7 +59,8 @@ PLACES = (
     ("n4", "bar", [600, 0, 180], [60, 0, 0]),
 )
 KEPT = Path("runs") / "investigate-benchmark"
-BLOCK = 8
+OF_THE_PLAN = "scanner of the plan"
+LOOKS = tuple(range(24, 24 + 10 * 6, 6))  # poses at each of ten looks: a first block, and visits of six
 SIZES = (32, 64, 128)  # poses of the fixed plan after which it is looked at
 ALARM = float(np.log(100))
 UNSEEN = 9.0  # information of three standard deviations: what shows by less cannot be found
@@ -160,7 +163,7 @@ def investigated(loaded: LoadedPlan, scenario: Scenario, injected: list) -> tupl
         "end": last.end,
         "truth": [f"{e['name']}:{'+'.join(e['where'])}" for e in true],
         "outcome": outcome(last.verdict, names_of(last.sets[0][0]), {e["name"] for e in true}),
-        "largest_log_e_value": max(d.log_e_value for d in made),
+        "log_e_values": [d.log_e_value for d in made],
         "information": cell.information if true else 0.0,
         "at_poses": [d.poses for d in made],
     }
@@ -190,14 +193,14 @@ def first_of(order: np.ndarray, n: int) -> np.ndarray:
     return keep
 
 
-def cells(loaded: LoadedPlan, count: int, seed: int) -> None:
-    """Investigate the cells that are not in the table yet."""
+def cells(loaded: LoadedPlan, count: int, seed: int, first: int = 0) -> None:
+    """Investigate the cells from number ``first`` on that are not in the table yet."""
     gauge, table = Gauge(loaded, expand(loaded)), Table(f"cells-{seed}")
     places = NewPlaces()
-    for scenario in draw(seed, count, mixed(count)):
+    for scenario in draw(seed, count, mixed(count))[first:]:
         if scenario.number in table.done:
             continue
-        injected = gauge.inject(scenario)
+        began, injected = time.process_time(), gauge.inject(scenario)
         row, measured = investigated(loaded, scenario, injected)
         whole, _ = observe(loaded, expand(loaded), scenario, injected)
         row |= {"kind": scenario.kind, "excess": scenario.excess}
@@ -206,7 +209,7 @@ def cells(loaded: LoadedPlan, count: int, seed: int) -> None:
             subset = first_of(np.random.default_rng(scenario.seed).permutation(whole.n_poses), min(row["poses"], whole.n_poses))
             row["error_mm"] = places.error_mm(measured, scenario, injected)
             row["fixed_error_mm"] = places.error_mm(whole.select(subset), scenario, injected)
-        table.add(scenario.number, row)
+        table.add(scenario.number, row | {"processor_s": time.process_time() - began})
 
 
 def protocols(loaded: LoadedPlan, count: int, seed: int) -> None:
@@ -259,15 +262,21 @@ class Table:
 
 
 def looks(loaded: LoadedPlan, count: int, seed: int) -> None:
-    """Largest log e-value of clean recordings that grow, ten looks each; restricted to what the plan shows, in random order."""
+    """Log e-values of clean recordings that grow, poses in random order: a look after the first block of an investigation, and after each
+    of nine visits. Instruments in turn: the scanner in the fake cell of the plan, and those of ``detection.py``.
+    """
     table, poses = Table(f"looks-{seed}"), expand(loaded)
     for scenario in draw(seed, count, [NONE]):
         if scenario.number in table.done:
             continue
-        obs, _ = observe(loaded, poses, scenario, [])
+        instrument, began = (OF_THE_PLAN, *INSTRUMENTS)[scenario.number % (1 + len(INSTRUMENTS))], time.process_time()
+        if instrument == OF_THE_PLAN:
+            obs, _ = observe(loaded, poses, scenario, [])
+        else:
+            obs = recorded(instrument, LOOKS[-1], scenario.seed, None, 1.0)
         order = np.random.default_rng(scenario.seed).permutation(obs.n_poses)
-        sizes = range(24, 24 + 10 * BLOCK, BLOCK)
-        table.add(scenario.number, {"log_e_values": [weigh(obs.select(first_of(order, n))).full.evidence.log_e_value for n in sizes]})
+        log_e = [weigh(obs.select(first_of(order, n))).full.evidence.log_e_value for n in LOOKS]
+        table.add(scenario.number, {"instrument": instrument, "log_e_values": log_e, "processor_s": time.process_time() - began})
 
 
 class Undisturbed:
@@ -297,11 +306,12 @@ class Undisturbed:
         resumed = list(mbcacq.investigate(None, resume=folder, dry_run=True))
         again = mbcacq.load_observations(folder)
         same = {name: np.array_equal(getattr(again, name), getattr(self.observed, name)) for name in COMPARED_EXACTLY}
-        return {
-            "decisions": [d.to_dict() for d in resumed] == [d.to_dict() for d in self.decided],
-            **same,
-            "calibration": figures_of(again) == self.calibrated,
-        }
+        differs = [
+            {name: (value, b.to_dict()[name]) for name, value in a.to_dict().items() if value != b.to_dict()[name]}
+            for a, b in zip(resumed, self.decided, strict=False)
+        ]
+        decisions = len(resumed) == len(self.decided) and not any(differs)
+        return {"decisions": decisions, "differs": differs, **same, "calibration": figures_of(again) == self.calibrated}
 
 
 def figures_of(obs: Observations) -> str:
@@ -355,17 +365,27 @@ def page(seed: int) -> None:
     for title, poses in (("investigated", right), ("the plan's poses in random order", there)):
         print(f"| {title} | {' | '.join(str(int((poses <= n).sum())) for n in (24, 32, 48, 64, 96, 128))} |")
     wrong = [sum(r[key] == "wrong name" for r in some) for key in ("outcome", "fixed_outcome")]
-    alarms = sum(r["largest_log_e_value"] > ALARM for r in rows if r["kind"] == NONE)
+    alarms = sum(max(r["log_e_values"]) > ALARM for r in rows if r["kind"] == NONE)
     print(f"\nwrong names {wrong[0]}, of the plan {wrong[1]}, of {len(some)}; alarms {alarms} of {len(rows) - len(some)}")
     error = np.array([(r["error_mm"], r["fixed_error_mm"]) for r in rows if "error_mm" in r]) * 1e3
     if len(error):
         ratio = error[:, 0] / error[:, 1]
         spread = np.quantile(ratio, (0.1, 0.5, 0.9)).round(2)
         print(f"at new places / um: {np.median(error, axis=0).round(1)}, ratio {spread}, {len(error)} cells")
-    kept = [r["log_e_values"] for r in Table(f"looks-{seed}").rows]
-    if kept:
-        largest = np.array(kept).max(axis=1)
-        print(f"{len(kept)} clean sequences of ten looks: {int((largest > ALARM).sum())} alarms, largest E {np.exp(largest.max()):.2g}")
+
+
+def looks_page(seed: int) -> None:
+    """Table of the clean sequences."""
+    rows = Table(f"looks-{seed}").rows
+    heads = ("instrument", "sequences", "looks", "alarms", "sequences with E above 2", "mean of the last E", "largest E of any look")
+    lines = []
+    for title in (*dict.fromkeys(r["instrument"] for r in rows), "all"):
+        log_e = np.array([r["log_e_values"] for r in rows if title in ("all", r["instrument"])])
+        largest = log_e.max(axis=1)
+        counts = [int((largest > level).sum()) for level in (ALARM, np.log(2))]
+        lines.append([title, len(log_e), log_e.size, *counts, f"{np.exp(log_e[:, -1]).mean():.2f}", f"{np.exp(largest.max()):.2g}"])
+    if lines:
+        print("\n" + "\n".join(bench.table(heads, lines)))
 
 
 def main() -> None:
@@ -373,14 +393,17 @@ def main() -> None:
     parser.add_argument("what", choices=["cells", "protocols", "looks", "kills", "page"])
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1100)
+    parser.add_argument("--first", type=int, default=0, help="number of the first cell; several calls may share a table")
     given = parser.parse_args()
     if given.what == "kills":
         return kills(given.count, given.seed)
     if given.what == "page":
-        return page(given.seed)
+        page(given.seed)
+        return looks_page(given.seed)
     with threadpool_limits(1):
-        {"cells": cells, "protocols": protocols, "looks": looks}[given.what](load(PLAN), given.count, given.seed)
-    return None
+        if given.what == "cells":
+            return cells(load(PLAN), given.count, given.seed, given.first)
+        return {"protocols": protocols, "looks": looks}[given.what](load(PLAN), given.count, given.seed)
 
 
 if __name__ == "__main__":

@@ -232,7 +232,7 @@ COLOURS = {"paper": "#b5402a", "ml": "#1f5f99"}
 
 def write_figure(path: Path, report: dict[str, Any], wanted: float) -> None:
     """Left: bar error of cells with nothing left out, by plan. Right: needed share of the plausible size, by effect and plan."""
-    path.writetext(svg(WIDTH, HEIGHT, [*_noise(report["noise"], wanted), *_effects(report["effects"])]), encoding="utf-8")
+    path.write_text(svg(WIDTH, HEIGHT, [*_noise(report["noise"], wanted), *_effects(report["effects"])]), encoding="utf-8")
 
 
 def _noise(rows: list[dict[str, Any]], wanted: float) -> list[str]:

@@ -1,19 +1,25 @@
 """What an ordered plan shows with half of the poses: power of its first 64 against all 128 of another plan, over the catalogue.
 
     python benchmarks/plan_order.py OLD.yaml NEW.yaml [--count 3] [--seed 300]
+    python benchmarks/plan_order.py OLD.yaml NEW.yaml --in-time [--count 20] [--seed 300]     information only, of what acts in time
 
 Each effect of the catalogue is injected at several places, as strong as a test that knows it needs to find it nine times in ten with OLD's
 128 poses, times 2.5, which is what a search over the catalogue needs. Both plans record the same cell by the array path, and a look weighs
 all explanations. Rows go to runs/plan-order-benchmark, so that a call goes on where another ended; the last line counts them.
+
+In time the first 64 are compared as a run by itself: what is concealed begins or grows within it. Beside them stand every second pose of
+OLD, and the same 64 with each station visited early and late, half of its poses each time.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-import bench  # noqa: F401  # before what the tests share
+import bench  # before what the tests share
 import numpy as np
 from detection_power import least_gain
 from threadpoolctl import threadpool_limits
@@ -24,6 +30,7 @@ from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.effects.catalogue import declaration
+from mbcacq.plan import PlannedPose
 
 KEPT = Path("runs") / "plan-order-benchmark"
 FIRST = 64
@@ -46,13 +53,45 @@ def tried(old: Challenger, new: Challenger, first: Gauge, name: str, seed: int) 
     return row
 
 
+def early_and_late(poses: Sequence[PlannedPose]) -> list[PlannedPose]:
+    """Each station visited twice, with every second of its poses."""
+    of = {name: [p for p in poses if p.station == name] for name in dict.fromkeys(p.station for p in poses)}
+    return [p for start in (0, 1) for here in of.values() for p in here[start::2]]
+
+
+def in_time(old: Challenger, new: Challenger, count: int, seed: int) -> None:
+    """Table of the information of three choices of 64 poses on what acts in time, in that of all poses of the old plan."""
+    first = list(new.poses[:FIRST])
+    tried = {"first 64 of the order": (new, first), "early and late": (new, early_and_late(first)), "every second": (old, old.poses[::2])}
+    gauges = [Gauge(one.loaded, [replace(p, number=k) for k, p in enumerate(poses)]) for one, poses in tried.values()]
+    lines = []
+    for name in (name for name in catalogued() if declaration(name).acts_in_time):
+        shares = []
+        for number in range(seed, seed + 10 * count, 10):
+            scenario, one = Scenario(0, name, number, (name,), number + 1, 1.0), {"name": name, "strength": 1.0, "seed": number + 1}
+            whole = max(old.gauge.gain(scenario, [one]), 1e-9)
+            shares.append([gauge.gain(scenario, [one]) / whole for gauge in gauges])
+        lines.append(
+            [name, count, *(", ".join(f"{q:.2f}" for q in np.quantile(each, (0.1, 0.5, 0.9))) for each in zip(*shares, strict=True))]
+        )
+    print("\n".join(bench.table(("effect", "cells", *tried), lines)))
+    obs, _ = observe(old.loaded, old.poses, Scenario(0, "none", seed, (), 1, 1.0), [])
+    warmth = np.asarray(obs.temperatures["robot_C"])
+    half, whole = np.ptp(warmth[:FIRST]), np.ptp(warmth)
+    print(f"\nthe arm warms by {half:.1f} K in {FIRST} poses, by {whole:.1f} K in {len(warmth)}: information {(half / whole) ** 2:.2f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)
     parser.add_argument("--count", type=int, default=3)
     parser.add_argument("--seed", type=int, default=300)
+    parser.add_argument("--in-time", action="store_true")
     given = parser.parse_args()
+    if given.in_time:
+        with threadpool_limits(1):
+            return in_time(Challenger.of(given.old), Challenger.of(given.new), given.count, given.seed)
     KEPT.mkdir(parents=True, exist_ok=True)
     table = KEPT / f"{given.old.stem}-{given.new.stem}-{given.seed}.jsonl"
     rows = [json.loads(line) for line in table.read_text().splitlines()] if table.exists() else []
@@ -71,6 +110,7 @@ def main() -> None:
         found = [sum(r[f"{key}_found"] for r in some) for key in ("old", "new")]
         quantiles = ", ".join(f"{q:.2f}" for q in np.quantile(ratio, (0.1, 0.5, 0.9)))
         print(f"| {title} | {len(some)} | {found[0]} | {found[1]} | {quantiles} |")
+    return None
 
 
 if __name__ == "__main__":

@@ -50,7 +50,9 @@ def learnt(obs: Observations) -> tuple[mbcacq.CalibratedCell, mbcacq.CalibratedC
     """The cell with what a diagnosis finds, and as geometry alone."""
     options = mbcacq.CalibrationOptions(refuse=False)
     geometry = replace(options, discrepancy=False, random_links=False)
-    return calibrate_with_effects(obs, options, diagnose(obs).model), mbcacq.calibrate(obs, geometry)
+    model = diagnose(obs).model
+    cell = mbcacq.calibrate(obs, options) if model is None else calibrate_with_effects(obs, options, model)
+    return cell, mbcacq.calibrate(obs, geometry)
 
 
 def tried(cell: mbcacq.CalibratedCell, alone: mbcacq.CalibratedCell, other: Observations, name: str) -> str:

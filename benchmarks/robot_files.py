@@ -51,7 +51,9 @@ NO_ARM = tuple(CLASSES)[:5]
 MOVING = 3  # axes of what is an arm here
 ENDS = re.compile(r"chains of joints end in (.*?)(?: and \d+ more)?; name")
 OPENING = re.compile(r"Error opening file '([^']*)'|resource not found via provider or OS filesystem: '([^']*)'")
-TETRAHEDRON = b"v 0 0 0\nv .01 0 0\nv 0 .01 0\nv 0 0 .01\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+TETRAHEDRON = b"v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"  # large enough where the file scales by 0.001
+PICTURES = (12, 12), (36, 48), (48, 36), (12, 72), (72, 12)  # rows and columns of a stand-in, as textures are divided
+PICTURE = re.compile(r"PNG size must be .* in texture '([^']*)'")
 MOST_MESHES = 400
 Forward = Callable[[np.ndarray], np.ndarray]
 
@@ -184,33 +186,45 @@ def _mujoco(path: Path, found: ImportedRobot) -> Forward | None:
 def _compiled(mujoco: Any, path: Path) -> Any:
     """The model, with a tetrahedron for each mesh that is not there; None where MuJoCo does not read it."""
     assets: dict[str, bytes] = {}
+    shapes: Counter[str] = Counter()
     for _ in range(MOST_MESHES):
         try:
             return mujoco.MjModel.from_xml_path(str(path.resolve()), assets)
         except ValueError as error:
+            if (picture := PICTURE.search(str(error))) and (name := _asset(assets, picture[1])):
+                shapes[name] += 1
+                if shapes[name] == len(PICTURES):
+                    return None
+                assets[name] = _png(*PICTURES[shapes[name]])
+                continue
             missing = OPENING.search(str(error))
             if missing is None or (name := missing[1] or missing[2]) in assets:
                 return None
             kind = Path(name).suffix.lower()
             if kind not in (".obj", ".stl", ".png"):
                 return None
-            assets[name] = {".obj": TETRAHEDRON, ".stl": _stl(), ".png": _png(12)}[kind]
+            assets[name] = {".obj": TETRAHEDRON, ".stl": _stl(), ".png": _png(*PICTURES[0])}[kind]
     return None
 
 
 def _stl() -> bytes:
     """The tetrahedron as a binary STL."""
-    corners = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]], np.float32)
+    corners = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]], np.float32)
     out = bytes(80) + (4).to_bytes(4, "little")
     for a, b, c in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)):
         out += bytes(12) + corners[[a, b, c]].tobytes() + bytes(2)
     return out
 
 
-def _png(size: int) -> bytes:
-    """A grey picture of size x size points."""
-    lines = size * (b"\0" + 3 * size * b"\x80")
-    parts = (b"IHDR", struct.pack(">IIBBBBB", size, size, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")
+def _asset(assets: dict[str, bytes], file: str) -> str:
+    """The name under which a file without its folder stands among the assets, '' where it does not."""
+    return next((name for name in assets if Path(name).name == Path(file).name), "")
+
+
+def _png(rows: int, columns: int) -> bytes:
+    """A grey picture."""
+    lines = rows * (b"\0" + 3 * columns * b"\x80")
+    parts = (b"IHDR", struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")
     chunks = (struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts)
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 

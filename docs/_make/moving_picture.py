@@ -1,4 +1,4 @@
-"""Draws the moving picture of the README from a recording: the arm measures, balls are found, the error shrinks, an effect is named.
+"""Draws the moving picture of the README from a recording: the arm measures, balls are found, the error shrinks, effects are named.
 
 ``python docs/_make/moving_picture.py RUN docs/run.webp`` for the folder of a run that was diagnosed (``mbcacq diagnose RUN --calibrate``);
 that of the README is ``plans/concealed.yaml``, dry.
@@ -12,16 +12,17 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from mbcacq.recording import load_observations
-from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
 SIZE, FRAME_MS = (880, 460), 200
 MEASURING_S, SHRINKING_S, NAMING_S = 11.0, 4.0, 5.0  # 20 s altogether
+BEFORE_S = 1.2  # for which the errors stand as they were before they shrink
 NIGHT, INK, SOFT, ARM = (18, 21, 27), (236, 239, 243), (140, 148, 160), (240, 106, 22)
 BEFORE, AFTER, LIMIT, BALL = (230, 159, 0), (86, 180, 233), (235, 96, 60), (0, 190, 140)
 CELL, SCAN, BARS = (10, 40, 520, 450), (540, 40, 870, 230), (540, 255, 870, 450)
@@ -65,13 +66,10 @@ def scans_of(run: Path, most: int = 1500) -> dict[int, np.ndarray]:
     """The last scan of every second pose, thinned."""
     out: dict[int, np.ndarray] = {}
     for recording in open_recordings(run):
-        for row in recording.rows(layout.SCAN):
-            if "positions" not in row or "pose" not in row:
-                continue
-            number = int(np.ravel(row["pose"])[0])
-            if number % 2 == 0:
-                points = np.asarray(row["positions"], dtype=float).reshape(-1, 3)
-                out[number] = points[:: max(len(points) // most, 1)]
+        for one in recording.scans():
+            if one.pose % 2 == 0:
+                points = np.asarray(one.scan.points, dtype=float)
+                out[one.pose] = points[:: max(len(points) // most, 1)]
     return out
 
 
@@ -87,13 +85,14 @@ def sentences_of(run: Path) -> list[str]:
     for effect in content.effects:
         lines.append(effect.title)
         certain = [p for p in effect.parameters if abs(float(p[1])) > 2 * float(p[2]) and not p[0].endswith(("order", "phase"))]
-        lines += [f"   {name} {value} ± {uncertainty} {unit}".replace("µ", "u") for name, value, uncertainty, unit in certain]
+        lines += [f"   {name} {value} ± {uncertainty} {unit}" for name, value, uncertainty, unit in certain]
     return lines
 
 
 @cache
-def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(size)
+def font(size: int) -> ImageFont.FreeTypeFont:
+    """Matplotlib's, which has µ and every other sign of a unit."""
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
 
 class Frame:
@@ -143,7 +142,7 @@ class Frame:
         """The latest scan from above, and a circle round each ball that was found in it; in the end what the diagnosis says."""
         if self.seconds >= MEASURING_S + SHRINKING_S and self.film.sentences:
             for k, line in enumerate(self.film.sentences[:8]):
-                self._text((540, 40 + 24 * k), line, 15 if line.startswith(" ") else 17, INK if line.startswith(" ") else AFTER)
+                self._text((540, 40 + 24 * k), line, 13 if line.startswith(" ") else 15, INK if line.startswith(" ") else AFTER)
             return
         number = max((n for n in self.film.scans if n <= self.film.numbers[self.pose]), default=None)
         self.draw.rectangle(SCAN, outline=(58, 64, 76))
@@ -161,12 +160,13 @@ class Frame:
         self._text((548, 206), f"{(count := len(self.film.found[pose]))} ball{'' if count == 1 else 's'} found", 16, BALL)
 
     def _bars(self) -> None:
-        """Length errors, which shrink while the cell is calibrated, and once more with the effects that were found."""
-        if not len(self.film.errors[0]):
+        """Length errors, which are known after the bar was measured, shrink while the cell is calibrated, and become those of the cell with
+        its effects when these are named."""
+        if self.seconds < MEASURING_S or not len(self.film.errors[0]):
             return
         stage = 0 if self.seconds < MEASURING_S + SHRINKING_S or len(self.film.errors) < 3 else 1
-        began = MEASURING_S + stage * (SHRINKING_S + 1.0)
-        share = float(np.clip((self.seconds - began) / (SHRINKING_S - 1.5), 0.0, 1.0))
+        began = MEASURING_S + BEFORE_S + stage * SHRINKING_S
+        share = float(np.clip((self.seconds - began) / (SHRINKING_S - 2 * BEFORE_S), 0.0, 1.0))
         share = share * share * (3 - 2 * share)
         start, end = (np.abs(self.film.errors[stage + k]) for k in (0, 1))
         values = (1 - share) * start + share * end
@@ -174,7 +174,7 @@ class Frame:
         left, head, right, bottom = BARS[0], BARS[1] + 26, BARS[2], BARS[3] - 6
         width = (right - left) / len(values)
         colours = (BEFORE, AFTER, BALL)[stage : stage + 2]
-        self._text((left, BARS[1]), f"length error, largest {values.max():.3f} mm", 17, colours[share > 0.5])
+        self._text((left, BARS[1]), f"length error, largest {values.max():.3f} mm", 14, colours[share > 0.5])
         colour = tuple(int((1 - share) * b + share * a) for b, a in zip(*colours, strict=True))
         for k, value in enumerate(values):
             x, y = left + width * k, bottom - (bottom - head) * value / top
@@ -182,8 +182,7 @@ class Frame:
         if self.film.limit is not None:
             y = bottom - (bottom - head) * self.film.limit / top
             self.draw.line((left, y, right, y), fill=LIMIT, width=2)
-            self.draw.rectangle((right - 96, y - 22, right, y - 3), fill=NIGHT)
-            self._text((right - 90, y - 21), f"limit {self.film.limit:g} mm", 14, LIMIT)
+            self._text((right - 88, BARS[1] + 3), f"limit {self.film.limit:g} mm", 12, LIMIT)
 
     def _text(self, at: tuple[float, float], text: str, size: int, colour: tuple[int, int, int]) -> None:
         self.draw.text(at, text, font=font(size), fill=colour)

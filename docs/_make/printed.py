@@ -3,7 +3,8 @@
 ``python docs/_make/printed.py docs/tutorials/your-own-arm.md ..`` executes the ``sh`` blocks of these pages, as a reader would paste them,
 and writes the marked blocks anew: ``text`` blocks behind a line ``<!-- printed -->``. Their lines stand in the order in which they are
 printed; a line ``...`` stands for any number of others. A line that is printed no more is named, to be chosen anew by hand. A test
-executes the same commands and calls ``faults``.
+executes the same commands and calls ``faults``. What takes data that no page can make (a cell that changed on the ninth day, two logs)
+stands behind a line ``<!-- printed by tests/FILE -->``: that test makes the data, and calls ``faults`` with its own name.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 SHELL = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 MARKED = re.compile(r"^(<!-- printed -->\n```text\n)(.*?)(^```$)", re.DOTALL | re.MULTILINE)
+BY_TEST = re.compile(r"^<!-- printed by (\S+) -->\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 SHARE = 0.15  # by which a number may differ: runs are timed by a clock, and noise of a fake cell depends on the time
 ROUNDING = 1e-9  # numbers below differ from machine to machine, and say the same
@@ -26,10 +28,12 @@ WINDOWS = 'xdg-open() { :; }; mbcacq() { [ "$1" = view ] || command mbcacq "$@";
 LIKE = 0.6  # similarity from which a printed line is the successor of a shown one
 
 
-def faults(text: str, printed: str) -> list[str]:
-    """The lines of the marked blocks of a page that were not printed, in this order."""
+def faults(text: str, printed: str, by: str = "") -> list[str]:
+    """The lines of the marked blocks of a page that were not printed, in this order. by: the test whose blocks are meant, '' for those of
+    the page's own commands."""
     lines, at, out = [line.rstrip() for line in printed.splitlines()], 0, []
-    for _, block, _ in MARKED.findall(text):
+    blocks = [block for test, block in BY_TEST.findall(text) if test == by] if by else [block for _, block, _ in MARKED.findall(text)]
+    for block in blocks:
         for shown in block.splitlines():
             if shown.strip() in ("", "..."):
                 continue

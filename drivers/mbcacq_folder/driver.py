@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +39,10 @@ class FolderScanner(ContextDevice):
         self._stop, self._connected, self._count = threading.Event(), False, 0
         self._trigger = CloudTrigger(name, self._options.trigger, self._options.connect_timeout_s, self._stop.is_set)
 
-    def use_outputs(self, set_output: Callable[[int, bool], None] | None) -> None:
-        """The robot's ``set_output(number, value)``, or None where its driver switches none. Raises ConfigError where it is needed."""
-        self._trigger.use_outputs(set_output)
+    def use_outputs(self, set_output: Callable[[int, bool], None] | None, numbers: Sequence[int]) -> None:
+        """The robot's ``set_output(number, value)``, or None where its driver switches none, and which it may switch. Raises ConfigError
+        where another one is needed."""
+        self._trigger.use_outputs(set_output, numbers)
 
     def describe(self) -> Description:
         o = self._options
@@ -49,7 +50,7 @@ class FolderScanner(ContextDevice):
             "scanner",
             self._model or "a program that saves clouds",
             (Field("points", "mm", (3,), meaning="in the scanner frame"),),
-            settings={"folder": str(o.folder), "pattern": o.pattern, "unit": o.unit, "axes": o.axes},
+            settings={"folder": str(o.folder), "pattern": o.pattern, "unit": o.unit or "as the clouds say, or mm", "axes": o.axes},
         )
 
     def connect(self) -> None:

@@ -53,7 +53,7 @@ class FolderOptions(FolderModel):
     timeout_s: float = Option(default=120.0, gt=0)
     quiet_s: float = Option(default=0.5, ge=0)
     connect_timeout_s: float = Option(default=5.0, gt=0)
-    unit: str = "mm"
+    unit: str | None = None
     axes: str = "x y z"
     range_map: tuple[float, float, float, float] | None = None
     read_cloud: Any = None

@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from mbcacq.devices import Aborted, ConfigError, ConnectError, DeviceFault, DeviceTimeout, MbcacqError, ProtocolError
 from mbcacq_folder.options import TriggerOptions
@@ -23,23 +23,29 @@ class CloudTrigger:
     def __init__(self, name: str, options: TriggerOptions, connect_timeout_s: float, stopped: Callable[[], bool]) -> None:
         self._name, self._options, self._connect_s, self._stopped = f"scanner '{name}'", options, connect_timeout_s, stopped
         self._set_output: Callable[[int, bool], None] | None = None
+        self._numbers: tuple[int, ...] = ()
         try:
             self._reply = None if options.reply is None else re.compile(options.reply)
         except re.error as error:
             raise ConfigError(f"{self._name}: trigger.reply is no pattern ({error}); correct the plan") from error
 
-    def use_outputs(self, set_output: Callable[[int, bool], None] | None) -> None:
-        """How the robot's outputs are switched; None where its driver cannot. Raises ConfigError where one is needed."""
-        self._set_output = set_output
-        if self._options.output is not None and set_output is None:
+    def use_outputs(self, set_output: Callable[[int, bool], None] | None, numbers: Sequence[int]) -> None:
+        """How the robot's outputs are switched, and which may be; None where its driver cannot. Raises ConfigError where one is needed."""
+        self._set_output, self._numbers, output = set_output, tuple(numbers), self._options.output
+        if output is not None and set_output is None:
             raise ConfigError(
                 f"{self._name}: trigger.output needs a robot whose driver switches outputs, which this one does not; trigger it by "
                 "tcp, serial, command or person"
             )
+        if output is not None and output not in self._numbers:
+            raise ConfigError(
+                f"{self._name}: trigger.output is {output}, which the robot may not switch; add digital_outputs: [{output}] to the robot's "
+                "options, or trigger it by tcp, serial, command or person"
+            )
 
     def check(self) -> None:
         """Whether there is somebody to ask. Raises ConnectError, ConfigError."""
-        self.use_outputs(self._set_output)
+        self.use_outputs(self._set_output, self._numbers)
         if self._options.tcp:
             with self._connected() as connection:
                 connection.settimeout(LISTENS_S)

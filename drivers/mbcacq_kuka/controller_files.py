@@ -9,6 +9,8 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.devices import ConfigError
+from mbcacq_kuka import controller_outputs as outputs
+from mbcacq_kuka.controller_drawing import in_old_drawing
 from mbcacq_kuka.controller_flags import with_flags_from
 from mbcacq_kuka.controller_guide import eki_guide, rsi_guide
 
@@ -36,6 +38,7 @@ def eki_files(options: EkiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
             "mb_max_path": float(options.path_speed_mm_s),
             "mb_silence": options.controller_silence_ms,
             "mb_period": options.state_ms,
+            **{f"mb_out[{k}]": number for k, number in enumerate(options.digital_outputs, 1)},
             **_limits("mb_low", "mb_high", options.limits_deg),
         },
     )
@@ -75,23 +78,24 @@ def rsi_files(options: RsiOptions, facts: Mapping[str, Any]) -> dict[str, str]:
     cycle = "#IPO_FAST" if options.cycle_ms == 4 else "#IPO"
     limits = _limits("lim_low", "lim_high", options.limits_deg)
     reach = options.correction_limit_deg or (20.0,) * 6
-    old = {name: _reach(_read(f"rsi3/{name}"), reach) for name in ("mbcacq.rsi", "mbcacq.rsi.xml")}
+    old, numbers = {name: _reach(_read(f"rsi3/{name}"), reach) for name in ("mbcacq.rsi", "mbcacq.rsi.xml")}, options.digital_outputs
+    programs = {folder: _read(f"{folder}/mbcacq_rsi.src").replace("#IPO_FAST", cycle) for folder in ("rsi4", "rsi3")}
     return {
         **_warnings_file(warnings),
         "README.txt": rsi_guide(options, facts, reach, warnings),
         "tool_data.txt": tool_data(1, facts),
         "kss85/SensorInterface/mbcacq_ethernet.xml": ethernet,
-        "kss85/SensorInterface/mbcacq.rsix": _read("rsi4/mbcacq.rsix"),
-        "kss85/Program/mbcacq_rsi.src": _read("rsi4/mbcacq_rsi.src").replace("#IPO_FAST", cycle),
+        "kss85/SensorInterface/mbcacq.rsix": outputs.in_context(_read("rsi4/mbcacq.rsix"), numbers),
+        "kss85/Program/mbcacq_rsi.src": outputs.in_program(programs["rsi4"], numbers, "RSI_ON("),
         "kss85/Program/mbcacq_rsi.dat": _fill_data(_read("rsi4/mbcacq_rsi.dat"), limits),
         "kss_older/SensorInterface/mbcacq_ethernet.xml": ethernet,
-        "kss_older/SensorInterface/mbcacq.rsi": old["mbcacq.rsi"],
-        "kss_older/SensorInterface/mbcacq.rsi.xml": old["mbcacq.rsi.xml"],
-        "kss_older/SensorInterface/mbcacq.rsi.diagram": _read("rsi3/mbcacq.rsi.diagram"),
-        "kss_older/Program/mbcacq_rsi.src": _read("rsi3/mbcacq_rsi.src").replace("#IPO_FAST", cycle),
+        "kss_older/SensorInterface/mbcacq.rsi": outputs.in_old_model(old["mbcacq.rsi"], numbers),
+        "kss_older/SensorInterface/mbcacq.rsi.xml": outputs.in_old_context(old["mbcacq.rsi.xml"], numbers),
+        "kss_older/SensorInterface/mbcacq.rsi.diagram": in_old_drawing(_read("rsi3/mbcacq.rsi.diagram"), numbers),
+        "kss_older/Program/mbcacq_rsi.src": outputs.in_program(programs["rsi3"], numbers, "RSI_ON("),
         "iiqka/Ethernet configuration/mbcacq_ethernet.xml": ethernet,
-        "iiqka/Context/mbcacq.rsix": _read("rsi_iiqka/mbcacq.rsix"),
-        "iiqka/Program/mbcacq_rsi.src": _read("rsi_iiqka/mbcacq_rsi.src"),
+        "iiqka/Context/mbcacq.rsix": outputs.in_context(_read("rsi_iiqka/mbcacq.rsix"), numbers),
+        "iiqka/Program/mbcacq_rsi.src": outputs.in_program(_read("rsi_iiqka/mbcacq_rsi.src"), numbers, "RSI_PROCESS_ON("),
         "iiqka/Program/mbcacq_rsi.dat": _fill_data(_read("rsi_iiqka/mbcacq_rsi.dat"), limits),
     }
 
@@ -125,7 +129,8 @@ def _ethernet(options: RsiOptions) -> str:
     text = text.replace('TAG="AK.', f'TAG="{options.correction}.').replace('TAG="Stop"', f'TAG="{options.stop_element}"')
     delay = '         <ELEMENT TAG="DEF_Delay"'
     external = "".join(f'         <ELEMENT TAG="{tag}" TYPE="DOUBLE" INDX="INTERNAL"/>\n' for tag in ("DEF_EIPos", "DEF_MECur"))
-    return text.replace(delay, external + delay) if options.external_axes else text
+    text = text.replace(delay, external + delay) if options.external_axes else text
+    return outputs.in_ethernet(text, options.digital_outputs)
 
 
 def _warn_of_loopback(option: str, address: str, what: str) -> list[str]:

@@ -76,6 +76,7 @@ WHAT STOPS THE ARM
   {options.controller_silence_ms} ms or the connection lost: the same, by the controller itself.
   Targets outside the plan's joint limits and speeds beyond the plan's are refused.
 """
+        + _outputs(options.digital_outputs, "It goes off with whatever stops the arm, an emergency stop too: the link program sees to it.")
     )
 
 
@@ -135,7 +136,24 @@ WHAT THE SMARTPAD SHOWS
   RSI_CREATE ... file not found    name or folder of the context is wrong
   Invalid index - signal output    context and Ethernet file do not fit together
 """
+        + _outputs(
+            options.digital_outputs,
+            "It goes off with a missing answer, and before and after RSI. An emergency stop while\n  it is on leaves it on until "
+            "mbcacq_rsi is started again. Copy all files of a folder\n  together: context, Ethernet file and program.",
+        )
     )
+
+
+def _outputs(numbers: Sequence[int], off: str) -> str:
+    if not numbers:
+        return ""
+    named = ", ".join(f"$OUT[{number}]" for number in numbers)
+    return f"""
+OUTPUTS
+  mbcacq switches {named}, and no other. No other program may set it,
+  and it must not be write-protected.
+  {off}
+"""
 
 
 def _head(what: str, facts: Mapping[str, Any], warnings: Sequence[str]) -> str:

@@ -10,6 +10,9 @@ import numpy as np
 
 from mbcacq.devices import ConfigError
 
+MOST_OUTPUTS = 8  # that may be switched from here: the EKI program has room for so many
+LAST_OUTPUT = 4096  # $OUT of every KSS
+
 
 def refuse_unknown(name: str, given: Iterable[str], known: list[str]) -> None:
     if unknown := sorted(set(given) - set(known)):
@@ -48,3 +51,27 @@ def check_limits(name: str, limits_deg: tuple[tuple[float, float], ...]) -> None
 def check_positive(name: str, key: str, values: tuple[float, ...] | None) -> None:
     if values is not None and min(values) <= 0:
         raise ConfigError(f"robot '{name}': option {key} must be positive")
+
+
+def output_numbers(name: str, given: Mapping[str, Any]) -> tuple[int, ...]:
+    """The option digital_outputs: numbers of $OUT, each once."""
+    numbers = given.get("digital_outputs", ())
+    if not isinstance(numbers, list | tuple) or not all(type(n) is int and 1 <= n <= LAST_OUTPUT for n in numbers):
+        raise ConfigError(
+            f"robot '{name}': option digital_outputs must be a list of whole numbers from 1 to {LAST_OUTPUT}, it is {numbers!r}"
+        )
+    if len(set(numbers)) != len(numbers) or len(numbers) > MOST_OUTPUTS:
+        raise ConfigError(
+            f"robot '{name}': option digital_outputs must name up to {MOST_OUTPUTS} outputs, each once, it is {list(numbers)}"
+        )
+    if numbers and given.get("follow"):
+        raise ConfigError(
+            f"robot '{name}': an arm that is only followed is sent nothing, digital_outputs neither; leave them out, or remove follow"
+        )
+    return tuple(numbers)
+
+
+def check_output(name: str, number: int, allowed: tuple[int, ...]) -> None:
+    """Raises ConfigError for an output that the plan does not name."""
+    if number not in allowed:
+        raise ConfigError(f"robot '{name}': output {number} may not be switched from here; add it to the option digital_outputs")

@@ -160,6 +160,11 @@ class UrRtdeRobot(ContextDevice):
                 raise DeviceTimeout(f"{self._name}: output {number} could not be switched, no package came; check controller and cable")
             self._check()
 
+    @property
+    def digital_outputs(self) -> tuple[int, ...]:
+        """Those that may be switched."""
+        return self._options.digital_outputs
+
     def state(self) -> RobotState:
         """The latest state. Raises what stopped the arm."""
         with self._changed:
@@ -180,13 +185,16 @@ class UrRtdeRobot(ContextDevice):
         return Cycles({name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {})
 
     def stop(self) -> None:
-        """Commands a stop, and waits for a moment until the controller took it up; an arm that is only followed is not ours to stop."""
+        """Commands a stop, switches the outputs off, and waits for a moment until the controller took it up; an arm that is only followed
+        is not ours to stop."""
         with self._changed:
             if self._options.follow or self._link is None or not self._link.open or self._error is not None:
                 return
             self._target = None
+            switched, self._outputs = self._outputs, 0
+            sent = self._life + 2 if switched else self._life  # as for set_output
             self._command(self._registers[:8], STOP)
-            self._changed.wait_for(lambda: self._error is not None or self._at_rest(), self._options.silence_s)
+            self._changed.wait_for(lambda: self._error is not None or (self._at_rest() and self._life >= sent), self._options.silence_s)
 
     def close(self) -> None:
         self.stop()

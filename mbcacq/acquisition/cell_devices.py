@@ -88,10 +88,10 @@ def create_devices(loaded: LoadedPlan, overrides: Overrides | None = None) -> Ce
 
 
 def hand_on_outputs(robot: Robot, scanner: Scanner) -> None:
-    """Give a scanner that can be triggered by a digital output of the robot (``use_outputs``) what switches one (``set_output``). Raises
-    ConfigError where the scanner needs one and the robot's driver has none."""
+    """Give a scanner that can be triggered by a digital output of the robot (``use_outputs``) what switches one (``set_output``), and the
+    numbers of those that the plan allows (``digital_outputs``). Raises ConfigError where the scanner needs one that the robot has not."""
     if (use_outputs := getattr(scanner, "use_outputs", None)) is not None:
-        use_outputs(getattr(robot, "set_output", None))
+        use_outputs(getattr(robot, "set_output", None), tuple(getattr(robot, "digital_outputs", ())))
 
 
 def device_makers(loaded: LoadedPlan, overrides: Overrides | None = None) -> dict[str, Callable[[], Any]]:
@@ -168,7 +168,7 @@ def scanner_options(loaded: LoadedPlan, replaced: Mapping[str, Any] | None = Non
     if "scanner" in (replaced or {}) or "cloud_reader" not in getattr(load_driver("scanners", use.driver), "plan_facts", ()):
         return dict(use.options)
     given = use.options
-    form = CloudFormat(str(given.get("unit", "mm")), str(given.get("axes", "x y z")), given.get("range_map"))
+    form = CloudFormat(given.get("unit"), str(given.get("axes", "x y z")), given.get("range_map"))
     form.matrix()  # says now, in one sentence, what it would not accept later
     return {**given, "read_cloud": partial(read_points, form=form)}
 

@@ -11,11 +11,11 @@ from mbcacq.acquisition import events
 from mbcacq.acquisition.cell_devices import CellDevices
 from mbcacq.acquisition.cycle_collector import CycleCollector
 from mbcacq.acquisition.event_bus import EventBus
-from mbcacq.acquisition.expected_view import mean_centres
 from mbcacq.acquisition.follower import Follower
 from mbcacq.acquisition.gate_options import GateOptions
 from mbcacq.acquisition.gated_exposures import GatedExposures
 from mbcacq.acquisition.mover import Mover
+from mbcacq.acquisition.pose_observation import ArmAtPose, emit_observation
 from mbcacq.acquisition.reconnect_policy import read_sensor
 from mbcacq.devices import DeviceFault, MbcacqError, SafetyStop
 from mbcacq.plan import LoadedPlan, PlannedPose
@@ -67,27 +67,16 @@ class PoseMeasurement:
         if contradiction:
             self._leave_out(pose, contradiction)
             return False
-        mean = mean_centres(found)
-        if len(mean.ball) < min(self.loaded.plan.accept.min_balls, len(pose.balls)):
-            few = f"{len(mean.ball)} of {len(pose.balls)} balls found, pose left out"
-            self.bus.gap("pose", f"pose {pose.number} ({pose.step_name}): {few}", pose.number)
+        arm: ArmAtPose = {
+            "q": q,
+            "direction": self.mover.direction.copy(),
+            "robot_time_s": reached.time_s,
+            "current": current,
+            "sensors": sensors,
+        }
+        if not emit_observation(self.bus, pose, found, self.loaded.plan.accept.min_balls, pose.step_name, arm):
             return False
         self._in_a_row = 0
-        self.bus.emit(
-            events.PoseDone,
-            *about,
-            q=q,
-            direction=self.mover.direction.copy(),
-            robot_time_s=reached.time_s,
-            ball=mean.ball,
-            xyz=mean.xyz,
-            n_points=mean.n_points,
-            rms_mm=mean.rms_mm,
-            scatter_mm=mean.scatter_mm,
-            n_exposures=len(found),
-            current=current,
-            sensors=sensors,
-        )
         return True
 
     def _leave_out(self, pose: PlannedPose, contradiction: str) -> None:

@@ -47,20 +47,17 @@ class Story:
         return self.gain - self.freedom
 
 
-def likely_cause(lineariser: Lineariser, strict: Solution) -> str:
-    """A sentence on the one simple fault that explains a recording; '' where none does.
+def fault_of(lineariser: Lineariser, strict: Solution, known: Collection[int] = ()) -> str:
+    """A sentence on the one simple fault while the recording was made that explains it; '' where none does, where its misfit is within the
+    scatter of the noise, and where one of the poses that are ``known`` (their numbers) explains it.
 
     Parameters
     ----------
     lineariser, strict : Lineariser, Solution
         The recording, every pose with full weight, solved under the noise that statement and data sheet allow.
+    known : Collection[int]
+        Poses that were rejected already.
     """
-    return misdescribed(lineariser.obs) or fault_of(lineariser, strict)
-
-
-def fault_of(lineariser: Lineariser, strict: Solution, known: Collection[int] = ()) -> str:
-    """As ``likely_cause``, of what happened while the recording was made; '' too where its misfit is within the scatter of the noise, or
-    where one of the poses that are ``known`` (their numbers) explains it."""
     misfit, dof = excess(lineariser, strict)
     best = convincing(list(stories(lineariser, strict)), misfit) if misfit > SCATTER * np.sqrt(2 * dof) else None
     return "" if best is None or best.pose in known else best.text

@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from mbcacq.errors import command_line
 from mbcacq.model.cell import SIMULATED
 
 UNVERIFIED = "never verified: no poses were kept apart to check these values; verify them before they are relied upon"
+
+
+def export_command(result: Mapping[str, Any], source: object) -> str:
+    """The command that writes a result for other programs, as it is accepted: of simulated data only if that is said. source: its file or
+    folder."""
+    return command_line("export", source, "--results", "results", *(("--simulated-anyway",) if result.get("simulated") else ()))
 
 
 def caveats(result: Mapping[str, Any]) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.calibration.causes import exchanged_balls, fault_of, likely_cause
+from mbcacq.calibration.causes import exchanged_balls, fault_of, misdescribed
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters, variance_components
 from mbcacq.estimation.adjustment import Adjustment
@@ -44,13 +44,14 @@ OPTIONS = ContradictionOptions()
 @dataclass(frozen=True)
 class Contradiction:
     """scanner, joint, link: ratios, root of the mean square over what is allowed; rejected: share of the centres that were rejected;
-    cause: a sentence, '' where none was found that explains it."""
+    cause: a sentence, '' where none was found that explains it; misdescribed: whether it is a sign, a unit or the like."""
 
     scanner: float
     joint: float
     link: float
     rejected: float
     cause: str = ""
+    misdescribed: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -100,7 +101,8 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
     found = Contradiction(scanner, joint, link, float(np.mean(~adjustment.used)))
     strict = solve(lineariser, solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
     if _beyond(found, lineariser.obs.cell):
-        return replace(found, cause=likely_cause(lineariser, strict))
+        described = misdescribed(lineariser.obs)
+        return replace(found, cause=described or fault_of(lineariser, strict), misdescribed=bool(described))
     fault = fault_of(lineariser, strict, known=rejected_poses(adjustment))
     return replace(found, cause=fault) if fault else None
 
@@ -137,8 +139,12 @@ def rejected_poses(adjustment: Adjustment) -> list[int]:
 
 
 def refuse_contradiction(found: Contradiction, obs: Observations, options: CalibrationOptions) -> None:
-    """Raise CalibrationError where no result could be of use, if the options refuse anything."""
-    joint = found.joint / (OPTIONS.absolute if obs.cell.robot.of_flange_poses else 1.0)
+    """Raise CalibrationError where no result could be of use, if the options refuse anything.
+
+    Poses of the flange may be off by more than an arm repeats, unless that is a matter of how they are described.
+    """
+    absolute = obs.cell.robot.of_flange_poses and not found.misdescribed
+    joint = found.joint / (OPTIONS.absolute if absolute else 1.0)
     if options.refuse and max(found.scanner, joint) > OPTIONS.refused:
         raise CalibrationError(found.sentence(obs.cell))
 

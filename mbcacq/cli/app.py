@@ -77,6 +77,14 @@ class LazyGroup(click.Group):
             return None
         return importlib.import_module(f"mbcacq.cli.{cmd_name.replace('-', '_')}").command
 
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """As of a group, with the commands that are called almost the same."""
+        from difflib import get_close_matches
+
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and (near := get_close_matches(args[0], COMMANDS, 2, 0.6)):
+            ctx.fail(f"there is no command '{args[0]}'; did you mean {' or '.join(near)}?")
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,13 +15,20 @@ from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.quantities import K, uncertainty
 
+if TYPE_CHECKING:
+    from mbcacq.spheres.cloud_file import CloudFile
+
 
 @click.command("apply")
 @click.argument("result", type=RunPath())
 @click.argument("cloud", type=click.Path(path_type=Path))
 @click.option("--joints", required=True, metavar="Q1,Q2,...", help="Joint angles of the exposure, in °, as the controller reports them.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="PLY to write [default: CLOUD with _base before its ending].")
-@click.option("--unit", type=click.Choice(["mm", "m", "cm", "um", "in"]), help="Of the cloud's coordinates [default: mm, if they can be].")
+@click.option(
+    "--unit",
+    type=click.Choice(["mm", "m", "cm", "um", "in", "inch"]),
+    help="Of the cloud's coordinates [default: as its header says, or mm].",
+)
 @click.option("--force", is_flag=True, help="Replace a file that is already there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str | None, force: bool, as_json: bool) -> None:
@@ -37,7 +46,7 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
     from mbcacq.exports.clouds import write_cloud
     from mbcacq.exports.result_json import load_result
     from mbcacq.exports.scan_correction import place_scan
-    from mbcacq.spheres.cloud_file import in_mm, looks_small, read_cloud_file
+    from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
     from mbcacq.workflow.load import unsealed_note
 
     out = out or cloud.with_name(f"{cloud.stem}_base.ply")
@@ -48,19 +57,12 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
     except ValueError:
         raise ConfigError(f"--joints '{joints}' is not a list of numbers; give degrees with commas, such as 0,-90,90,0,30,0") from None
     known = load_result(result)
-    notes: list[str] = []
     with StepProgress() as steps:
         steps.begin("bringing the scan into the base frame")
         found = read_cloud_file(cloud)
-        moved, placed = place_scan(known, q, in_mm(cloud, found.points, unit))
+        moved, placed = place_scan(known, q, in_mm(cloud, found, unit))
         changed = write_cloud(out, moved, found.properties, placed.T_base_scanner)
-    if found.missing:
-        notes.append(f"{found.missing} places of the cloud hold no point and were left out")
-    balls = np.array([ball["centre_mm"] for ball in known.get("balls", ())], dtype=float).reshape(-1, 3)
-    if unit is None and (small := looks_small(found.points, balls)):
-        notes.append(small)
-    if changed:
-        notes.append(f"PLY has no type for {', '.join(changed)}; written as double")
+    notes = _notes(found, unit, known, changed)
     if as_json:
         echo(
             json.dumps(
@@ -89,3 +91,25 @@ def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str 
     echo(f"{out}: {len(moved)} points in the base frame")
     echo(f"placed within U = {x}, {y}, {z} µm along X, Y, Z (k = 2), 3D {middle} µm in the middle, {worst} µm at worst")
     say_next(*judge_first(result))
+
+
+def _notes(cloud: CloudFile, unit: str | None, result: Mapping[str, Any], changed: Sequence[str]) -> list[str]:
+    """What was decided about the cloud without being asked. unit: as it was said; changed: properties that PLY has no type for."""
+    import numpy as np
+
+    from mbcacq.files.stated_unit import in_words
+    from mbcacq.spheres.cloud_file import looks_small
+
+    notes = []
+    if cloud.missing:
+        notes.append(f"{cloud.missing} places of the cloud hold no point and were left out")
+    if not unit and cloud.unit not in ("", "mm"):
+        notes.append(f"the cloud is read in {in_words(cloud.unit)}, as its header says")
+    if cloud.viewpoint:
+        notes.append("its VIEWPOINT is not applied: the points are taken as they stand, in the scanner frame")
+    balls = np.array([ball["centre_mm"] for ball in result.get("balls", ())], dtype=float).reshape(-1, 3)
+    if not (unit or cloud.unit) and (small := looks_small(cloud.points, balls)):
+        notes.append(small)
+    if changed:
+        notes.append(f"PLY has no type for {', '.join(changed)}; written as double")
+    return notes

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.next_step import command_line, put_to_use, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import console as terminal_console
@@ -163,7 +163,7 @@ def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | Non
     if out is None:
         given = [word for file in effects for word in ("--effects", file)]
         return "keep the result", command_line("calibrate", *data, *given, "--out", "result.json")
-    return "put the result to use", command_line("export", out, "--results", "results")
+    return put_to_use(out)
 
 
 def learnt_priors(fleet: Path | None) -> tuple[ArmPrior, ...]:

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=RunPath(), help="Add to this run folder what it lacks.")
-@click.option("--unit", type=click.Choice(["mm", "m", "cm", "um", "inch"]), help="Of the clouds [default: the plan's, or mm].")
+@click.option(
+    "--unit", type=click.Choice(["mm", "m", "cm", "um", "in", "inch"]), help="Of the clouds [default: the plan's, the files', or mm]."
+)
 @click.option("--axes", help="Axes of the clouds that are the scanner frame's x, y, z, such as 'x -y -z' [default: the plan's].")
 @click.option("--range-map", help="Scale of TIFF range maps: mm a column, mm a row, mm a count, mm at count 0.")
 @click.option("--by", type=click.Choice(["auto", "number", "time"]), default="auto", show_default=True, help="Order of the clouds.")
@@ -66,9 +68,7 @@ def command(
     steps = StepProgress()
     loaded = load(plan)
     given = loaded.plan.scanner.options
-    form = CloudFormat(
-        unit or str(given.get("unit", "mm")), axes or str(given.get("axes", "x y z")), scale_of(range_map or given.get("range_map"))
-    )
+    form = CloudFormat(unit or given.get("unit"), axes or str(given.get("axes", "x y z")), scale_of(range_map or given.get("range_map")))
     operator = mbcacq.Operator(
         message=lambda sentence: echo(sentence, err=True), progress=steps.begin, subscribers=(RunProgress(steps.begin),)
     )

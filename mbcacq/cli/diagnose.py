@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.next_step import command_line, put_to_use, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -176,7 +176,7 @@ def next_step(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, with_found:
 
     run = is_run_folder(data[0])
     if with_found:
-        return "put the result to use", command_line("export", data[0] / "with-effects" if run else "with-effects", "--results", "results")
+        return put_to_use(data[0] / "with-effects" if run else Path("with-effects"))
     if found.model:
         return "calibrate with what was found", command_line("diagnose", *data, "--calibrate")
     if found.poses is not None and run:
@@ -242,6 +242,7 @@ def write_pictures(found: mbcacq.DiagnosisResult, report: Path | None, rrd: Path
 
 def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options: mbcacq.CalibrationOptions) -> list[str]:
     """Calibrate with what was found, write the result, and say what came of it."""
+    from mbcacq.recording.run_folder.lock import write_lock
     from mbcacq.report.sources.run_folder import WITH_EFFECTS
     from mbcacq.workflow.calibrate import limit_of
     from mbcacq.workflow.calibrate_with_found import calibrate_with_found
@@ -252,5 +253,8 @@ def with_effects(data: tuple[Path, ...], found: mbcacq.DiagnosisResult, options:
     result = calibrate_with_found(found, options, limit_of(run) if run is not None else None)
     files = result.write((run or Path()) / WITH_EFFECTS)
     if run is not None:
+        assert found.observations is not None, "what was calibrated has observations"
         files.append(write_report(run))  # whose first page is about the best model that the run has
+        with write_lock(run, "diagnose"):
+            files.append(result.show_in_viewer(run, found.observations))
     return ["", result.text, *(str(file) for file in files)]

@@ -97,11 +97,13 @@ def command(
             f"U = {uncertainty(K * v)} mm (k = 2)" if k == "uncertainty_mm" else f"{v} {k}" for k, v in one.items() if k != "file"
         )
         echo(one["file"] + (f": {more}" if more else ""))
-    say_next(*next_step(run, observations, results))
+    say_next(*next_step(run, observations, results, trajectory, None if artefact is None else written[-1]["file"]))
 
 
-def next_step(run: Path, observations: Path | None, results: Path | None) -> tuple[str, str]:
-    """What to do after an export, and the command for it."""
+def next_step(
+    run: Path, observations: Path | None, results: Path | None, trajectory: Path | None = None, artefact: str | None = None
+) -> tuple[str, str]:
+    """What to do after an export, and the command for it. artefact: its file, where RUN is a certificate."""
     if observations is not None:
         return "calibrate with the observation set", command_line("calibrate", observations)
     if results is not None:
@@ -109,6 +111,11 @@ def next_step(run: Path, observations: Path | None, results: Path | None) -> tup
         if folder_of(run) is None and arm.exists():
             return "describe plans by the calibrated arm", command_line("robot", "import", arm, "--out", "calibrated-arm.yaml")
         return judge_first(run)
+    if trajectory is not None:
+        return "ask which effects the motion shows", command_line("diagnose", trajectory)
+    if artefact is not None:
+        what = "make a plan with it, here for an arm and a scanner of the tool's own"
+        return what, command_line("plan", "new", "--robot", "kr6_r900_2", "--scanner", "gocator-3210", "--artefact", artefact)
     return "see the whole run", command_line("report" if run.is_dir() else "view", run)
 
 

@@ -5,10 +5,12 @@ The command of such a line can be pasted: it is never broken, and words with spa
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from mbcacq.cli.terminal import echo
 from mbcacq.errors import command_line
 
-__all__ = ["command_line", "forget_failure", "on_failure", "say_after_failure", "say_next"]
+__all__ = ["command_line", "forget_failure", "on_failure", "put_to_use", "say_after_failure", "say_next"]
 
 _after_failure: list[tuple[str, str]] = []
 
@@ -16,6 +18,19 @@ _after_failure: list[tuple[str, str]] = []
 def say_next(what: str, command: str) -> None:
     """Print the next step. what: in words; command: that does it."""
     echo(f"next: {what[:1].lower()}{what[1:]}:", err=True, whole=command)
+
+
+def put_to_use(source: Path) -> tuple[str, str]:
+    """What to do with a result in the end, and the command for it. source: its file, or the folder of it."""
+    from mbcacq.calibration.caveats import export_command
+    from mbcacq.errors import MbcacqError
+    from mbcacq.exports.result_json import load_result
+
+    try:
+        result = load_result(source)
+    except MbcacqError:
+        result = {}
+    return "put the result to use", export_command(result, source)
 
 
 def on_failure(what: str, command: str) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from mbcacq.cli.terminal import echo
+from mbcacq.errors import ConfigError
 
 
 class PlanPath(click.Path):
@@ -24,4 +25,17 @@ class PlanPath(click.Path):
         found = shipped.plan_file(path)
         if found != path:
             echo(f"there is no {path} here: this is the plan that came with mbcacq; mbcacq plan copy {found.stem} puts it here", err=True)
+        if not found.exists() and (meant := _near(found)) is not None:
+            raise ConfigError(f"there is no plan {path}; did you mean {meant}?")
         return found
+
+
+def _near(missing: Path) -> Path | None:
+    """The plan that is called almost the same: in the folder of the one that is missing, or of those that came with the tool."""
+    from difflib import get_close_matches
+
+    from mbcacq.model import shipped
+
+    beside = {file.stem: file for file in missing.parent.glob("*.yaml")} if missing.parent.is_dir() else {}
+    named = {name: Path(name) for name in shipped.plans()} | beside
+    return next((named[name] for name in get_close_matches(missing.stem, named, 1, 0.7)), None)

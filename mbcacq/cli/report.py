@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.next_step import command_line, put_to_use, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -55,4 +55,4 @@ def next_step(run: Path) -> tuple[str, str]:
         return "ask which effects the model lacks", command_line("diagnose", run)
     if not (run / WITH_EFFECTS / "result.json").exists():
         return "calibrate with what was found", command_line("diagnose", run, "--calibrate")
-    return "put the result to use", command_line("export", run / WITH_EFFECTS, "--results", "results")
+    return put_to_use(run / WITH_EFFECTS)

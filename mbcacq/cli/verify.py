@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from mbcacq.cli.next_step import command_line, say_next
+from mbcacq.cli.next_step import put_to_use, say_next
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
@@ -49,4 +49,4 @@ def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) ->
         echo(f"*** {sentence} ***", err=True)
     for one in found:
         echo(one.text)
-    say_next("put the result to use", command_line("export", result, "--results", "results"))
+    say_next(*put_to_use(result))

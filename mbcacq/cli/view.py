@@ -42,7 +42,7 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
     sources = open_viewer.files(run)
     if screenshot is None:
         open_viewer.view(sources, lambda: echo("opening the viewer; close its window to end", err=True))
-        say_next(*next_step(run))
+        say_next_after(run)
         return
     width, _, height = size.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 200 <= int(width) <= 8000 and 200 <= int(height) <= 8000):
@@ -51,11 +51,23 @@ def command(run: Path, screenshot: Path | None, pose: int | None, size: str) -> 
         pictures = open_viewer.screenshots(sources, screenshot, (int(width), int(height)), pose, progress)
     for picture in pictures:
         echo(str(picture))
-    say_next(*next_step(run))
+    say_next_after(run)
 
 
-def next_step(run: Path) -> tuple[str, str]:
-    """What to do after a look at a recording, and the command for it."""
-    if run.is_dir():
-        return "read the figures", command_line("report", run)
-    return "calibrate with it", command_line("calibrate", run)
+def say_next_after(shown: Path) -> None:
+    """What to do after a look at a recording; nothing where it is of a result or a diagnosis by itself, or of another program."""
+    from mbcacq.errors import RecordingError
+    from mbcacq.recording.rrd import layout
+    from mbcacq.recording.rrd.reader import Recording
+    from mbcacq.workflow.load import is_run_folder
+
+    folder = shown if shown.is_dir() else shown.parent
+    if is_run_folder(folder) and (shown.is_dir() or shown.name in (layout.RESULT_FILE, layout.DIAGNOSIS_FILE)):
+        say_next("read the figures", command_line("report", folder))
+        return
+    try:
+        measured = next(iter(Recording(shown).rows(layout.OBSERVATION)), None)
+    except RecordingError:
+        return
+    if measured is not None:
+        say_next("calibrate with it", command_line("calibrate", shown))

@@ -173,6 +173,24 @@ def closes_after_an_exception(bench: DriverBench, stand: Stand) -> None:
     works_anew(bench, stand)
 
 
+def an_output_that_is_on_goes_off(bench: DriverBench, stand: Stand) -> None:
+    if stand.output is None:
+        raise Skip("it switches no outputs")
+    number, is_on = stand.output
+    driver = stand.make(digital_outputs=[number])
+    bounded("connect", driver.connect, bench.limit_s)
+    for value in (True, False, True):
+        bounded("set_output", lambda value=value: driver.set_output(number, value), bench.limit_s)
+        eventually(lambda value=value: is_on() == value, bench.limit_s, f"set_output({number}, {value}) returned, and nothing was switched")
+    bounded("stop", driver.stop, bench.limit_s)
+    eventually(lambda: not is_on(), bench.limit_s, f"output {number} was still on after stop()")
+    error = outcome("set_output", lambda: driver.set_output(number + 1, True), bench.limit_s)
+    demand(isinstance(error, ConfigError), f"an output that the plan does not name gives {error!r} instead of a ConfigError")
+    bounded("set_output", lambda: driver.set_output(number, True), bench.limit_s)
+    bounded("close", driver.close, bench.limit_s)
+    eventually(lambda: not is_on(), bench.limit_s, f"output {number} was still on after close()")
+
+
 CHECKS: tuple[Check, ...] = (
     describes_itself_unconnected,
     refuses_an_unknown_option,
@@ -190,4 +208,5 @@ CHECKS: tuple[Check, ...] = (
     stop_and_close_are_always_allowed,
     stop_ends_what_is_under_way,
     closes_after_an_exception,
+    an_output_that_is_on_goes_off,
 )

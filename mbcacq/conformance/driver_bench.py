@@ -22,7 +22,8 @@ class Stand:
     wrong: constructs a driver that expects another device. begin: starts something that takes long (a motion, a scan), and returns
     once it is under way; it may block until that ends. at_rest: whether the device itself says that nothing moves. ready: whether it
     takes a new driver, where it needs a while after a fault. short_limits: options with short time limits, given where a fault is waited
-    for; all else runs with the limits of ``make``, so that a busy computer fails nobody.
+    for; all else runs with the limits of ``make``, so that a busy computer fails nobody. output: number of a digital output that a robot
+    switches under the option digital_outputs, and whether the device itself says that it is on.
     """
 
     make: Callable[..., Any]
@@ -33,6 +34,7 @@ class Stand:
     at_rest: Callable[[], bool] | None = None
     short_limits: Mapping[str, Any] = field(default_factory=dict)
     ready: Callable[[], bool] = lambda: True
+    output: tuple[int, Callable[[], bool]] | None = None
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ QUARTER = np.pi / 2
 LONGEST_ROW_M = 20.0  # no row of an arm is shorter than this in mm and longer in m: rows below it may be metres
 RADIANS = 7.0  # deg; a recording whose angles stay below may be in radians
 INCH_MM = 25.4
+LENGTHS = ("metres", 1e3), ("centimetres", 10.0), ("inches", INCH_MM)
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def hypotheses(o: Observations) -> Iterator[Misreading]:
 
 
 def _units(o: Observations) -> Iterator[Misreading]:
-    for what, factor in (("metres", 1e3), ("inches", INCH_MM), ("micrometres", 1e-3)):
+    for what, factor in (*LENGTHS, ("micrometres", 1e-3)):
         yield Misreading(f"the measured points read as {what}, not millimetres", "unit", lambda o, f=factor: replace(o, xyz=f * o.xyz))
         if np.any(o.cell.ball_centres):
             yield Misreading(f"the certified centres read as {what}, not millimetres", "unit", lambda o, f=factor: _certified_times(o, f))
@@ -85,7 +86,11 @@ def _flange(o: Observations) -> Iterator[Misreading]:
             if meant != read:
                 what = f"the orientations of the flange taken as {in_words(meant)}, where they were read as {in_words(read)}"
                 yield Misreading(what, "orientation", lambda o, r=read, m=meant: _other_flange(o, lambda T: _reread(T, r, m)))
-    for what, factor in (("metres", 1e3), ("inches", INCH_MM)):
+    for read in ("ZYX", "vector"):
+        if np.degrees(np.abs(to_numbers(flange_transforms(o.q)[:, :3, :3], read))).max() < RADIANS:
+            what = "the orientations of the flange read as radians, not degrees"
+            yield Misreading(what, "unit", lambda o, r=read: _other_flange(o, lambda T: _in_degrees(T, r)))
+    for what, factor in LENGTHS:
         scale = np.r_[factor, factor, factor, 1.0, 1.0, 1.0]
         yield Misreading(f"the places of the flange read as {what}, not millimetres", "unit", lambda o, f=scale: replace(o, q=f * o.q))
 
@@ -223,6 +228,12 @@ def _reread(T: np.ndarray, read: str, meant: str) -> np.ndarray:
     """T (P, 4, 4) whose numbers, read in one convention, were meant in another."""
     numbers = to_numbers(T[:, :3, :3], read)
     return se3.transform(to_matrices(numbers, meant), T[:, :3, 3])
+
+
+def _in_degrees(T: np.ndarray, read: str) -> np.ndarray:
+    """T (P, 4, 4) whose angles were taken for degrees and are radians."""
+    numbers = to_numbers(T[:, :3, :3], read)
+    return se3.transform(to_matrices(np.degrees(numbers), read), T[:, :3, 3])
 
 
 def _shifted(o: Observations, shift: int) -> Observations:

@@ -18,6 +18,7 @@ from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_file import EffectModelFile, TermInFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
+from mbcacq.effects.trend import TREND, is_trend
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
@@ -137,6 +138,11 @@ class EffectFound:
     log_bayes_factor: float | None = None
     equivalent: tuple[str, ...] = ()
 
+    @property
+    def is_trend(self) -> bool:
+        """Whether no size of it reaches its expanded uncertainty: it helps, but no figure of it may be relied on."""
+        return is_trend({name: estimate.components for name, estimate in self.parameters.items()})
+
 
 @dataclass(frozen=True)
 class FitFigures:
@@ -221,14 +227,15 @@ class ExclusionBand:
 
 @dataclass(frozen=True, kw_only=True)
 class ExclusionLimit:
-    """The largest size of an effect at a location that the recording does not exclude, with 95 % confidence, everything that it is confused
-    with being free.
+    """The size of an effect at a location that is excluded with 95 % confidence, everything that it is confused with being free: of effects
+    as large, with any value from ``holds_for`` and any direction of the coefficients, 95 % would have shown more than the recording does.
 
     parameter: its name, with the unit as suffix; value: None where the free geometry absorbs the effect. workspace_mm: largest error that
-    it would make in the workspace. length_mm: error of a length between two postures that 95 % of lengths do not exceed. Both are None for
-    what depends on time or on single balls, and where the effect is not tested. in_usual_sizes: the limit relative to the effect's usual
-    size; None where value is, and in older files. tested: whether the limit is within what machines have; a larger one says nothing.
-    holds_for: the values of the effect's hyper-parameter for which the limit holds; None where it has none.
+    it would make in the workspace, together with what would hide it here. length_mm: error of a length between two postures that 95 % of
+    lengths do not exceed. Both are None for what depends on time or on single balls, and where the effect is not tested. in_usual_sizes:
+    the limit relative to the effect's usual size; None where value is, and in older files. tested: whether the limit is within what
+    machines have; a larger one says nothing. holds_for: the values of the effect's hyper-parameter for which the limit holds; None where
+    it has none.
     """
 
     name: str
@@ -270,13 +277,17 @@ class Proposal:
 @dataclass(frozen=True)
 class ComparedEffect:
     """One effect of a set that was compared. parameters: its posterior mean with standard deviations, the geometry refitted. tried: False
-    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried.
+    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried. prior: the parameters
+    without the effect, with the standard deviations that they have before the recording; log_prior: natural logarithm of its probability
+    next to the others of the set, before the recording; both are empty in older files.
     """
 
     name: str
     where: tuple[str, ...]
     parameters: Mapping[str, ParameterEstimate]
     tried: bool = True
+    prior: Mapping[str, ParameterEstimate] = field(default_factory=dict)
+    log_prior: float | None = None
 
 
 @dataclass(frozen=True)
@@ -372,7 +383,7 @@ class Diagnosis:
             (
                 e.name,
                 ", ".join(e.where),
-                "<br>".join(escape(parameter_in_words(k, v)) for k, v in list(e.parameters.items())[:8]),
+                TREND if e.is_trend else "<br>".join(escape(parameter_in_words(k, v)) for k, v in list(e.parameters.items())[:8]),
                 f"{e.held_out_gain:.0%}",
             )
             for e in self.effects

@@ -10,20 +10,22 @@ of its own, for every offset and direction. What other joints, the geometry and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 STEPS = 180  # offsets over a turn that are compared: 2 deg, a seventh of a period at order 25
-FINE = np.radians(np.arange(-2.0, 2.01, 0.25))  # rad, about the best of them
+OFFSETS = 2 * np.pi * np.arange(STEPS) / STEPS  # rad
+FINE = np.radians(np.arange(-1.0, 1.01, 0.25))  # rad, about the best of them: as far as half of the way to its neighbours
 NEAR = np.radians(4.0)  # offsets that far apart are one
 LEAST_LOG_BAYES_FACTOR = 3.0  # strong evidence (Kass, Raftery 1995); offsets and directions that were tried are averaged over
 LEAST_CERTAIN = 0.5  # probability p of the offset: at angles never visited, a pattern at it leaves 2 (1 - p) of the mean square
 LEAST_JOINTS = 3
 AT_ONCE = 20  # offsets: their matrices stay in the caches
 MOST_STARTS = 2  # joints from which a pattern is sought
+ROUNDS = 4  # in which every joint is compared anew: on two campaigns of a UR10 the third no longer changes an offset
 
 
 @dataclass(frozen=True)
@@ -79,41 +81,71 @@ def find_common_pattern(errors: OwnErrors) -> CommonPattern | None:
             joints = tuple(sorted(found))
             offsets = tuple(float(np.mod(found[i].offset, 2 * np.pi)) for i in joints)
             directions = tuple(found[i].direction for i in joints)
-            return CommonPattern(joints, offsets, directions, sum(a.log_bayes_factor for a in found.values()))
+            return CommonPattern(joints, offsets, directions, _total(errors, found))
     return None
 
 
 def _grown(errors: OwnErrors, anchor: int) -> dict[int, JointAlignment]:
-    """Joints that follow the pattern of ``anchor``: the most probable one at a time, offsets refined when all are together."""
+    """Joints that follow the pattern of ``anchor``: the most probable one at a time, then each anew beside all others."""
     found = {anchor: JointAlignment(0.0, 1, 0.0, 1.0)}
-    while left := [j for j in errors.index if j not in found]:
-        tried = {j: best_alignment(errors, found, j) for j in left}
-        # Once some joints share a pattern, the odds that another one does are those of Laplace's rule of succession.
-        least = LEAST_LOG_BAYES_FACTOR if len(found) < LEAST_JOINTS else -np.log(len(found) + 1.0)
-        good = {j: a for j, a in tried.items() if a.log_bayes_factor > least and a.certain > LEAST_CERTAIN}
-        if not good:
-            break
+    while good := _following(errors, found, [j for j in errors.index if j not in found]):
         best = max(good, key=lambda j: good[j].log_bayes_factor)
         found[best] = good[best]
-    for j in [j for j in found if j != anchor]:
-        others = {i: a for i, a in found.items() if i != j}
-        fine = found[j].offset + FINE
-        gain = PatternComparison.of(errors, others, j).log_bayes_factors(fine, found[j].direction)
-        found[j] = JointAlignment(float(fine[int(np.argmax(gain))]), found[j].direction, found[j].log_bayes_factor, found[j].certain)
+    return _aligned_anew(errors, found, anchor) if len(found) >= LEAST_JOINTS else found
+
+
+def _aligned_anew(errors: OwnErrors, found: Mapping[int, JointAlignment], anchor: int) -> dict[int, JointAlignment]:
+    """The joints that follow the pattern, each compared with that of all others, until none changes.
+
+    A joint that was added early was compared with a pattern that few joints had shown, at few angles: its offset may be another one where
+    more of the pattern is known, and a joint that did not fit may fit then.
+    """
+    found = dict(found)
+    for _ in range(ROUNDS):
+        before = {j: (a.offset, a.direction) for j, a in found.items()}
+        for j in [j for j in errors.index if j != anchor]:
+            others = {i: a for i, a in found.items() if i != j}
+            found = others | _following(errors, others, [j])
+        if {j: (a.offset, a.direction) for j, a in found.items()} == before:
+            break
     return found
 
 
+def _total(errors: OwnErrors, found: Mapping[int, JointAlignment]) -> float:
+    """Log Bayes factor of joints that share a pattern at these offsets against errors of their own, offsets and directions equally
+    probable: the product of what each joint adds to those before it.
+    """
+    first, *rest = found
+    total, there = 0.0, {first: found[first]}
+    for j in rest:
+        at = PatternComparison.of(errors, there, j).log_bayes_factors(np.array([found[j].offset]), found[j].direction)
+        total += float(at[0]) - float(np.log(2 * STEPS))
+        there[j] = found[j]
+    return total
+
+
+def _following(errors: OwnErrors, found: Mapping[int, JointAlignment], joints: Sequence[int]) -> dict[int, JointAlignment]:
+    """Those of the joints that follow the pattern of the joints found, each where it does so most probably."""
+    # Once some joints share a pattern, the odds that another one does are those of Laplace's rule of succession.
+    least = LEAST_LOG_BAYES_FACTOR if len(found) < LEAST_JOINTS else -np.log(len(found) + 1.0)
+    tried = {j: best_alignment(errors, found, j) for j in joints}
+    return {j: a for j, a in tried.items() if a.log_bayes_factor > least and a.certain > LEAST_CERTAIN}
+
+
 def best_alignment(errors: OwnErrors, found: Mapping[int, JointAlignment], joint: int) -> JointAlignment:
-    """The most probable offset and direction of a joint under the pattern of others."""
-    offsets = 2 * np.pi * np.arange(STEPS) / STEPS
+    """The most probable offset and direction of a joint under the pattern of others, averaged over all of them."""
     compared = PatternComparison.of(errors, found, joint)
-    gain = np.stack([compared.log_bayes_factors(offsets, direction) for direction in (1, -1)])
-    top = float(gain.max())
-    weight = np.exp(gain - top)
-    which, at = (int(i) for i in np.unravel_index(int(np.argmax(gain)), gain.shape))
-    near = np.abs(np.angle(np.exp(1j * (offsets - offsets[at])))) < NEAR
+    coarse = np.stack([compared.log_bayes_factors(OFFSETS, direction) for direction in (1, -1)])
+    which, at = (int(i) for i in np.unravel_index(int(np.argmax(coarse)), coarse.shape))
+    fine = compared.log_bayes_factors(OFFSETS[at] + FINE, (1, -1)[which])
+    top = float(max(coarse.max(), fine.max()))
+    # About the best of the coarse offsets the fine ones stand for it and for half of the way to its neighbours.
+    weight = np.exp(coarse - top)
+    weight[which, at] = np.exp(fine - top).mean()
+    near = np.abs(np.angle(np.exp(1j * (OFFSETS - OFFSETS[at])))) < NEAR
+    best = int(np.argmax(fine))
     return JointAlignment(
-        float(offsets[at]), (1, -1)[which], top + float(np.log(weight.mean())), float(weight[which][near].sum() / weight.sum())
+        float(OFFSETS[at] + FINE[best]), (1, -1)[which], top + float(np.log(weight.mean())), float(weight[which][near].sum() / weight.sum())
     )
 
 

@@ -80,10 +80,15 @@ class ParameterEstimate:
     def __str__(self) -> str:
         return self.shown("")
 
+    @property
+    def components(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Values and standard deviations, of one component as well."""
+        values, stds = (x if isinstance(x, tuple) else (x,) for x in (self.value, self.std))
+        return values, stds
+
     def shown(self, unit: str, factor: float = 1.0) -> str:
         """Value and expanded uncertainty (k = 2) in a unit of which ``factor`` make one of the stored; each component by itself."""
-        values, stds = (x if isinstance(x, tuple) else (x,) for x in (self.value, self.std))
-        return ", ".join(measured(factor * v, factor * K * s, unit) for v, s in zip(values, stds, strict=True))
+        return ", ".join(measured(factor * v, factor * K * s, unit) for v, s in zip(*self.components, strict=True))
 
 
 def parameter_in_words(name: str, estimate: ParameterEstimate) -> str:

@@ -19,9 +19,9 @@ import yaml
 from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
 from mbcacq.files.csv_text import Dialect, csv_text, read_csv_text, read_text, text_of_mappings
+from mbcacq.files.stated_unit import in_words, stated_unit
 from mbcacq.files.table import Column, Table, TableSchema, as_table
 from mbcacq.files.table_schema import HeadingError, HeadingMatch, coverage_factor, matched, score
-from mbcacq.files.units import same_dimension, unit_named
 from mbcacq.model import yaml12
 from mbcacq.model.cell import Artefact
 from mbcacq.plan.plausibility import SMALLEST_BALL_MM
@@ -29,22 +29,21 @@ from mbcacq.plan.plausibility import SMALLEST_BALL_MM
 MAX_BYTES = 16 << 20
 WHAT = "a certificate"
 NEEDED = ("label", "x", "y", "z", "d")
-LABEL = Column("label", kind="text", aliases=("ball", "id", "name", "feature", "sphere"))
+LABEL = Column("label", kind="text", aliases=("ball", "id", "name", "feature", "sphere", "kugel"))
 # Uncertainty of all balls, or of each.
 ABOUT = (
-    Column("U", "mm", aliases=("uncertainty", "expanded_uncertainty", "u95"), required=False, assumed="mm"),
+    Column(
+        "U", "mm", aliases=("uncertainty", "expanded_uncertainty", "u95", "unsicherheit", "messunsicherheit"), required=False, assumed="mm"
+    ),
     Column("k", required=False, aliases=("coverage_factor",)),
-    Column("T", "degC", aliases=("temperature", "reference_temperature"), required=False, assumed="degC"),
-    Column("alpha", "ppm/K", aliases=("expansion", "cte"), required=False, assumed="ppm/K"),
+    Column("T", "degC", aliases=("temperature", "reference_temperature", "temperatur"), required=False, assumed="degC"),
+    Column("alpha", "ppm/K", aliases=("expansion", "cte", "ausdehnung"), required=False, assumed="ppm/K"),
 )
 SIGMA = Column("sigma", "mm", aliases=("std", "standard_uncertainty"), required=False, assumed="mm")
+LARGEST_U_MM = 0.3  # of a certified sphere whose heading names no unit: in µm certificates write 0.5 and more
+COLDEST_C, WARMEST_C = 0.0, 50.0  # of a measuring room
+LEAST_PPM = 1e-3  # per K: glass ceramics expand by some 0.02
 OURS = ("balls", "spheres", "unit", "units", "id", "name", "certificate", "comment", "notes")  # keys that say nothing of the geometry
-_UNITS = re.compile(r"\b(?:units?|einheit(?:en)?)\b\W*(?:of length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
-# The same in a sentence: 'All dimensions in inch'. Of µm and m an uncertainty or a range may speak, which are therefore no unit of all.
-_SAID = re.compile(
-    r"(?:\bin|\b(?:dimension|length|coordinate|value|ma(?:ß|ss)|wert)\w*\W*[:=])\s+(inch(?:es)?|zoll|mm|millimet(?:er|re)s?|cm)\b",
-    re.IGNORECASE,
-)
 _SMALL_U = re.compile(r"u(?![A-Za-z0-9])")
 
 
@@ -105,7 +104,7 @@ def read_certificate_file(path: str | Path, artefact_id: str, name: str = "") ->
     )
     notes += [f"not used: {', '.join(unused)}"] if unused else []
     if not U:
-        notes.append("it states no uncertainty; 0.001 mm (k = 1) is taken")
+        notes.append("no uncertainty was read from it; 0.001 mm (k = 1) is taken")
     return Certificate(artefact, tuple(unused), tuple(notes))
 
 
@@ -155,7 +154,10 @@ def _schema(headings: Sequence[str], unit: str = "mm") -> TableSchema:
 
 def _geometry(unit: str) -> tuple[Column, ...]:
     """Label, centre and diameter of a sphere."""
-    lengths = (*(Column(axis, "mm", assumed=unit) for axis in "xyz"), Column("d", "mm", aliases=("diameter", "dia"), assumed=unit))
+    lengths = (
+        *(Column(axis, "mm", assumed=unit) for axis in "xyz"),
+        Column("d", "mm", aliases=("diameter", "dia", "durchmesser"), assumed=unit),
+    )
     return (LABEL, *lengths)
 
 
@@ -170,13 +172,13 @@ def _from_csv(path: Path) -> tuple[list[Row], tuple[str, ...], list[str]]:
     """One row a sphere, what was not used, and notes."""
     schema = _schema(())
     text = read_csv_text(path, max_bytes=MAX_BYTES, comment="#", score=lambda headings: score(schema.columns, headings))
-    above = " ".join((*text.preamble, *text.comments))
-    unit = _unit_in(above, str(path))
+    above = "\n".join((*text.preamble, *text.comments))
+    unit = stated_unit(above, str(path))
     table = as_table(path, text, _schema(text.headings, unit or "mm"))
     notes = (
         []
         if unit in ("", "mm")
-        else [f"lengths whose heading names no unit are read in {_in_words(unit)}, as the lines above the headings say"]
+        else [f"lengths whose heading names no unit are read in {in_words(unit)}, as the lines above the headings say"]
     )
     if text.preamble:
         notes.append(f"of the lines above the headings only a unit of length and k are read: {' | '.join(text.preamble)[:300]}")
@@ -197,27 +199,25 @@ def _rows(table: Table, k: float | None = None) -> list[Row]:
         wrong = np.flatnonzero(columns.get(name, np.ones(1)) <= 0)
         if wrong.size:
             raise ConfigError(f"{table.where(int(wrong[0]), name)}: the {what} is not positive; correct the certificate")
+    _refuse_implausible(table, columns)
     of_each = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
     return [{name: v for name, v in row.items() if isinstance(v, str) or not np.isnan(v)} for row in of_each]
 
 
-def _unit_in(text: str, where: str) -> str:
-    """The unit of length that a comment or a key states for all, '' without any. Raises ConfigError for one that is not known."""
-    match = _UNITS.search(text) or _SAID.search(text)
-    if match is None:
-        return ""
-    unit = unit_named(match[1])
-    said = {unit_named(word) for word in _SAID.findall(text)} - {unit}
-    if said:
-        others = ", ".join(map(_in_words, said))
-        raise ConfigError(f"{where}: the lines above the headings speak of {_in_words(unit)} and of {others}; write one: # units: mm")
-    if unit is None or not same_dimension(unit, "mm"):
-        raise ConfigError(f"{where}: the unit '{match[1]}' is no length that is known; give mm, cm, m, um or inch")
-    return unit
-
-
-def _in_words(unit: str | None) -> str:
-    return "inches" if unit == "in" else str(unit)
+def _refuse_implausible(table: Table, columns: Mapping[str, np.ndarray]) -> None:
+    """Raise ConfigError for what looks like another unit: an uncertainty without unit, a temperature, an expansion."""
+    for name, out_of, words in (
+        ("U", lambda v: v > LARGEST_U_MM, "looks like µm; name its unit: U (µm) or U (mm)"),
+        ("sigma", lambda v: v > LARGEST_U_MM, "looks like µm; name its unit: sigma (µm) or sigma (mm)"),
+        ("T", lambda v: (v < COLDEST_C) | (v > WARMEST_C), "is no temperature of a measuring room in °C; name its unit: T (°F) or T (K)"),
+        ("alpha", lambda v: (v != 0) & (np.abs(v) < LEAST_PPM), "in ppm/K looks like 1/K; name its unit: alpha (1/K)"),
+    ):
+        if name not in columns or (name in ("U", "sigma") and table.names_unit(name)):
+            continue
+        wrong = np.flatnonzero(out_of(columns[name]))
+        if wrong.size:
+            row = int(wrong[0])
+            raise ConfigError(f"{table.where(row, name)}: {table.text(name)[row].strip()} {words}")
 
 
 def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:
@@ -230,7 +230,7 @@ def _from_yaml(path: Path) -> tuple[list[Row], Row, tuple[str, ...]]:
         if not isinstance(ball, dict):
             raise ConfigError(f"{path}: sphere {i} is not a mapping; give label, x, y, z and diameter")
     stated = data.get("units", data.get("unit"))
-    unit = (_unit_in(f"unit {stated}", str(path)) if stated is not None else "") or "mm"
+    unit = (stated_unit(f"unit: {stated}", str(path)) if stated is not None else "") or "mm"
     text = text_of_mappings(_under_one_heading(path, [_with_axes(ball) for ball in balls], unit), "sphere")
     table = as_table(path, text, _schema(text.headings, unit))
     # Our own artefact files give the standard uncertainty (k = 1) as uncertainty_mm.

@@ -30,6 +30,6 @@ def write_cloud(path: Path, points: np.ndarray, properties: Mapping[str, np.ndar
     for name, values in columns.items():
         rows[name] = values
     announced = "".join(f"property {PLY_TYPES[values.dtype.str[1:]]} {name}\n" for name, values in columns.items())
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{announced}end_header\n"
+    header = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\nelement vertex {len(points)}\n{announced}end_header\n"
     write_file(path, header.encode("ascii", "replace") + rows.tobytes())
     return others

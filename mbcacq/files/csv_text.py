@@ -24,12 +24,13 @@ _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+$")
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a file is written. newline: between rows; bom: whether a byte order mark stands in front."""
+    """How a file is written. newline: between rows; bom, hint: whether a byte order mark and a line ``sep=;`` stand in front."""
 
     separator: str = ","
     encoding: str = "utf-8"
     newline: str = "\n"
     bom: bool = False
+    hint: bool = False
 
     def encoded(self, text: str) -> bytes:
         mark = {"utf-8": codecs.BOM_UTF8, "utf-16-le": codecs.BOM_UTF16_LE, "utf-16-be": codecs.BOM_UTF16_BE}.get(self.encoding, b"")
@@ -82,7 +83,9 @@ def read_csv_text(
     headings, rows = _without_empty_columns(path, at, headings, rows)
     rows = [_without_empty_end(row, len(headings)) for row in rows]
     _refuse_ragged(path, headings, rows, numbers)
-    return CsvText(headings, rows, numbers, at, replace(dialect, separator=separator, newline=newline), preamble, comments)
+    return CsvText(
+        headings, rows, numbers, at, replace(dialect, separator=separator, newline=newline, hint=hint is not None), preamble, comments
+    )
 
 
 def read_text(path: Path, max_bytes: int) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
+from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.devices.addresses import on_loopback_only
@@ -217,7 +217,6 @@ def _measure(loaded: LoadedPlan, poses: list[PlannedPose], operator: Operator, o
     operator.progress("")
     if not dry_run:
         operator.allow(acquisition)
-        refuse_unattended(loaded, operator.assume_yes)
     operator.progress("starting the fake cell" if dry_run else "")
     with device_overrides(loaded, poses, dry_run, seed, operator.assume_yes) as overrides:
         folder = acquisition.folder = new_run_folder(out, f"check-{loaded.path.stem}")

@@ -101,7 +101,7 @@ def write_diagnosis_page(
     from mbcacq.report.sources.from_motion import motion_content
 
     of_poses = None if diagnosis is None else diagnosis_content(diagnosis, pictures)
-    return write(render_diagnosis(of_poses, None if motion is None else motion_content(motion), title, about), path)
+    return write(render_diagnosis(of_poses, None if motion is None else motion_content(motion, diagnosis), title, about), path)
 
 
 def write_changes_page(changes: ChangesContent, path: str | Path) -> Path:

@@ -231,8 +231,9 @@ class MotionKind:
 @dataclass(frozen=True, kw_only=True)
 class MotionContent:
     """A diagnosis of motion in words and units. mismatch: (joint, kind of channel, covariate, share); small: number of further ones of
-    small share; split: how data were held out;
-    checks: (recording, rows of joint, kind of channel, rms before, after, unit)."""
+    small share; split: how data were held out; checks: (recording, rows of joint, kind of channel, rms before, after, unit).
+    contradictions, both: what it and the poses of the same run say differently, and together (heading, lines).
+    """
 
     level: str
     headline: str
@@ -245,6 +246,8 @@ class MotionContent:
     kinds: list[MotionKind]
     checks: list[tuple[str, list[tuple[str, str, str, str, str]]]]
     remarks: list[str]
+    contradictions: list[str]
+    both: list[tuple[str, list[str]]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,6 +359,7 @@ class Content:
     accuracy: AccuracyGrid | None = None
     devices: Devices | None = None
     diagnosis: DiagnosisContent | None = None
+    motion: MotionContent | None = None
     earlier: Spacing | None = None
     arm_improved: ArmImprovement | None = None
     warnings: list[str] = field(default_factory=list)

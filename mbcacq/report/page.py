@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,10 @@ def render(content: Content, *, paper: bool = False) -> str:
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
     stages = "" if content.earlier is None or content.spacing is None else Markup(stages_of(content.earlier, content.spacing))
     figures = report_figures(content) | ({} if content.diagnosis is None else diagnosis_figures(content.diagnosis))
+    motion = content.motion
+    if motion is not None and paper:  # curves over time are for the screen, where they can be enlarged
+        motion = replace(motion, kinds=[replace(kind, series=[]) for kind in motion.kinds])
+    figures |= {} if motion is None else motion_figures(motion)
     return _template(
         "page.html.j2",
         c=content,
@@ -44,6 +49,7 @@ def render(content: Content, *, paper: bool = False) -> str:
         matrices=matrices(content),
         held=held(content),
         d=content.diagnosis,
+        m=motion,
         scene=None if paper else _scene(content),
     )
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.caveats import export_command
 from mbcacq.calibration.length_budget import temperature_sentence
 from mbcacq.calibration.verification import verdict_of_places
-from mbcacq.diagnosis.output.noise_floor import is_trend_in_json
 from mbcacq.effects.effect_term import UNKNOWN
+from mbcacq.effects.trend import is_trend_in_json
 from mbcacq.errors import command_line
 from mbcacq.quantities import K, measured, micrometres, signed, uncertainty
 from mbcacq.report.content import Action, ReportVerdict, Spacing
@@ -192,7 +193,7 @@ def next_action(
         action = _ask_for_diagnosis(verdict, max(result["noise"].get("check_factor") or [0.0]), name)
     elif not with_effects and diagnosis is not None:
         action = _after_diagnosis(verdict, diagnosis, name, plan)
-    return action or _without_finding(verdict, spacing, name, with_effects, plan)
+    return action or _without_finding(verdict, spacing, name, with_effects, plan, export_command(result, with_effects or name))
 
 
 def measure_next(name: str, plan: str) -> str:
@@ -240,7 +241,8 @@ def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: s
     )
 
 
-def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str, with_effects: str, plan: str) -> Action:
+def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str, with_effects: str, plan: str, export: str) -> Action:
+    """export: the command that writes the result for other programs."""
     if verdict.level == "fail":
         return Action(*MEASURE_MORE, measure_next(name, plan))
     if verdict.level == "undecided":
@@ -250,7 +252,7 @@ def _without_finding(verdict: ReportVerdict, spacing: Spacing | None, name: str,
     why = "Write it for the controller, for ROS or as tables."
     if with_effects:
         why += " These hold the geometry; mbcacq correct and mbcacq apply take the effects into account too."
-    return Action("Put the result to use", why, command_line("export", with_effects or name, "--results", "results"))
+    return Action("Put the result to use", why, export)
 
 
 def readable(name: str) -> str:

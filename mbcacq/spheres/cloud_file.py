@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.stated_unit import stated_unit
+from mbcacq.files.units import AmbiguousUnit, converted, same_dimension, unit_named
 from mbcacq.spheres.ply_header import PlyElement, read_header
 
 MAX_BYTES = 4 * 2**30
@@ -26,11 +28,14 @@ SMALLEST_MM, LARGEST_MM = 5.0, 100e3  # of the largest coordinate: a field in mm
 @dataclass(frozen=True)
 class CloudFile:
     """points: (N, 3) in the file's type and unit; properties: (N,) each, by name, of the points alone; missing: how many places of an
-    organised cloud hold no point and were left out."""
+    organised cloud hold no point and were left out; unit: of length, as the header states it, '' where it states none; viewpoint: whether
+    a PCD header gives a place of the sensor other than the origin."""
 
     points: np.ndarray
     properties: dict[str, np.ndarray]
     missing: int
+    unit: str = ""
+    viewpoint: bool = False
 
 
 def read_cloud_file(path: str | Path) -> CloudFile:
@@ -43,7 +48,7 @@ def read_cloud_file(path: str | Path) -> CloudFile:
         raise ConfigError(f"{path}: a cloud must be a .ply or .pcd file")
     if path.stat().st_size > MAX_BYTES:
         raise ConfigError(f"{path}: {path.stat().st_size / 2**30:.1f} GiB are too much for one cloud")
-    columns = _ply(path) if kind == ".ply" else _pcd(path)
+    columns, header = _ply(path) if kind == ".ply" else _pcd(path)
     if any(columns[axis].dtype.kind not in "fiu" for axis in "xyz"):
         raise ConfigError(f"{path}: its x, y, z are no numbers; export the cloud anew")
     points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
@@ -55,13 +60,33 @@ def read_cloud_file(path: str | Path) -> CloudFile:
         raise ConfigError(f"{path}: point {number + 1} has a coordinate that is no finite number; export the cloud anew")
     if none.all():
         raise ConfigError(f"{path}: holds no points; export the cloud anew")
-    return CloudFile(points[~none], {name: values[~none] for name, values in columns.items()}, int(none.sum()))
+    unit = stated_unit("\n".join(line for line in header if not line.startswith("VIEWPOINT")), str(path))
+    moved = any(line.startswith("VIEWPOINT") and _moved(line.split()[1:]) for line in header)
+    return CloudFile(points[~none], {name: values[~none] for name, values in columns.items()}, int(none.sum()), unit, moved)
 
 
-def in_mm(path: str | Path, points: np.ndarray, unit: str | None) -> np.ndarray:
-    """Points (N, 3) in mm. unit: of the file, None where nobody said it. Raises ConfigError where their size cannot be mm."""
-    if unit is not None:
-        return points if unit == "mm" else points.astype(np.float64) * UNITS_MM[unit]
+def mm_per(unit: str) -> float:
+    """Millimetres of a unit of length. Raises ConfigError where the word names none."""
+    try:
+        named = unit_named(unit) or ""
+    except AmbiguousUnit:
+        named = ""
+    if named in UNITS_MM:
+        return UNITS_MM[named]
+    if not named or not same_dimension(named, "mm"):
+        raise ConfigError(f"there is no unit '{unit}' of clouds; give one of {', '.join(UNITS_MM)}")
+    return float(converted(np.ones(1), named, "mm")[0])
+
+
+def in_mm(path: str | Path, cloud: CloudFile, unit: str | None) -> np.ndarray:
+    """Points (N, 3) of a cloud in mm. unit: of the file, None where nobody said it: then the one that its header states, or mm.
+
+    Raises ConfigError where nothing states a unit and their size cannot be mm.
+    """
+    points = cloud.points
+    if unit or cloud.unit:
+        factor = mm_per(unit or cloud.unit)
+        return points if factor == 1 else points.astype(np.float64) * factor
     largest = float(np.abs(points).max())
     if len(points) >= FEWEST_TO_JUDGE and largest < SMALLEST_MM:
         raise ConfigError(
@@ -87,7 +112,8 @@ def looks_small(points: np.ndarray, centres: np.ndarray) -> str:
     return f"the cloud spans {span:.3g} mm, and {known}; if it is in inches, say --unit in"
 
 
-def _ply(path: Path) -> dict[str, np.ndarray]:
+def _ply(path: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Columns of the vertices, and the comments of the header."""
     header = read_header(path)
     at = next(i for i, element in enumerate(header.elements) if element.name == "vertex" and element.count)
     vertex, before = header.elements[at], header.elements[:at]
@@ -97,7 +123,8 @@ def _ply(path: Path) -> dict[str, np.ndarray]:
     if len(set(names)) != len(names):
         raise ConfigError(f"{path}: a property of its vertices stands twice; export the cloud anew")
     if header.text:
-        lines = [line for line in path.read_bytes()[header.size :].splitlines() if line.strip()]
+        data = path.read_bytes()[header.size :]
+        lines = [line for line in data.splitlines() if line.strip()]
         first = sum(element.count for element in before)
         rows = lines[first : first + vertex.count]
         announced = sum(element.count for element in header.elements)
@@ -105,7 +132,9 @@ def _ply(path: Path) -> dict[str, np.ndarray]:
             raise ConfigError(f"{path}: is cut off: its header announces {vertex.count} points and {len(rows)} lines follow; copy it anew")
         if len(lines) > announced:
             raise ConfigError(f"{path}: its header announces {announced} lines and {len(lines)} follow; export the cloud anew")
-        return _text_columns(path, rows, [(p.name, np.dtype(p.type)) for p in vertex.properties])
+        if lines[-1] == rows[-1]:
+            _refuse_cut_number(path, data, rows)
+        return _text_columns(path, rows, [(p.name, np.dtype(p.type)) for p in vertex.properties]), header.comments
     order = "<" if header.little else ">"
     dtype = _row_type(vertex, order)
     offset = header.size + sum(element.count * _row_type(element, order).itemsize for element in before)
@@ -117,7 +146,7 @@ def _ply(path: Path) -> dict[str, np.ndarray]:
         file.seek(offset)
         data = file.read(dtype.itemsize * vertex.count)
     rows = np.frombuffer(data, dtype)
-    return {name: rows[name].astype(rows[name].dtype.newbyteorder("=")) for name in names}
+    return {name: rows[name].astype(rows[name].dtype.newbyteorder("=")) for name in names}, header.comments
 
 
 def _row_type(element: PlyElement, order: str) -> np.dtype:
@@ -143,6 +172,15 @@ def _text_columns(path: Path, lines: Sequence[bytes], columns: Sequence[tuple[st
     return out
 
 
+def _refuse_cut_number(path: Path, data: bytes, rows: Sequence[bytes]) -> None:
+    """Raise ConfigError where a file ends in a number with fewer decimals than all numbers above it have."""
+    if data.endswith((b"\n", b"\r")):
+        return
+    decimals = [len(row.split()[-1].partition(b".")[2]) for row in rows]
+    if len(rows) >= FEWEST_TO_JUDGE and len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]:
+        raise ConfigError(f"{path}: is cut off in its last number, '{rows[-1].split()[-1].decode('ascii', 'replace')[:40]}'; copy it anew")
+
+
 def _first_bad_row(lines: Sequence[bytes], count: int) -> str:
     for number, line in enumerate(lines, 1):
         words = line.split()
@@ -157,7 +195,8 @@ def _first_bad_row(lines: Sequence[bytes], count: int) -> str:
     return "its points are not understood; export the cloud anew"
 
 
-def _pcd(path: Path) -> dict[str, np.ndarray]:
+def _pcd(path: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Fields of the points, and of the header the comments and the line VIEWPOINT."""
     with path.open("rb") as file:
         head = file.read(MAX_PCD_HEADER)
     found = re.search(rb"(?m)^DATA[ \t]+(\w+)[ \t]*\r?\n", head)
@@ -166,7 +205,8 @@ def _pcd(path: Path) -> dict[str, np.ndarray]:
             f"{path}: is no PCD file (its header must end with DATA ascii, binary or binary_compressed); export the cloud anew"
         )
     said: dict[str, list[str]] = {}
-    for line in head[: found.end()].decode("latin-1").splitlines():
+    lines = [line.strip() for line in head[: found.end()].decode("latin-1").splitlines()]
+    for line in lines:
         words = line.split()
         if words and not words[0].startswith("#"):
             if words[0] not in PCD_KEYS:
@@ -177,13 +217,24 @@ def _pcd(path: Path) -> dict[str, np.ndarray]:
     if kind not in ("ascii", "binary", "binary_compressed"):
         raise ConfigError(f"{path}: DATA {kind} is not known (ascii, binary, binary_compressed); export the cloud anew")
     if kind == "ascii":
-        lines = [line for line in data.splitlines() if line.strip()]
-        if len(lines) != count:
-            raise ConfigError(f"{path}: has {len(lines)} lines of points where its header announces {count}; copy it anew")
-        columns = _text_columns(path, lines, [(name, t) for name, t in fields])
+        rows = [row for row in data.splitlines() if row.strip()]
+        if len(rows) != count:
+            raise ConfigError(f"{path}: has {len(rows)} lines of points where its header announces {count}; copy it anew")
+        _refuse_cut_number(path, data, rows)
+        columns = _text_columns(path, rows, [(name, t) for name, t in fields])
     else:
         columns = _pcd_binary(path, data, fields, count, compressed=kind == "binary_compressed")
-    return _unpacked({name: values for name, values in columns.items() if not name.startswith("_")})
+    told = tuple(line for line in lines if line.startswith(("#", "VIEWPOINT")))
+    return _unpacked({name: values for name, values in columns.items() if not name.startswith("_")}), told
+
+
+def _moved(words: Sequence[str]) -> bool:
+    """Whether a VIEWPOINT (x y z qw qx qy qz) is another than the origin of the points' frame."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return True
+    return any(values[:3]) or any(values[4:])
 
 
 def _pcd_fields(path: Path, said: dict[str, list[str]]) -> tuple[list[tuple[str, np.dtype]], int]:

@@ -13,31 +13,33 @@ from typing import Any
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.spheres.ply import read_cloud
+from mbcacq.files.stated_unit import stated_unit, unit_of_axes
+from mbcacq.spheres.cloud_file import mm_per, read_cloud_file
 
 SUFFIXES = (".ply", ".pcd", ".stl", ".xyz", ".asc", ".txt", ".csv", ".pts", ".tif", ".tiff")
 TEXTS = (".xyz", ".asc", ".txt", ".csv", ".pts")
 MAX_BYTES = 2 << 30
 MOST_POINTS = 200_000_000
-UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "um": 1e-3, "inch": 25.4}
 _AXIS = re.compile(r"([+-]?)([xyz])")
 _STL_HEAD, _STL_FACET = 84, 50
 
 
 @dataclass(frozen=True)
 class CloudFormat:
-    """How a scanner's program writes its clouds. unit: of UNITS. axes: which of the file's axes are x, y, z of the plan's scanner frame,
-    such as 'x -y -z'. range_map: of TIFF files, mm from column to column, mm from row to row, mm per count, mm at count 0; 0 counts and no
-    number are no point."""
+    """How a scanner's program writes its clouds. unit: of length; None for the one that a file states, else mm. axes: which of the file's
+    axes are x, y, z of the plan's scanner frame, such as 'x -y -z'. range_map: of TIFF files, mm from column to column, mm from row to
+    row, mm per count, mm at count 0; 0 counts and no number are no point."""
 
-    unit: str = "mm"
+    unit: str | None = None
     axes: str = "x y z"
     range_map: tuple[float, float, float, float] | None = None
 
-    def matrix(self) -> np.ndarray:
-        """(3, 3): coordinates of the file to mm in the scanner frame. Raises ConfigError for a unit or axes that there are none of."""
-        if self.unit not in UNITS:
-            raise ConfigError(f"there is no unit '{self.unit}' of clouds; give one of {', '.join(UNITS)}")
+    def matrix(self, stated: str = "") -> np.ndarray:
+        """(3, 3): coordinates of a file to mm in the scanner frame. stated: the unit in the file, '' for none.
+
+        Raises ConfigError for a unit or axes that there are none of.
+        """
+        factor = mm_per(self.unit or stated or "mm")
         words = self.axes.lower().replace(",", " ").split()
         found = [_AXIS.fullmatch(word) for word in words]
         if len(words) != 3 or not all(found) or sorted(word[-1] for word in words) != ["x", "y", "z"]:
@@ -46,14 +48,14 @@ class CloudFormat:
         for row, match in enumerate(found):
             assert match is not None
             out[row, "xyz".index(match[2])] = -1.0 if match[1] == "-" else 1.0
-        return UNITS[self.unit] * out
+        return factor * out
 
 
 def read_points(path: str | Path, form: CloudFormat | None = None) -> np.ndarray:
     """Points (N, 3) mm, float32 or float64, in the plan's scanner frame. Raises ConfigError naming the file: absent, half written, not
     what its name says, or without points."""
     path, form = Path(path), form or CloudFormat()
-    to_mm = form.matrix()
+    form.matrix()
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ConfigError(f"{path}: is no cloud that can be read ({', '.join(SUFFIXES)}); save it in one of these formats")
@@ -63,7 +65,8 @@ def read_points(path: str | Path, form: CloudFormat | None = None) -> np.ndarray
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; give the file of a cloud") from error
     if not 0 < size <= MAX_BYTES:
         raise ConfigError(f"{path}: {'is empty' if size == 0 else f'{size / 2**30:.1f} GiB are too much for one cloud'}; save it anew")
-    points = _read(path, suffix, form)
+    points, stated = _read(path, suffix, form)
+    to_mm = form.matrix(stated)
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         raise ConfigError(f"{path}: holds no points; save the cloud anew")
@@ -79,23 +82,24 @@ def says_simulated(path: Path) -> bool:
         return False
 
 
-def _read(path: Path, suffix: str, form: CloudFormat) -> np.ndarray:
+def _read(path: Path, suffix: str, form: CloudFormat) -> tuple[np.ndarray, str]:
+    """Points in the file's unit, and that unit where the file states one."""
     try:
         if suffix in TEXTS:
             return _text(path)
         if suffix == ".stl":
-            return _stl(path)
+            return _stl(path), ""
         if suffix in (".tif", ".tiff"):
-            return _range_map(path, form)
-        if suffix == ".pcd":
-            _check_pcd(path)
-        return read_cloud(path)
+            return _range_map(path, form), ""
+        found = read_cloud_file(path)
+        return found.points, found.unit
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}; save the cloud anew") from error
 
 
-def _text(path: Path) -> np.ndarray:
-    """The first three columns of numbers; a header, comments and a line with the number of points are passed over."""
+def _text(path: Path) -> tuple[np.ndarray, str]:
+    """The first three columns of numbers, and the unit that the lines above them state; comments and the number of points are passed
+    over."""
     raw = path.read_bytes()
     try:
         text = raw.decode("utf-16") if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else raw.decode("latin-1")
@@ -105,6 +109,8 @@ def _text(path: Path) -> np.ndarray:
     start = next((k for k, line in enumerate(lines[:100]) if _numbers(line) is not None), None)
     if start is None:
         raise ConfigError(f"{path}: none of its first lines has three numbers; save the cloud as x, y, z a line")
+    above = lines[:start]
+    unit = stated_unit("\n".join(above), str(path)) or (unit_of_axes(above[-1], str(path)) if above else "")
     kept = [k for k in range(start, len(lines)) if lines[k].strip() and lines[k].lstrip()[0] not in "#/;"]
     if not kept:
         raise _bad_line(path, lines, start)
@@ -119,7 +125,7 @@ def _text(path: Path) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return np.loadtxt(io.StringIO(body), usecols=(0, 1, 2), ndmin=2)
+            return np.loadtxt(io.StringIO(body), usecols=(0, 1, 2), ndmin=2), unit
     except (ValueError, IndexError):
         raise _bad_line(path, lines, start) from None
 
@@ -190,20 +196,6 @@ def _stl(path: Path) -> np.ndarray:
         facets = np.frombuffer(data, dtype=np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")]), count=count, offset=_STL_HEAD)
         corners = facets["v"].reshape(-1, 3)
     return np.unique(corners, axis=0)
-
-
-def _check_pcd(path: Path) -> None:
-    """Raises ConfigError for a file that is shorter than its head announces: the library reads what is there without a word."""
-    with path.open("rb") as file:
-        head = file.read(4096)
-    points = re.search(rb"(?m)^POINTS (\d{1,12})\r?$", head)
-    data = re.search(rb"(?m)^DATA (ascii|binary|binary_compressed)\r?\n", head)
-    if points is None or data is None:
-        raise ConfigError(f"{path}: is no PCD file (POINTS and DATA are missing in its head); save the cloud anew")
-    sizes = re.search(rb"(?m)^SIZE ([\d ]+)\r?$", head)
-    each = 2 if data[1] == b"ascii" else sum(map(int, sizes[1].split())) if sizes and data[1] == b"binary" else 0
-    if path.stat().st_size < data.end() + each * int(points[1]):
-        raise ConfigError(f"{path}: is cut off: its head announces {int(points[1])} points; save the cloud anew")
 
 
 def _has_second_page(file: Any) -> bool:

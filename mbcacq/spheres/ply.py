@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.model.cell import Artefact
-from mbcacq.spheres.cloud_file import read_cloud_file
+from mbcacq.spheres.cloud_file import in_mm, read_cloud_file
 from mbcacq.spheres.extract import find_spheres
 from mbcacq.spheres.found import FoundSpheres, SphereOptions
 
 
 def read_cloud(path: str | Path) -> np.ndarray:
-    """Points (N, 3) mm of a PLY or PCD file (float32 or float64 as stored). Raises ConfigError naming the file."""
-    return read_cloud_file(path).points
+    """Points (N, 3) of a PLY or PCD file, in mm where its header states a unit, else as stored. Raises ConfigError naming the file."""
+    found = read_cloud_file(path)
+    return in_mm(path, found, found.unit or "mm")
 
 
 def centres_from_ply(

@@ -52,12 +52,13 @@ class PlyElement:
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """size: bytes of the header."""
+    """size: bytes of the header. comments: what its lines 'comment' and 'obj_info' say."""
 
     elements: list[PlyElement]
     text: bool
     little: bool
     size: int
+    comments: tuple[str, ...] = ()
 
 
 def read_header(path: Path) -> PlyHeader:
@@ -67,10 +68,12 @@ def read_header(path: Path) -> PlyHeader:
     end = re.search(rb"(?m)^end_header *\r?\n", head)
     if not head.startswith((b"ply\n", b"ply\r\n")) or end is None:
         raise ConfigError(f"{path}: is no PLY file (its header must begin with 'ply' and end with 'end_header'); export the cloud anew")
-    contents = _Contents()
+    contents, comments = _Contents(), []
     for number, line in enumerate(head[: end.start()].split(b"\n")[1:-1], 2):
         words = _checked_words(path, number, line)
-        if words.split(" ", 1)[0] not in ("comment", "obj_info") and not contents.take(number, words):
+        if words.split(" ", 1)[0] in ("comment", "obj_info"):
+            comments.append(words.partition(" ")[2])
+        elif not contents.take(number, words):
             raise ConfigError(f"{path}:{number}: '{words[:60]}' is nothing a PLY header may say here; export the cloud anew")
     vertices = [e for e in contents.elements if e.name == "vertex" and e.count]
     if len(vertices) != 1 or not {"x", "y", "z"} <= {p.name for p in vertices[0].properties if not p.counted}:
@@ -80,16 +83,14 @@ def read_header(path: Path) -> PlyHeader:
         raise ConfigError(
             f"{path}: is cut off: its header announces at least {contents.size} bytes of data and there are {there}; copy it anew"
         )
-    return PlyHeader(contents.elements, contents.text, contents.little, end.end())
+    return PlyHeader(contents.elements, contents.text, contents.little, end.end(), tuple(comments))
 
 
 def _checked_words(path: Path, number: int, line: bytes) -> str:
-    """The line with single blanks. Raises ConfigError for one that the library's reader does not survive."""
+    """The line with single blanks. Raises ConfigError for one that is no text."""
     words = " ".join(line.decode("ascii", "replace").split())
     if len(line) > MAX_LINE or "\0" in words:
         raise ConfigError(f"{path}:{number}: a header line of {len(line)} bytes; export the cloud anew")
-    if words in ("comment", "obj_info"):
-        raise ConfigError(f"{path}:{number}: an empty '{words}' line, after which the reader loses its place; remove the line")
     return words
 
 

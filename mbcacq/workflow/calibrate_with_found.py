@@ -13,6 +13,7 @@ from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_files
+from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 from mbcacq.workflow.calibrate import calibrate
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
@@ -65,6 +66,16 @@ class CalibratedWithFound:
         if self.places:
             files["bar.svg"] = stages_picture(self.places, self.stages, self.result()["verification"].get("expected_mean_mm"))
         return write_files(folder, files)
+
+    def show_in_viewer(self, run: Path, observations: Observations) -> Path:
+        """Show the better described cell and the verdict on it beside the recording of a run, whose folder holds what ``write`` wrote; the
+        file. Raises RecordingError where that is impossible."""
+        from mbcacq.report import content_of, read_run_info
+        from mbcacq.workflow.evaluate import show_in_viewer
+
+        geometry = self.geometry.to_dict() | {"verification": self.by_geometry.to_dict()}
+        page = content_of(geometry, observations, read_run_info(run))
+        return show_in_viewer(run, observations, self.with_effects or self.geometry, page)
 
 
 def calibrate_with_found(

@@ -22,7 +22,8 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Column, TableSchema, read_table
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
 from mbcacq.spheres import SphereOptions, find_spheres
-from mbcacq.spheres.cloud_files import SUFFIXES, UNITS, CloudFormat, read_points, says_simulated
+from mbcacq.spheres.cloud_file import UNITS_MM
+from mbcacq.spheres.cloud_files import SUFFIXES, CloudFormat, read_points, says_simulated
 from mbcacq.workflow import resume as resuming
 from mbcacq.workflow.acquire import new_run_folder, solver_cell, versions
 from mbcacq.workflow.evaluate import RunResult, evaluate
@@ -159,7 +160,7 @@ def _session(loaded: LoadedPlan, poses: list[PlannedPose], sources: Sources, don
             operator.progress(f"looking for balls in {len(files)} clouds, {100 * k // len(files)} % done")
         session.clouds.append(session.look(path))
     mistakes.refuse_unreadable(session.clouds)
-    mistakes.refuse_other_unit(session.clouds, form.unit, list(UNITS), session.again)
+    mistakes.refuse_other_unit(session.clouds, form.unit, list(UNITS_MM), session.again)
     mistakes.refuse_other_axes(loaded, poses, session.clouds, form.axes, session.again)
     return session
 

@@ -55,8 +55,13 @@ class DiagnosisResult:
 
     @property
     def verdict(self) -> str:
-        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'."""
-        return self.main.verdict
+        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'; of poses and motion together where there are both."""
+        from mbcacq.diagnosis.motion.combine import together, verdict_of_both
+
+        if self.poses is None or self.motion is None:
+            return self.main.verdict
+        poses = self.poses.to_json()
+        return verdict_of_both(poses, self.motion, together(poses, self.motion))
 
     @property
     def effects(self) -> Sequence[EffectFound | MotionEffect | UnmodelledMotionEffect]:
@@ -96,13 +101,18 @@ class DiagnosisResult:
         return "\n".join([text, *(check.text for check in self.checks), *written])
 
     def pictures(self) -> dict[str, Any]:
-        """What the pictures need, format mbcacq-diagnosis-pictures/1: the evidence map, residuals before and after (mm), curves. Raises
-        ConfigError for a diagnosis of trajectories alone, and for one that was read from JSON."""
+        """What the pictures need, format mbcacq-diagnosis-pictures/1: the evidence map, residuals before and after (mm), curves, and the
+        channels of the motion over time. Raises ConfigError for a diagnosis of trajectories alone, and for one that was read from JSON."""
         from mbcacq.diagnosis.output.pictures import pictures
 
         if self.poses is None or self.poses.plot_data is None:
             raise ConfigError("pictures are drawn from the diagnosis of poses, as mbcacq.diagnose returns it")
-        return pictures(self.poses)
+        drawn = pictures(self.poses)
+        if self.motion is not None:
+            from mbcacq.report.sources.from_motion import motion_pictures
+
+            drawn["motion"] = motion_pictures(self.motion)
+        return drawn
 
     def plot(self, curve: int | None = None) -> go.Figure:
         """The evidence for a mismatch by location and covariate, as a Plotly figure; with ``curve`` the response curve of that number, of
@@ -152,11 +162,12 @@ class DiagnosisResult:
         return Path(path)
 
     def keep(self, run: Path | str) -> None:
-        """Write the diagnosis of the poses into the folder of their run, where report and viewer find it. Raises RecordingError."""
+        """Write the diagnosis of a run's poses, and of the motion between them, into the folder of the run, where report and viewer find
+        it. Raises RecordingError."""
         from mbcacq.workflow.diagnosis_files import keep_in_run
 
         observations, drawn = self._drawable()
-        keep_in_run(self.main.to_json(), self._words_of_poses(), drawn, observations, Path(run))
+        keep_in_run(self.to_dict(), self._words_of_poses(), drawn, observations, Path(run))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON content, format mbcacq-diagnosis/3 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the

@@ -30,6 +30,8 @@ LATER = {  # keys that came in the course of version 3: an older file of it lack
     "in_usual_sizes",
     "tested",
     "holds_for",
+    "prior",
+    "log_prior",
 }
 NOT_WRITTEN = {"plot_data"}
 ABOUT = (
@@ -79,7 +81,7 @@ class BesideDiagnosis(BaseModel):
     simulation: ModelMatch | None = None
     agreement: list[Mapping[str, Any]] | None = None
     decided: list[Mapping[str, Any]] | None = None
-    together: list[Mapping[str, Any]] | None = None
+    together: Mapping[str, Any] | None = None
 
 
 class _AsWritten(GenerateJsonSchema):

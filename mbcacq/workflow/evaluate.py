@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification, calibrate
 from mbcacq.calibration.accuracy_map import accuracy_map
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE, options_for
 from mbcacq.errors import CalibrationError
+from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 from mbcacq.workflow.corrected_targets import improvement_of_run
 from mbcacq.workflow.load import load_observations
+
+if TYPE_CHECKING:
+    from mbcacq.report.content import Content
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -67,11 +71,9 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
 
 def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
     from mbcacq.files.atomic_write import write_file
-    from mbcacq.recording import find_gaps, log_result
-    from mbcacq.recording.rrd.result_recording import Judgement
+    from mbcacq.recording import find_gaps
     from mbcacq.recording.run_folder.recovery import WHOLE
     from mbcacq.report import content_of, read_run_info, write_report_page
-    from mbcacq.report.cards import verdict_card
 
     progress("reading the recording")
     observations = load_observations(run)
@@ -94,14 +96,26 @@ def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None
     progress("writing the report")
     page = content_of(content, observations, read_run_info(run))
     report = write_report_page(page, run / "report.html")
-    judgement = Judgement(text=verdict_card(page))
-    if (s := page.spacing) is not None:
-        judgement = Judgement(text=judgement.text, place=s.place, before=s.before, error=s.after, sigma=s.sigma, limit=s.limit)
-    before = calibration.preliminary if options.kinematics else None  # a fit of the hand-eye transform alone is no state before itself
-    log_result(run, observations, calibration.state, before, judgement)
+    show_in_viewer(run, observations, calibration, page, compared=options.kinematics)
     recording = run / WHOLE if (run / WHOLE).exists() else run / "run.rrd"
     content = content | {"files": {"recording": str(recording), "result": str(run / "result.json"), "report": str(report)}}
     next_step = ("", "") if page.next is None else (page.next.what, page.next.command)
     return RunResult(
         folder=run, calibration=calibration, verification=verification, content=content, limit_mm=limit_mm, next_step=next_step
     )
+
+
+def show_in_viewer(run: Path, observations: Observations, calibration: CalibratedCell, page: Content, *, compared: bool = True) -> Path:
+    """Write the calibrated cell, with its effects, as result.rrd of the run, beside the recording.
+
+    page: the report, whose verdict is shown. compared: with the cell before (a fit of the hand-eye transform alone is no state before
+    itself). Raises RecordingError.
+    """
+    from mbcacq.recording import log_result
+    from mbcacq.recording.rrd.result_recording import Judgement
+    from mbcacq.report.cards import verdict_card
+
+    judgement = Judgement(text=verdict_card(page))
+    if (s := page.spacing) is not None:
+        judgement = Judgement(text=judgement.text, place=s.place, before=s.before, error=s.after, sigma=s.sigma, limit=s.limit)
+    return log_result(run, observations, calibration.state, calibration.preliminary if compared else None, judgement, calibration.effects)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbcacq.acquisition.device_check import refuse_impossible_devices, refuse_unattended
+from mbcacq.acquisition.device_check import refuse_impossible_devices
 from mbcacq.design.adaptive.investigation import Budget, Decision, refuse_empty
 from mbcacq.design.adaptive.investigation import decisions as decisions_of
 from mbcacq.devices.addresses import on_loopback_only
@@ -55,6 +56,7 @@ class CellInvestigation:
     decisions: list[Decision] = field(default_factory=list)
     begun_from_run: bool = False
     _settled: int = 0
+    _begun: bool = False
 
     def __iter__(self) -> Iterator[Decision]:
         """Decisions, those of an interrupted investigation first. Raises what a run raises."""
@@ -112,6 +114,9 @@ class CellInvestigation:
             operator.progress("")
             if not self.dry_run:
                 operator.allow(acquisition)
+            if not self._begun:
+                operator.began(self.folder)
+                self._begun = True
             acquisition.folder = self.folder
             acquisition.weighed = self._weighed([p for p in poses if p.number not in done])
             operator.progress("starting the fake cell" if self.dry_run else "")
@@ -188,30 +193,18 @@ def investigate(  # noqa: PLR0913 -- one argument an option of its command
     refuse_empty(budget)
     if sum(given is not None for given in (out, resume, recording)) > 1:
         raise ConfigError("--out, --resume and --from exclude each other: an investigation goes on in the folder that it began in")
-    operator = operator or Operator()
+    begin = partial(CellInvestigation, dry_run=dry_run, seed=seed, live=live, operator=operator or Operator())
     if resume is not None:
-        return _resumed(Path(resume), dry_run, seed, live, operator)
+        return _resumed(Path(resume), begin)
     if recording is not None:
         folder = Path(recording)
-        return CellInvestigation(
-            loaded=_from_run(folder),
-            folder=folder,
-            budget=budget,
-            dry_run=dry_run,
-            seed=seed,
-            live=live,
-            operator=operator,
-            begun_from_run=True,
-        )
+        return begin(loaded=_from_run(folder), folder=folder, budget=budget, begun_from_run=True)
     if plan is None:
         raise ConfigError("there is no plan to investigate with; give one, or --from RUN")
     loaded = as_plan(plan)
     if not dry_run:
         refuse_impossible_devices(loaded)
-        refuse_unattended(loaded, operator.assume_yes)
-    folder = new_run_folder(None if out is None else Path(out), loaded.path.stem)
-    operator.began(folder)
-    return CellInvestigation(loaded=loaded, folder=folder, budget=budget, dry_run=dry_run, seed=seed, live=live, operator=operator)
+    return begin(loaded=loaded, folder=new_run_folder(None if out is None else Path(out), loaded.path.stem), budget=budget)
 
 
 def _from_run(folder: Path) -> LoadedPlan:
@@ -219,7 +212,7 @@ def _from_run(folder: Path) -> LoadedPlan:
     return replace(loaded, grown_from=loaded.grown_from or len(expand(loaded)))
 
 
-def _resumed(folder: Path, dry_run: bool, seed: int, live: bool, operator: Operator) -> CellInvestigation:
+def _resumed(folder: Path, begin: Callable[..., CellInvestigation]) -> CellInvestigation:
     """An interrupted investigation, with its budget and the decisions that it has made."""
     try:
         content = read_json(
@@ -236,14 +229,4 @@ def _resumed(folder: Path, dry_run: bool, seed: int, live: bool, operator: Opera
         ) from error
     if begun_from_run:
         loaded = replace(loaded, grown_from=plan_of_recording(folder).grown_from or len(expand(loaded)))
-    return CellInvestigation(
-        loaded=loaded,
-        folder=folder,
-        budget=budget,
-        dry_run=dry_run,
-        seed=seed,
-        live=live,
-        operator=operator,
-        decisions=decisions,
-        begun_from_run=begun_from_run,
-    )
+    return begin(loaded=loaded, folder=folder, budget=budget, decisions=decisions, begun_from_run=begun_from_run)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mbcacq.design.adaptive.next_plan import NextPoses, choose_next, next_plan_text
+from mbcacq.design.adaptive.next_plan import NextPoses, advised, next_plan_text
+from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import reachable_views
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.diagnosis.result import Advice, EvidenceSummary
@@ -45,7 +46,12 @@ def weigh_evidence(data: Observations | Path | str, options: CalibrationOptions 
 
 
 def next_poses(
-    observations: Observations | Path | str, plan: LoadedPlan | Path | str, *, visits: int = 3, poses: int = 24, seed: int = 0
+    observations: Observations | Path | str,
+    plan: LoadedPlan | Path | str,
+    *,
+    visits: int = OPTIONS.advised_visits,
+    poses: int = OPTIONS.advised_poses,
+    seed: int = 0,
 ) -> NextPoses:
     """The poses to measure next with a cell of a plan, for people with a runner of their own.
 
@@ -57,7 +63,12 @@ def next_poses(
 
 
 def next_plan(
-    run: Path | str, out: Path | str, *, plan: LoadedPlan | Path | str | None = None, visits: int = 3, poses: int = 24
+    run: Path | str,
+    out: Path | str,
+    *,
+    plan: LoadedPlan | Path | str | None = None,
+    visits: int = OPTIONS.advised_visits,
+    poses: int = OPTIONS.advised_poses,
 ) -> NextPlan:
     """The next measurements after a run as a plan, which is written to a file where there are any.
 
@@ -66,7 +77,7 @@ def next_plan(
     """
     out = Path(out)
     loaded = plan_of_recording(Path(run)) if plan is None else as_plan(plan)
-    chosen = _chosen(weigh(as_observations(run)), loaded, visits, poses, 0)
+    chosen = _chosen(weigh(as_observations(run)), loaded, visits, poses)
     if not chosen.visits:
         return NextPlan(chosen, "")
     text = next_plan_text(loaded, chosen.visits, out.parent, chosen.reasons)
@@ -80,7 +91,7 @@ def with_reachable_advice(found: DiagnosisResult, run: Path) -> DiagnosisResult:
         return found
     try:
         loaded = plan_of_recording(run)
-        chosen = _chosen(weigh(found.observations), loaded, 3, 24, 0)
+        chosen = _chosen(weigh(found.observations), loaded)
     except MbcacqError:
         return found  # a run of which the plan is not known any more, or whose cell is another one
     advice = chosen.advice or tuple(Advice(reason, ()) for reason in chosen.reasons)
@@ -100,11 +111,13 @@ def plan_of_recording(folder: Path) -> LoadedPlan:
     return replace(load(Path(kept.path), kept.plan), grown_from=kept.grown_from)
 
 
-def _chosen(look: InterimEvidence, loaded: LoadedPlan, visits: int, poses: int, seed: int) -> NextPoses:
+def _chosen(
+    look: InterimEvidence, loaded: LoadedPlan, visits: int = OPTIONS.advised_visits, poses: int = OPTIONS.advised_poses, seed: int = 0
+) -> NextPoses:
     arm, planned = look.problem.linear.obs.cell.robot, loaded.cell.robot
     if arm.n != planned.n:
         raise ConfigError(f"the recording is of an arm with {arm.n} axes, {loaded.path} of one with {planned.n}; give the plan of the cell")
     unknown = {s.id for s in look.problem.linear.obs.cell.stations} - {s.id for s in loaded.cell.stations}
     if unknown:
         raise ConfigError(f"{loaded.path} has no station {', '.join(sorted(unknown))} of the recording; give the plan of the cell")
-    return choose_next(look, loaded, visits, poses, views=reachable_views(loaded, seed))
+    return advised(look, loaded, visits, poses, reachable_views(loaded, seed))

@@ -13,7 +13,7 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.recording.run_folder.latest import refuse_plan
-from mbcacq.workflow.diagnose_recordings import Question, diagnose_poses
+from mbcacq.workflow.diagnose_recordings import Question, combined_with_motion, diagnose_poses
 from mbcacq.workflow.load import is_run_folder, load_observations, unsealed_note
 
 
@@ -99,7 +99,9 @@ def _gaps(run: Path) -> list[str]:
 
 def _diagnosis(observations: Observations, run: Path | None, progress: Callable[[str], None]) -> dict[str, Any]:
     """A new diagnosis for the report, kept in the folder of the run where there is one."""
-    found = diagnose_poses(observations, Question(progress=progress, workers=1))
+    how = Question(progress=progress, workers=1)
+    found = diagnose_poses(observations, how)
+    found = found if run is None else combined_with_motion(found, run, how)
     if run is not None and is_run_folder(run):
         found.keep(run)
     return {"diagnosis": found.to_dict(), "pictures": found.pictures()}

@@ -60,11 +60,18 @@ class Operator:
     began: Callable[[Path], None] = lambda folder: None
 
     def allow(self, acquisition: Acquisition) -> None:
-        """Ask before a real arm moves to the poses that remain; an arm that is only followed is not asked about, since nothing moves it."""
+        """Ask before a real arm moves to the poses that remain; an arm that is only followed is not asked about, since nothing moves it.
+        Raises ConfigError where a device must ask a person who is not there as well, after what else is missing."""
         loaded = acquisition.loaded
         if loaded.plan.robot.follow is None:
             remaining = [p for p in acquisition.poses if p.number not in acquisition.done]
             self.allow_motion(loaded, remaining, acquisition.sweep())
+        try:
+            refuse_unattended(loaded, self.assume_yes)
+        except ConfigError as error:
+            if not on_loopback_only(loaded.plan.robot.options):
+                raise
+            raise ConfigError(f"{error}; the plan's robot is on this computer, a fake: --dry-run takes the whole fake cell") from error
 
 
 def run(  # noqa: PLR0913 -- the whole job: one argument an option of its command
@@ -125,7 +132,6 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
         operator.progress("")
         if not dry_run:
             operator.allow(acquisition)
-            refuse_unattended(loaded, operator.assume_yes)
         operator.progress("starting the fake cell" if dry_run else "")
         try:
             known = MeasuredBefore.of(load_observations(folder), done) if dry_run and done and folder is not None else None

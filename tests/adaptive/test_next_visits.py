@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.design.adaptive.backward_elimination import MeasuredInformation
 from mbcacq.design.adaptive.first_block import first_block
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
-from mbcacq.design.adaptive.investigation import Budget, Decision, decisions
+from mbcacq.design.adaptive.investigation import Budget, Decision, decisions, sure
 from mbcacq.design.adaptive.next_plan import choose_next, next_plan_text
 from mbcacq.design.adaptive.options import AdaptiveOptions
 from mbcacq.design.adaptive.places import accepted_places, errors_at
@@ -65,7 +66,7 @@ def test_the_next_poses_are_a_plan_without_errors_at_stations_of_the_cell(begun,
 
 def test_without_moves_only_stations_whose_artefact_stands_there_are_chosen(begun, looked):
     last = {s.artefact: s.id for s in (begun.cell.station(p.station) for p in expand(begun))}
-    chosen = choose_next(looked, begun, poses=6, moves=0, options=FEW)
+    chosen = choose_next(looked, begun, visits=1, poses=6, moves=0, options=FEW)
     assert {v.station for v in chosen.visits} <= set(last.values())
 
 
@@ -153,6 +154,28 @@ def test_an_effect_that_may_be_chance_is_not_given_up_as_out_of_reach():
     chosen = choose_next(look, plan, visits=1, poses=10)
     assert not chosen.futile
     assert len(chosen.poses) >= 6
+    assert {pair.a for pair in chosen.open_pairs} == {("joint_compliance:A2", "joint_compliance:A3")}  # the most probable set
+    assert {(), ("joint_scale:A3",), ("joint_compliance:A2",)} <= {pair.b for pair in chosen.open_pairs}
+
+
+def test_a_search_does_not_end_with_none_while_an_effect_is_half_as_probable(begun):
+    leaning = [{"name": "base_compliance", "strength": 0.6, "seed": 1}]
+    look = weigh(observe(begun, expand(begun), QUIET, leaning)[0])
+    assert look.verdict == "none"
+    assert 0.5 < np.exp(look.full.evidence.log_e_value) < 1
+    assert not sure(look)
+    chosen = choose_next(look, begun, visits=1, poses=10, options=FEW)
+    assert ((), ("base_compliance:base",)) in [(pair.a, pair.b) for pair in chosen.open_pairs]
+    assert sure(weigh(observe(begun, expand(begun), QUIET, [])[0]))
+
+
+def test_a_decision_has_the_same_figures_with_one_thread_of_linear_algebra_and_with_two(begun):
+    obs, made = observe(begun, expand(begun), QUIET, [])[0], []
+    for threads in (1, 2):
+        with threadpool_limits(threads):
+            made += list(decisions(begun, lambda grown: obs, Budget(poses=24), measured=obs))
+    assert len(made) == 2
+    assert made[0] == made[1]
 
 
 def test_a_station_that_creeps_is_found_where_three_poses_see_it():

@@ -16,6 +16,8 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.cli.calibrate import command as calibrate_command
 from mbcacq.errors import CalibrationError
 from mbcacq.geometry import se3
+from mbcacq.geometry.flange_poses import flange_coordinates, flange_transforms
+from mbcacq.geometry.orientations import to_matrices, to_numbers
 from mbcacq.model.cell import KnownLength
 from mbcacq.recording import write_observation_set
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
@@ -126,6 +128,27 @@ def test_a_fixed_scanner_is_named_and_a_plain_word_says_it(tmp_path):
         assert np.abs(local_error(found.state.T_base_station[0], r.T_base_station)[:3]).max() < 0.1
     shown = CliRunner().invoke(calibrate_command, [str(tmp_path / "set"), "--hand-eye-only"]).stdout
     assert "instrument 's' in the base" in shown
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        (lambda o: replace(o, q=o.q * [1e-3, 1e-3, 1e-3, 1, 1, 1]), "the places of the flange read as metres, not millimetres"),
+        (lambda o: replace(o, q=o.q * [0.1, 0.1, 0.1, 1, 1, 1]), "the places of the flange read as centimetres, not millimetres"),
+        (lambda o: replace(o, xyz=0.1 * o.xyz), "the measured points read as centimetres, not millimetres"),
+        (lambda o: replace(o, q=in_radians(o.q)), "the orientations of the flange read as radians, not degrees"),
+    ],
+)
+def test_a_wrong_unit_of_flange_or_points_is_refused_by_its_name(wrong, named):
+    r = recording(np.random.default_rng(11), "certified")
+    with pytest.raises(CalibrationError, match=named):
+        mbcacq.calibrate(wrong(r.observations), ALONE)
+
+
+def in_radians(q):
+    """Coordinates of the flange whose angles about z, y, x were written in rad and are read as degrees."""
+    T = flange_transforms(q)
+    return flange_coordinates(se3.transform(to_matrices(np.radians(to_numbers(T[:, :3, :3], "ZYX")), "ZYX"), T[:, :3, 3]))
 
 
 def test_one_ball_of_an_artefact_of_several_is_enough_for_the_hand_eye():

@@ -32,8 +32,27 @@ def test_texts(tmp_path, text, suffix):
 
 
 @pytest.mark.parametrize(
+    ("above", "factor"),
+    [
+        ("X [m], Y [m], Z [m]", 1e3),
+        ("x_in y_in z_in", 25.4),
+        ("# units: cm\nx y z", 10.0),
+        ('X(");Y(");Z(")', 25.4),
+        ("x y z intensity", 1.0),
+        ("// a unit sphere", 1.0),
+    ],
+)
+def test_a_unit_above_the_points_is_honoured(tmp_path, above, factor):
+    path = tmp_path / "a.xyz"
+    path.write_text(above + "\n1.5 2.25 -3.0\n4.0 -5.5 6.125\n7 8 9\n")
+    assert read_points(path) == pytest.approx(factor * POINTS)
+    assert read_points(path, CloudFormat("mm")) == pytest.approx(POINTS)
+
+
+@pytest.mark.parametrize(
     ("text", "sentence"),
     [
+        ("X [deg], Y [deg], Z [deg]\n1 2 3\n", "the headings name 'deg', which is no one unit of length"),
         ("1 2 3\n4 5", "a.xyz:2: the file is cut off in its last line"),
         ("1 2 3\n4 no 6\n7 8 9", "a.xyz:2: '4 no 6' is no x, y, z"),
         ("1 2 3 255\n4 5 6\n7 8 9 1\n", "a.xyz:2: the line has 3 columns, the first one 4"),
@@ -82,7 +101,7 @@ def test_pcd_that_is_too_short_is_named(tmp_path):
     path.write_bytes(head.encode() + POINTS.astype("<f4").tobytes())
     assert read_points(path) == pytest.approx(POINTS)
     path.write_bytes(path.read_bytes()[:-4])
-    with pytest.raises(ConfigError, match="its head announces 3 points"):
+    with pytest.raises(ConfigError, match="has 32 bytes of points where its header announces 36"):
         read_points(path)
 
 

@@ -121,11 +121,11 @@ def test_6_the_program_of_another_plan(rehearsed, clouds, tmp_path):
         paired(rehearsed, clouds, plan=written_plan(tmp_path, name="plan", exposures=2))
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("m", 1e-3), ("inch", 1 / 25.4), ("um", 1e3)])
-def test_7_another_unit(rehearsed, clouds, unit, factor):
+@pytest.mark.parametrize(("unit", "said", "factor"), [("m", "m", 1e-3), ("in", "inches", 1 / 25.4), ("um", "um", 1e3)])
+def test_7_another_unit(rehearsed, clouds, unit, said, factor):
     for path in clouds.glob("*.ply"):
         rewrite(path, lambda points: points * factor)
-    with pytest.raises(ConfigError, match=f"the clouds are in {unit}, not in mm.*--unit {unit}"):
+    with pytest.raises(ConfigError, match=f"the clouds are in {said}, not in mm.*--unit {unit}"):
         paired(rehearsed, clouds)
     assert in_order(paired(rehearsed, clouds, form=CloudFormat(unit))[0])
 

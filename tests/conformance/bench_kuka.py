@@ -23,6 +23,7 @@ HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
 EKI_LIMITS_DEG = [(-5, 5), (-95, -85), (85, 95), (-5, 5), (-5, 5), (-5, 5)]  # as in the data list that is shipped
 EKI_HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 1.0, 0.0])
 SPEED_DEG_S = (200.0, 175.0, 190.0, 430.0, 430.0, 630.0)
+OUTPUT = 3
 XML = ended(b"</Robot>")
 
 
@@ -61,7 +62,15 @@ def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Itera
             given["eki"] = f"127.0.0.1:{link.port}"
             krc["sen_type"] = "KROSHU"  # as KUKA's own RSI programs have it
         fake = stack.enter_context(
-            FakeKrc(client=proxies["rsi"].address, realtime=False, limits_deg=LIMITS_DEG, start_deg=tuple(HOME_DEG), rearm_s=0.3, **krc)
+            FakeKrc(
+                client=proxies["rsi"].address,
+                realtime=False,
+                limits_deg=LIMITS_DEG,
+                start_deg=tuple(HOME_DEG),
+                rearm_s=0.3,
+                digital_outputs=(OUTPUT,),
+                **krc,
+            )
         )
         made = []
 
@@ -83,6 +92,7 @@ def kuka_rsi(trace: Trace | None = None, eki: bool = False, **krc: Any) -> Itera
             at_rest=lambda: fake.state.read().standstill,
             short_limits={"silence_s": 0.8, "connect_timeout_s": 1.5},
             ready=lambda: not fake.counters()["active"],
+            output=(OUTPUT, lambda: fake.state.output(OUTPUT)[0]),
         )
 
 
@@ -91,6 +101,7 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
     """The programs that are shipped, run by a fake controller."""
     note, folder = trace.note if trace else (lambda *_: None), files("mbcacq_kuka") / "controller"
     sources = {name: (folder / "eki_kss" / name).read_text() for name in ("mbcacq_eki.dat", "mbcacq_eki.src", "mbcacq_link.src")}
+    sources["mbcacq_eki.dat"] = sources["mbcacq_eki.dat"].replace("mb_out[1]=0", f"mb_out[1]={OUTPUT}")
     with ExitStack() as stack:
         fake = stack.enter_context(
             FakeEkiController(
@@ -125,4 +136,5 @@ def kuka_eki(trace: Trace | None = None) -> Iterator[Stand]:
             begin,
             lambda: fake.state.read().standstill,
             {"silence_s": 1.2, "connect_timeout_s": 1.0, "reconnect_s": 0.5},
+            output=(OUTPUT, lambda: fake.state.output(OUTPUT)[0]),
         )

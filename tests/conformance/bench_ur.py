@@ -44,6 +44,7 @@ def ur_rtde() -> Iterator[Stand]:
             begin=lambda robot: robot.move_to(np.radians(HOME_DEG + 170), LIMITS),
             at_rest=lambda: not fake.arm.moving,
             short_limits={"silence_s": 0.5, "connect_timeout_s": 1.0},
+            output=(3, lambda: bool(fake.outputs >> 3 & 1)),
         )
         for robot in made:
             robot.close()

@@ -43,11 +43,15 @@ QUICK = {
 }
 
 
+SWITCHES = {"kuka_rsi with EKI", "kuka_eki", "ur_rtde"}
+
+
 @pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)
 @pytest.mark.parametrize("name", [marked(name) for name in sorted(QUICK)])
 def test_a_driver_passes_the_check(name, each):
     result = check(BENCHES[name], each)
-    assert result.status == ("skipped" if each.__name__ in SKIPPED.get(name, ()) else "passed"), str(result)
+    no_outputs = each.__name__ == "an_output_that_is_on_goes_off" and name not in SWITCHES
+    assert result.status == ("skipped" if no_outputs or each.__name__ in SKIPPED.get(name, ()) else "passed"), str(result)
 
 
 def test_every_driver_that_is_installed_has_a_bench():

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.text import limit_lines, summary_lines, words
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, ExclusionBand, ExclusionLimit
 from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.trend import is_trend
 
 
 def test_the_uncertainty_of_an_rms_is_that_of_the_chi_square_distribution():
@@ -118,7 +119,7 @@ def test_what_is_beyond_what_machines_have_was_not_tested():
     assert lines == [
         "Not excluded (95 %): joint_step at A6 at any pose from 3 to 118, but at 2 moments between up to step 0.0078° "
         "(1.4 times the usual size), 0.22 mm in the workspace, 0.19 mm in a length",
-        "Not excluded (95 %): gear_transmission_error at A2 of order 1.0 to 1.5 up to amplitude 0.0040°",
+        "Not excluded (95 %): gear_transmission_error at A2 of any order from 1.0 to 1.5 up to amplitude 0.0040°",
         "Not tested by these poses (only what is over 10 times the usual size would show): mount_compliance at mount (compliance); "
         "base_compliance at base (compliance)",
     ]

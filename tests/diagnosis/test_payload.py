@@ -10,7 +10,7 @@ from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
@@ -105,7 +105,7 @@ def compared(*sets):
 
     none = Hypothesis((), None, 0.0)
     found = [Hypothesis(tuple(member(label) for label in labels), None, log) for log, labels in sets]
-    return EvidenceFit(tuple(sorted([*found, none], key=lambda h: -h.log_posterior)), none, 50.0, 0.7, linear=None)
+    return EvidenceFit(tuple(sorted([*found, none], key=lambda h: -h.log_posterior)), none, 50.0, 0.7, SetPrior.of([], 1), linear=None)
 
 
 @pytest.mark.parametrize(("odds", "claimed"), [(10.0, False), (30.0, True)])

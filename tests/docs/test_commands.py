@@ -21,7 +21,7 @@ from mbcacq.recording.rrd import rerun_program
 
 sys.path.insert(0, str(ROOT / "docs" / "_make"))
 
-from printed import MARKED, faults  # noqa: E402
+from printed import BY_TEST, MARKED, faults  # noqa: E402
 
 WITH_COMMANDS = [page for page in pages() if page.script.strip()]
 # What a reader does once for the computer is done by the continuous integration itself.
@@ -146,3 +146,9 @@ def test_numbers_are_compared_to_the_digits_that_matter():
 @pytest.mark.parametrize("page", [page for page in pages() if MARKED.search(page.text)], ids=lambda page: page.name)
 def test_a_page_with_printed_blocks_has_the_commands_that_print_them(page: Page):
     assert without_installing(page.script).strip()
+
+
+@pytest.mark.parametrize("page", [page for page in pages() if BY_TEST.search(page.text)], ids=lambda page: page.name)
+def test_a_block_that_a_test_prints_is_compared_there(page: Page):
+    for test, _ in BY_TEST.findall(page.text):
+        assert f'not_printed("{page.name}", "{test}"' in (ROOT / test).read_text(encoding="utf-8")

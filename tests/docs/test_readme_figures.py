@@ -8,11 +8,14 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from doc_pages import ROOT
 
 from mbcacq.cli.app import app
+from mbcacq.recording import Recording
+from mbcacq.recording.rrd import layout
 
 sys.path.insert(0, str(ROOT / "docs" / "_make"))
 
@@ -42,10 +45,15 @@ def concealed(finished_run, tmp_path_factory):
 def test_before_with_the_run_and_with_its_effects(concealed):
     assert same(stated(r"The error of the bar is ([\d.]+) mm in the mean before"), f"{bar(concealed, 'before'):.3f}")
     assert bar(concealed) < float(stated(r"The run itself ends below ([\d.]+) mm"))
+    learnt = Recording(concealed / "result.rrd").scalars(f"{layout.RMS_POSE}/after")[f"/{layout.RMS_POSE}/after"]
+    assert np.median(learnt) < 30  # um; the noise is 13, and geometry alone leaves 200
     done = CliRunner().invoke(app, ["diagnose", str(concealed), "--calibrate"])
     assert done.exit_code == 0, done.output
     assert bar(concealed / "with-effects") < float(stated(r"and leave less than ([\d.]+) mm"))
     assert "What next: calibrate" not in done.output  # it was done just now
+    shown = Recording(concealed / "result.rrd")
+    assert "with the geometry alone" in shown.text(layout.VERDICT)
+    assert np.median(shown.scalars(f"{layout.RMS_POSE}/after")[f"/{layout.RMS_POSE}/after"]) < 30  # um; the noise is 13
 
 
 def test_with_the_geometry_alone(concealed, tmp_path):

@@ -55,6 +55,18 @@ def test_offsets_and_directions_of_a_shared_pattern_are_found():
         assert abs(np.mod(relative + np.pi, 2 * np.pi) - np.pi) < np.radians(1.0)
 
 
+def test_a_joint_that_the_first_ones_keep_out_is_taken_in_once_more_of_the_pattern_is_known():
+    """Six joints that were each seen over a part of a turn: three of them show too little of the pattern for the others."""
+    rng = np.random.default_rng(127)
+    f = pattern(rng)
+    true = {i: (rng.uniform(0, 2 * np.pi), int(rng.choice([1, -1]))) for i in range(6)}
+    parts = [(rng.uniform(70, 170), rng.uniform(-180, 180)) for _ in true]
+    seen = {i: [(low, low + width)] for i, (width, low) in enumerate(parts)}
+    found = find_common_pattern(errors_of({i: lambda x, o=o, d=d: d * (basis(d * x - o) @ f) for i, (o, d) in true.items()}, seen, rng))
+    assert found is not None
+    assert found.joints == (0, 1, 2, 3, 4, 5)
+
+
 def test_joints_with_nothing_in_common_stay_apart():
     for seed in range(2):
         rng = np.random.default_rng(seed)

@@ -223,7 +223,7 @@ def test_what_is_not_used_is_listed(write):
     found = read_certificate_file(write("c.csv", text), "mbc")
     assert found.unused == ("form error", "inspector")
     assert found.notes[0] == "not used: form error, inspector"
-    assert "states no uncertainty" in found.notes[1]
+    assert "no uncertainty was read" in found.notes[1]
 
 
 @pytest.mark.parametrize(
@@ -233,6 +233,10 @@ def test_what_is_not_used_is_listed(write):
         ("label,x (deg),y,z,d\nB1,1,2,3,12\n", "column x .deg.: x_mm cannot be given in deg"),
         ("# units: furlongsx\nlabel,x,y,z,d\nB1,1,2,3,12\n", "the unit 'furlongsx' is no length"),
         ("label,x,y,z,d,x (mm)\nB1,1,2,3,12,4\n", "columns x and x .mm. both give x_mm"),
+        ("label,x,y,z,d,U\nB1,1,2,3,12,1.2\n", "c.csv:2: column U: 1.2 looks like µm; name its unit"),
+        ("label,x,y,z,d,T\nB1,1,2,3,12,68\n", "68 is no temperature of a measuring room in °C"),
+        ("label,x,y,z,d,T\nB1,1,2,3,12,293.15\n", "293.15 is no temperature of a measuring room in °C"),
+        ("label,x,y,z,d,alpha\nB1,1,2,3,12,1.15e-5\n", "1.15e-5 in ppm/K looks like 1/K"),
     ],
 )
 def test_units_that_cannot_be_honoured_are_refused(write, text, words):

@@ -64,6 +64,14 @@ END
 """
 
 
+def test_krl_frames_that_motions_use_are_listed(read):
+    text = "DEF a()\ndelta={X 10,Y 0,Z 0,A 0,B 0,C 0}\nbase={X 10,Y 0,Z 0,A 0,B 0,C 0}\nplace={X 500,Y 0,Z 600,A 0,B 90,C 0}\n"
+    left_alone = left(read("a.src", text + f"LIN_REL delta #BASE\n$BASE=base\nLIN place C_DIS\nPTP {{{ANGLES}}}\nEND\n"))
+    assert left_alone["delta"] == "is the increment of a relative motion (line 5)"
+    assert "is a pose" in left_alone["place"]
+    assert "base" not in left_alone
+
+
 def test_krl_increments_steps_tolerances_and_strings_are_no_targets(read):
     program = read("rel.src", RELATIVE)
     assert targets(program) == [("place", 8), ("line 11", 11), ("line 16", 16)]

@@ -3,10 +3,13 @@
 import os
 import sys
 import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.folder import FakeScannerProgram
+from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.world.frame import ScannerFrame
 from mbcacq_folder.driver import FolderScanner
 
@@ -126,14 +129,16 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
         scanner(tmp_path / "clouds").connect()
 
 
-def test_a_dry_run_takes_its_clouds_from_files(tmp_path):
+@pytest.mark.parametrize("name", ["folder.yaml", "folder-output.yaml"])
+def test_a_dry_run_takes_its_clouds_from_files(tmp_path, name):
+    """Triggered over the network, and by an output of the fake controller, which runs the programs of `controller-files`."""
     import yaml
 
     import mbcacq
     from mbcacq.model import shipped
 
     folder = shipped.folder()
-    plan = yaml.safe_load((folder / "folder.yaml").read_text(encoding="utf-8"))
+    plan = yaml.safe_load((folder / name).read_text(encoding="utf-8"))
     plan["robot"]["model"] = str(folder / plan["robot"]["model"])
     plan["artefacts"] = [str(folder / name) for name in plan["artefacts"]]
     plan["steps"] = plan["steps"][-1:]
@@ -143,31 +148,46 @@ def test_a_dry_run_takes_its_clouds_from_files(tmp_path):
     assert mbcacq.load_observations(done.folder).n_poses == 4
 
 
-def test_an_output_of_the_robot_triggers_it(tmp_path, program):
-    """At the wire: a UR controller's output 3 is the scanner program's trigger; others are not, and it is off again afterwards."""
-    from mbcacq_fakes.protocols.rtde import FakeUrController
-    from mbcacq_ur.driver import UrRtdeRobot
+@contextmanager
+def arm_with_outputs(kind):
+    """A robot in front of its fake controller, which may switch output 3; and how often that was switched on."""
+    if kind == "ur":
+        from mbcacq_fakes.protocols.rtde import FakeUrController
+        from mbcacq_ur.driver import UrRtdeRobot
 
+        with ArmState.create() as state, FakeUrController(state) as controller:
+            options = {"address": "127.0.0.1", "port": controller.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 3.0}
+            with UrRtdeRobot("arm", "UR10e", {**options, "digital_outputs": [3]}) as robot:
+                yield robot, state
+        return
+    from mbcacq_fakes.protocols.krc import FakeKrc
+    from mbcacq_kuka.rsi.driver import KukaRsi
+
+    port = free_port()
+    with FakeKrc(client=("127.0.0.1", port), realtime=False, digital_outputs=(3,)) as controller:
+        options = {"limits_deg": [[-185, 185], [-140, 10], [-120, 168], [-350, 350], [-125, 125], [-350, 350]], "port": port}
+        with KukaRsi("arm", "", {**options, "silence_s": 3.0, "digital_outputs": [3]}) as robot:
+            yield robot, controller.state
+
+
+@pytest.mark.parametrize("kind", ["ur", "rsi"])
+def test_an_output_of_the_robot_triggers_it(tmp_path, kind):
+    """At the wire: the controller's output 3 is the scanner program's trigger; others are not, and it is off again afterwards."""
     from mbcacq.acquisition.cell_devices import hand_on_outputs
 
-    seen = []
-
-    def switched(number, value):
-        seen.append((number, value))
-        if value and number == 3:
-            program._save()
-
-    with FakeUrController() as controller:
-        controller.on_output = switched
-        options = {"address": "127.0.0.1", "port": controller.port, "limits_deg": [[-360, 360]] * 6, "silence_s": 3.0}
-        device = scanner(tmp_path, trigger={"output": 3, "pulse_s": 0.01})
-        with UrRtdeRobot("arm", "UR10e", {**options, "digital_outputs": [3]}) as robot:
-            hand_on_outputs(robot, device)
-            with device:
-                assert len(device.capture().points) == 10
-            with pytest.raises(ConfigError, match="output 4 may not be switched from here; add it to the option digital_outputs"):
-                robot.set_output(4, True)
-    assert seen == [(3, True), (3, False)]
+    device = scanner(tmp_path, trigger={"output": 3, "pulse_s": 0.01})
+    source = lambda exposure_us: ScannerFrame(POINTS)  # noqa: E731
+    with arm_with_outputs(kind) as (robot, state), FakeScannerProgram(source, tmp_path, rises=lambda: state.output(3)[1]):
+        hand_on_outputs(robot, device)
+        with device:
+            assert len(device.capture().points) == 10
+        with pytest.raises(ConfigError, match="output 4 may not be switched from here; add it to the option digital_outputs"):
+            robot.set_output(4, True)
+        assert state.output(3) == (False, 1)
+        with pytest.raises(
+            ConfigError, match=r"trigger.output is 4, which the robot may not switch; add digital_outputs: \[4\] to the robot"
+        ):
+            hand_on_outputs(robot, scanner(tmp_path, trigger={"output": 4}))
 
 
 def test_a_robot_without_outputs_is_refused_before_anything_is_opened(tmp_path):

@@ -9,12 +9,14 @@ import pytest
 import yaml
 from check_cells import simulated_plan
 from click.testing import CliRunner
+from shown_output import not_printed
 
 from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.cli.app import app
+from mbcacq.cli.check import lines_of
 from mbcacq.errors import CellChanged, ConfigError, DeviceFault, ExitCode
 from mbcacq.interim_check.check import CheckSettings, InterimCheck, check, with_observations
 from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
@@ -78,6 +80,7 @@ def test_what_changed_is_named_dated_and_sized(planned):
     assert np.abs((np.array(first.size) - true) / np.array(first.std)).max() < 4
     done = InterimCheck(found, history_of(planned, days), Path("check.json"), Path("run"))
     assert "mount (scanner on the flange), before the check of 2026-03-09" in done.sentence
+    assert not_printed("docs/how-to/check.md", "tests/interim_check/test_check.py", "\n".join(lines_of(done))) == []
     with pytest.raises(CellChanged) as caught:
         done.refuse_changed()
     assert caught.value.exit_code is ExitCode.CHANGED

@@ -17,7 +17,7 @@ class Bench:
     the last telegram that was answered."""
 
     def __init__(self, **options):
-        self.shared = Shared.create()
+        self.shared, self.outputs = Shared.create(), options.get("digital_outputs", ())
         self.session = RsiSession(self.shared, RsiOptions(limits_deg=LIMITS, **options).settings())
         self.ipoc, self.delay, self.sent = 1000, 0, []
         self.q = START
@@ -27,8 +27,12 @@ class Bench:
             self.cycle()
 
     def telegram(self, ipoc=None):
+        """As of a controller that reports the outputs of the plan, all of them off."""
+        outputs = " ".join(f'o{number}="0"' for number in self.outputs)
+        digout = f"<Digout {outputs}/>" if outputs else ""
         axes = " ".join(f'A{i + 1}="{v:.6f}"' for i, v in enumerate(self.q))
-        return f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{self.delay}"/><IPOC>{self.ipoc if ipoc is None else ipoc}</IPOC></Rob>'.encode()
+        ipoc = self.ipoc if ipoc is None else ipoc
+        return f'<Rob Type="KUKA"><AIPos {axes}/><Delay D="{self.delay}"/>{digout}<IPOC>{ipoc}</IPOC></Rob>'.encode()
 
     def cycle(self, data=None, source=SOURCE, step=4, accepted=True):
         """The correction answered, or None."""

@@ -6,6 +6,7 @@ from xml.etree.ElementTree import tostring
 
 import pytest
 from defusedxml.ElementTree import fromstring
+from mbcacq_kuka.rsi.driver import KukaRsi
 from mbcacq_kuka.rsi.options import RsiOptions
 
 FOLDER = files("mbcacq_kuka") / "controller"
@@ -71,17 +72,20 @@ def test_blocks_are_closed(name):
     assert all(len(line) <= 24 for line in (w for text in lines for w in text.replace("(", " ").split() if w.startswith("MBCACQ")))
 
 
-def test_the_three_files_of_old_rsi_say_the_same():
+@pytest.mark.parametrize("outputs", [[], [3], [12, 3, 4096, 7, 8, 9, 10, 11]])
+def test_the_three_files_of_old_rsi_say_the_same(outputs):
     """RSIVisual keeps a drawing (.rsi.diagram) and its model (.rsi) beside the file that is executed (.rsi.xml)."""
-    done = fromstring(read("rsi3/mbcacq.rsi.xml"))
-    model = fromstring(read("rsi3/mbcacq.rsi"))
+    options = {"limits_deg": [(-5, 5)] * 6, "digital_outputs": outputs}
+    files = {name.split("/")[-1]: text for name, text in KukaRsi.controller_files("arm", "", options, {}).items() if "kss_older" in name}
+    done = fromstring(files["mbcacq.rsi.xml"])
+    model = fromstring(files["mbcacq.rsi"])
     ns = "{http://schemas.microsoft.com/dsltools/RSIVisual}"
     elements = {e.get("name"): e for e in model.iter(f"{ns}rSIElement")}
     executed = {o.get("ObjID"): o for o in done.iter("RSIObject")}
     assert {n: (e.get("objType"), e.get("objTypeID")) for n, e in elements.items()} == {
         n: (o.get("ObjType"), o.get("ObjTypeID")) for n, o in executed.items()
     }
-    modes = {"ExitMoveCorr": "4"}
+    modes = {"ExitMoveCorr": "4", "Bit": "0"}
     for name, element in elements.items():
         values = {(p.get("name"), p.get("index")): modes.get(p.get("value"), p.get("value")) for p in element.iter(f"{ns}rSIParameter")}
         assert values == {(p.get("Name"), p.get("ParamID")): p.get("ParamValue") for p in executed[name].iter("Parameter")}
@@ -91,9 +95,15 @@ def test_the_three_files_of_old_rsi_say_the_same():
         for p in e.iter(f"{ns}rSIInPort")
         for source in p.iter(f"{ns}rSIOutPortMoniker")
     }
-    assert linked == {("AXISCORR1", f"CorrA{i}"): f"//ETHERNET1/Out{i + 1}" for i in range(1, 7)} | {("STOP1", "In1"): "//ETHERNET1/Out1"}
+    wired = {(o, int(p.removeprefix("In").removeprefix("CorrA"))): tuple(s[2:].split("/Out")) for (o, p), s in linked.items()}
+    executed_wires = wires(done, "RSIObject", "ObjID", "OutObjID", 0)
+    assert {k: (source, str(out)) for k, (source, out) in executed_wires.items()} == wired
+    expected = {("AXISCORR1", f"CorrA{i}"): f"//ETHERNET1/Out{i + 1}" for i in range(1, 7)} | {("STOP1", "In1"): "//ETHERNET1/Out1"}
+    for k, n in enumerate(outputs, 1):
+        expected |= {("ETHERNET1", f"In{k}"): f"//DIGOUT{n}/Out1", (f"MAP2DIGOUT{n}", "In1"): f"//ETHERNET1/Out{7 + k}"}
+    assert linked == expected
 
-    drawing = fromstring(read("rsi3/mbcacq.rsi.diagram"))
+    drawing = fromstring(files["mbcacq.rsi.diagram"])
     ports = {shape.get("Id"): shape[0].get("name") for shape in drawing.iter() if shape.tag.endswith("PortShape")}
     assert len(set(ports)) == len(ports)
     drawn = {
@@ -105,6 +115,40 @@ def test_the_three_files_of_old_rsi_say_the_same():
     assert shown == {
         f"//{n}/{p.get('name')}" for n, e in elements.items() for kind in ("rSIInPort", "rSIOutPort") for p in e.iter(f"{ns}{kind}")
     }
+
+
+@pytest.mark.parametrize("system", ["kss85", "iiqka", "kss_older"])
+def test_every_output_of_the_plan_is_written_and_read_back(system):
+    """From the element of the answer through the signal flow to $OUT[n], and from there back into the telegram."""
+    options = {"limits_deg": [(-5, 5)] * 6, "digital_outputs": [12, 3]}
+    files = {
+        name.split("/")[-1]: text for name, text in KukaRsi.controller_files("arm", "", options, {}).items() if name.startswith(system)
+    }
+    ethernet = fromstring(files["mbcacq_ethernet.xml"])
+    sent, received = (
+        {e.get("TAG"): (e.get("TYPE"), e.get("INDX"), e.get("HOLDON")) for e in ethernet.find(f"{part}/ELEMENTS")}
+        for part in ("SEND", "RECEIVE")
+    )
+    old = system == "kss_older"
+    context = fromstring(files["mbcacq.rsi.xml" if old else "mbcacq.rsix"])
+    names = ("RSIObject", "ObjID", "OutObjID", 0) if old else ("{RsiDriver}RsiObject", "ObjId", "OutObjId", 1)
+    flow = wires(context, *names)
+    write, reads, link = ("MAP2DIGOUT{}", "DIGOUT{}", "ETHERNET1") if old else ("Map2DigOut_{}", "DigOut_{}", "Ethernet_1")
+    parameters = {o.get(names[1]): [p.get("ParamValue") for p in o.iter() if p.get("ParamValue")] for o in context.iter(names[0])}
+    for number in (12, 3):
+        kind, index, held = received[f"DiO.o{number}"]
+        assert (kind, held) == ("BOOL", "0")  # a missing answer switches it off
+        assert flow[write.format(number), 1] == (link, int(index))
+        kind, index, _ = sent[f"Digout.o{number}"]
+        assert kind == "LONG"
+        assert flow[link, int(index)] == (reads.format(number), 1)
+        assert parameters[write.format(number)] == parameters[reads.format(number)] == [str(number), "0"]  # one bit
+    program = files["mbcacq_rsi.src"]
+    for number in (12, 3):
+        off = [m.start() for m in re.finditer(rf"^   \$OUT\[{number}\]=FALSE$", program, re.M)]
+        begin, moving = re.search(r"ret = RSI_(PROCESS_)?ON\(", program).start(), program.index("RSI_MOVECORR()")
+        assert len(off) == 2
+        assert off[0] < begin < moving < off[1]
 
 
 def settable(context):

@@ -8,7 +8,7 @@ from eki_bench import FOLDER, SYSTEMS, sources, text
 from mbcacq_fakes.protocols.krc.eki_config import read_config
 from mbcacq_kuka.eki import telegrams
 from mbcacq_kuka.eki.options import EkiOptions
-from mbcacq_kuka.eki.telegrams import REFUSALS, State
+from mbcacq_kuka.eki.telegrams import REFUSALS, SWITCH_REFUSALS, State
 
 CALL = re.compile(r'EKI_(\w+?)(?:\((\w+|"[^"]*")(?:,"([^"]*)")?)', re.I)
 WORDS = {"int": "INT", "real": "REAL", "string": "STRING", "frame": "FRAME", "bool": "BOOL"}
@@ -73,12 +73,18 @@ def test_the_driver_reads_exactly_what_both_systems_send():
     assert {p for tag in CONFIG["kss"].order for p in ([f"{tag}/@{a}" for a in "XYZABC"] if tag in frames else [tag])} == sent
     attributes = {p.split("@")[1] for p in sent if p.startswith("Robot/State/@")}
     assert attributes == {name.title().replace("_", "") for name, kind in State.__annotations__.items() if kind == "int"}
-    for missing in sorted(sent - {"Robot/Hello/@Interface", "Robot/Hello/@MachineData", "Robot/Hello/@Model"}):
+    of_before = {"Robot/State/@Switched", "Robot/State/@SwitchCode"}  # are not told by them
+    for missing in sorted(sent - of_before - {"Robot/Hello/@Interface", "Robot/Hello/@MachineData", "Robot/Hello/@Model"}):
         element, attribute = missing.split("/@")
         cut = re.sub(rf'(<{element.split("/")[-1]}\b[^>]*?) {attribute}="1"', r"\1", template, count=1)
         assert cut != template
         with pytest.raises(telegrams.BadTelegram, match=attribute):
             telegrams.parse(cut.encode())
+
+
+def test_the_codes_of_a_switch():
+    program = text("eki_kss/mbcacq_link.src").split("DEF mb_link_switch(")[1].split("\nEND\n")[0]
+    assert {int(c) for c in re.findall(r"mb_swcode=(\d+)", program)} - {0} == set(SWITCH_REFUSALS)
 
 
 def test_the_codes_of_a_refusal():

@@ -25,7 +25,7 @@ def test_it_introduces_itself_and_tells_its_state(bench):
     one = bench(model="#KR10R1100_2 C4 SV")
     one.ticks(9)
     said = one.hear()
-    assert '<Hello Axes="6" Interface="mbcacq 1"' in said
+    assert '<Hello Axes="6" Interface="mbcacq 2"' in said
     assert 'Model="#KR10R1100_2 C4 SV" Session="1"' in said
     one.ticks(60)
     states = one.hear().count("<State ")
@@ -43,8 +43,8 @@ def test_the_bytes_of_a_state():
     one.close()
     assert first.startswith(
         '<Robot><State Base="0" Beat="7" Cancelled="0" Code="0" Done="0" Drives="1" EmergencyStop="0" GuardStop="0" Last="0" Mode="4" Moving="0" '
-        'Override="100" Ready="1" Refused="0" Session="1" Time="5060" Tool="1"><Axis A1="1.500000" A2="-90.000000" A3="90.000000" A4="0.000000" '
-        'A5="0.000000" A6="0.000000"></Axis><Cart A="0.000000" B="-0.000000" C="0.000000" X="0.000000" Y="0.000000" Z="0.000000"></Cart><Current A1="'
+        'Override="100" Ready="1" Refused="0" Session="1" SwitchCode="0" Switched="0" Time="5060" Tool="1"><Axis A1="1.500000" A2="-90.000000" '
+        'A3="90.000000" A4="0.000000" A5="0.000000" A6="0.000000"></Axis><Cart A="0.000000" B="-0.000000" C="0.000000" X="0.000000" Y="0.000000" Z="0.000000"></Cart><Current A1="'
     )
     assert first.endswith("</Current></State></Robot>")
 

@@ -5,7 +5,15 @@ from mbcacq_kuka.rsi.handshake import Handshake, SessionFault
 from mbcacq_kuka.rsi.sequence import Counts
 from mbcacq_kuka.rsi.telegram import Composer
 
-SETTINGS = {"sen_type": "ImFree", "correction": "AK", "stop_element": "Stop", "controller_ip": "", "cycle_ms": 4, "check_set_point": True}
+SETTINGS = {
+    "sen_type": "ImFree",
+    "correction": "AK",
+    "stop_element": "Stop",
+    "controller_ip": "",
+    "cycle_ms": 4,
+    "check_set_point": True,
+    "digital_outputs": (),
+}
 
 
 def telegram(actual, planned, ipoc=b"1000"):

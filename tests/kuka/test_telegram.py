@@ -204,6 +204,15 @@ def test_answer_bytes():
     )
 
 
+def test_answer_bytes_with_outputs():
+    composer = Composer("ImFree", "AK", "Stop", (12, 3))
+    axes = b'<AK A1="0.000000" A2="0.000000" A3="0.000000" A4="0.000000" A5="0.000000" A6="0.000000"/>'
+    off = b'<Sen Type="ImFree"><Stop>0</Stop>' + axes + b'<DiO o12="0" o3="0"/><IPOC>7</IPOC></Sen>'
+    assert composer.compose((0.0,) * 6, b"7") == off
+    assert composer.compose((0.0,) * 6, b"7", outputs=0b10) == off.replace(b'o3="0"', b'o3="1"')
+    assert composer.compose((0.0,) * 6, b"7") == off
+
+
 def test_names_that_would_break_the_answer_are_refused():
     for names in (('x" y="', "AK", "Stop"), ("ImFree", "A K", "Stop"), ("ImFree", "AK", "<Stop>")):
         with pytest.raises(ValueError, match="no name"):

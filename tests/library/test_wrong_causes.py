@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 import mbcacq.cli
+from mbcacq.calibration.caveats import export_command
 from mbcacq.cli.app import COMMANDS, app
 from mbcacq.cli.export import next_step
 from mbcacq.cli.run_path import judge_first
@@ -154,3 +155,35 @@ def test_the_next_step_of_a_result_by_itself_is_a_command_about_it(tmp_path):
     for result in (run, run / "result.json", run / "with-effects", run / "with-effects" / "result.json"):
         assert judge_first(result)[1] == f"mbcacq report {run}"
         assert next_step(result, None, results)[1] == f"mbcacq report {run}"
+
+
+def test_the_next_step_of_a_certificate_is_a_plan_and_of_a_motion_its_diagnosis(tmp_path):
+    """Neither can be looked at in the viewer."""
+    certificate = tmp_path / "certificate.csv"
+    certificate.touch()
+    assert next_step(certificate, None, None, artefact="four.yaml")[1] == "mbcacq plan new --artefact four.yaml"
+    assert next_step(certificate, None, None, trajectory=Path("motion"))[1] == "mbcacq diagnose motion"
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        (["runn", "kuka"], "did you mean run?"),
+        (["diagnos", "x"], "did you mean diagnose"),
+        (["run", "plans/quik.yaml"], "did you mean quick?"),
+        (["run", "my-cel.yaml"], "did you mean my-cell.yaml?"),
+    ],
+)
+def test_a_name_that_is_almost_right_is_answered_by_the_right_one(typed, meant, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my-cell.yaml").touch()
+    done = CliRunner().invoke(app, typed)
+    assert done.exit_code == 2
+    assert meant in done.stderr.replace("\n", " ")
+
+
+def test_the_next_step_of_a_simulated_result_is_not_refused(tmp_path):
+    """Its export has to be meant; the command that is shown says so."""
+    for simulated, option in ((True, " --simulated-anyway"), (False, "")):
+        assert export_command({"simulated": simulated}, tmp_path) == f"mbcacq export {tmp_path} --results results{option}"
+        assert parses(export_command({"simulated": simulated}, tmp_path))

@@ -11,12 +11,12 @@ from mbcacq.errors import ConfigError
 
 
 def poses(value, std):
-    return {
-        "effects": [{"name": "joint_compliance", "where": ["A2"], "parameters": {"A2.compliance_rad_per_Nm": {"value": value, "std": std}}}]
-    }
+    effect = {"name": "joint_compliance", "where": ["A2"], "parameters": {"A2.compliance_rad_per_Nm": {"value": value, "std": std}}}
+    return {"verdict": "explained", "effects": [effect]}
 
 
 COMPARED = {"name": "joint_compliance", "where": ["A2"], "parameters": {"com_mm": {"value": [1.0, 2.0], "std": [0.1, 0.2]}}, "tried": True}
+COMPARED |= {"prior": {}, "log_prior": -2.0}
 SETS = [{"effects": [COMPARED], "log_odds": 0.0}, {"effects": [], "log_odds": -30.0}]
 EVIDENCE = {"poses": 0, "log_e_value": 30.0, "least_log_e_value": 4.6, "sets": SETS, "untried": []}
 
@@ -66,6 +66,11 @@ def test_combined_json_has_both_diagnoses_and_the_agreement():
     assert both["motion"] == motion()
     assert both["agreement"][0]["poses"] == {"value": 4.0e-6, "std": 1e-7}
     assert both["agreement"][0]["motion"] == {"value": 4.2e-6, "std": 1e-7}
+    assert both["together"]["verdict"] == "partly_explained"
+
+
+def test_a_contradiction_is_the_verdict_on_the_run():
+    assert combined(poses(4.0e-6, 1e-8), MotionDiagnosis.from_json(motion(std=1e-8)))["together"]["verdict"] == "cannot_tell"
 
 
 def test_diagnosis_of_motion_goes_through_json_and_pickle_unchanged():
@@ -96,7 +101,7 @@ def test_a_diagnosis_of_poses_is_no_diagnosis_of_motion():
 
 def in_poses(name, where, **parameters):
     estimates = {key.replace("__", "."): {"value": v, "std": s} for key, (v, s) in parameters.items()}
-    return {"effects": [{"name": name, "where": where, "parameters": estimates}], "not_separable": []}
+    return {"verdict": "explained", "effects": [{"name": name, "where": where, "parameters": estimates}], "not_separable": []}
 
 
 def in_motion(name, where, **parameters):

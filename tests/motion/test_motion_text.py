@@ -34,6 +34,31 @@ def test_a_phase_that_may_be_anywhere_is_not_given_as_a_number(std, said):
     assert "A2 order 829.2 ± 3.9" in text
 
 
+def friction(at, value, std):
+    return MotionEffect(
+        name="friction",
+        where=(at,),
+        depends_on="qd2",
+        channel="tau",
+        parameters={f"{at}.coulomb_Nm": {"value": [value, -value], "std": [std, std]}},
+        p_value=1e-9,
+        held_out_gain=0.1,
+        held_out_gain_here=0.1,
+        alternatives=(),
+        steps=(),
+    )
+
+
+def test_a_size_within_its_uncertainty_is_a_trend_without_a_figure():
+    """1.9 standard deviations of A2 stand before 2.1 of A4, and behind them in the text."""
+    text = text_of(friction("A2", 1.9, 1.0), friction("A4", 2.1, 1.0))
+    findings, trends = text.split("Trends, of which no figure is beyond its expanded uncertainty (k = 2):")
+    assert "friction at A4" in findings
+    assert "coulomb 2.1 ± 2.0" in findings
+    assert "friction at A2" in trends
+    assert "coulomb" not in trends
+
+
 def test_the_same_of_poses():
     parameters = {"A2.phase_deg": ParameterEstimate((10.0, 20.0), (120.0, 200.0)), "A2.amplitude_deg": ParameterEstimate(0.01, 0.001)}
     lines = describe(EffectFound(name="gear_transmission_error", where=("A2",), parameters=parameters, p_value=1e-9, held_out_gain=0.1))

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from test_diagnose_trajectories import recording
 
 from mbcacq.cli.app import app
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
-from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.motion.result import ErrorBeforeAfter, MotionDiagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.quantities import significant
 from mbcacq.recording import Recording
 from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
+from mbcacq.recording.viewer import open_viewer
 from mbcacq.report.sources.from_motion import STRETCH_S, motion_content
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
@@ -92,6 +94,14 @@ def test_the_recording_says_the_verdict(made):
     assert "Friction at A1" in text
 
 
+def test_after_a_look_a_recording_is_calibrated_and_a_diagnosis_is_not(made, monkeypatch):
+    monkeypatch.setattr(open_viewer, "view", lambda sources, opening: opening())
+    recording = Path(__file__).parents[1] / "recording" / "three_poses.rrd"
+    said = {name: CliRunner().invoke(app, ["view", str(name)]).stderr for name in (recording, made / "d.rrd")}
+    assert f"next: calibrate with it: mbcacq calibrate {recording}" in said[recording]
+    assert "next:" not in said[made / "d.rrd"]
+
+
 def test_a_diagnosis_that_was_read_has_no_curves_and_says_so(made, tmp_path):
     read = DiagnosisResult.from_json((made / "d.json").read_text(encoding="utf-8"))
     for write in (read.write_html, read.write_rrd):
@@ -108,6 +118,16 @@ def found():
 def test_what_is_drawn_is_the_json_left_as_it_was(found):
     assert "plot_data" not in found.to_json()
     assert MotionDiagnosis.from_json(found.to_json()) == replace(found, plot_data=None)
+
+
+def test_a_fit_that_leaves_more_than_held_out_data_is_explained(found):
+    """What is selected without a part may be another set of effects than what is selected on all."""
+    two = [c for c in found.channels if c.channel == "tau"]
+    fit, held_out = (ErrorBeforeAfter(1390.0, after, 1.0, 1.0) for after in (881.0, 416.0))
+    changed = [replace(two[0], train=fit, held_out=held_out), replace(two[1], train=held_out, held_out=fit)]
+    rows = motion_content(replace(found, channels=(*changed,))).kinds[0].rows
+    assert rows[0].remark.startswith("the fit leaves more than held-out data do")
+    assert rows[1].remark == ""
 
 
 def test_of_a_long_recording_the_stretch_with_the_largest_difference_is_drawn(found):

@@ -63,13 +63,19 @@ def test_what_its_driver_refuses_is_an_error_of_the_plan_with_its_line(plan, old
 
 
 @pytest.mark.parametrize("driver", ["kuka_rsi", "kuka_eki", "simulated"])
-def test_a_scanner_that_an_output_of_the_arm_shall_trigger_is_refused_where_its_driver_switches_none(plan, driver):
+def test_a_scanner_that_an_output_of_the_arm_shall_trigger_needs_one_that_the_plan_names(plan, driver):
     path = plan("trigger: {person: true}", "trigger: {output: 3}", "folder.yaml")
     options = {"kuka_rsi": "{bind: 127.0.0.1}", "kuka_eki": "{address: 127.0.0.1}", "simulated": "{}"}[driver]
     text = re.sub(r"driver: kuka_rsi", f"driver: {driver}", path.read_text(encoding="utf-8"), count=1)
-    path.write_text(re.sub(r"options: \{[^}]*bind[^}]*\}", f"options: {options}", text, count=1), encoding="utf-8")
+    text = re.sub(r"options: \{[^}]*bind[^}]*\}", f"options: {options}", text, count=1)
+    path.write_text(text, encoding="utf-8")
     (found,) = device_findings(load(path))
-    assert "trigger.output needs a robot whose driver switches outputs, which this one does not; trigger it by tcp" in found.sentence
+    if driver == "simulated":
+        assert "trigger.output needs a robot whose driver switches outputs, which this one does not; trigger it by tcp" in found.sentence
+        return
+    assert "trigger.output is 3, which the robot may not switch; add digital_outputs: [3] to the robot's options" in found.sentence
+    path.write_text(text.replace(options, options[:-1] + ", digital_outputs: [3]}"), encoding="utf-8")
+    assert list(device_findings(load(path))) == []
 
 
 @pytest.mark.parametrize("command", ["fakes", "run"])

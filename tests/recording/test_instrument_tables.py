@@ -34,7 +34,7 @@ def test_headings_are_found_where_they_stand(tmp_path, log):
 
 def test_a_unit_above_the_headings_that_is_none_is_refused(tmp_path):
     (tmp_path / "a.txt").write_text("Units: cubits\nX,Y,Z\n1,2,3\n")
-    with pytest.raises(ConfigError, match="the unit 'cubits' above the headings"):
+    with pytest.raises(ConfigError, match="the unit 'cubits' is no length"):
         unit_above(read_table(tmp_path / "a.txt", headings=names_poses))
 
 

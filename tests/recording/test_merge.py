@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from shown_output import not_printed
 
 from mbcacq import load_observations
 from mbcacq.cli.data import command
@@ -70,6 +71,9 @@ def test_the_delay_that_was_put_in_comes_out_and_the_cell_with_it(tmp_path, moti
     late = 0.0 if not bursts else bursts / 2 * 0.0123  # bursts come with their last row
     assert said == pytest.approx(delay + rate * motion[0][-1] / 2 + late, abs=0.01 + late)
     assert ("bursts of about 8 rows" in done.output) == bool(bursts)
+    if bursts:
+        printed = done.output.replace(f"{tmp_path}/", "")
+        assert not_printed("docs/how-to/data-from-another-lab.md", "tests/recording/test_merge.py", printed) == []
     obs = load_observations(tmp_path / "set")
     assert obs.n_poses == POSES
     truth = se3.apply(se3.inverse(TRACKER), se3.apply(obs.cell.robot.chain.flange(obs.q), REFLECTOR))

@@ -68,3 +68,19 @@ def test_an_out_that_is_no_pdf_is_refused(tmp_path):
     outcome = CliRunner().invoke(command, [str(tmp_path), "--pdf", "--out", str(tmp_path / "report.html")])
     assert isinstance(outcome.exception, ConfigError)
     assert "does not end in .pdf" in str(outcome.exception)
+
+
+def test_a_colour_bar_says_the_same_numbers_as_on_the_screen():
+    """The evidence is coloured by the logarithm of what its bar says."""
+    scale = {"tickvals": [0.0, 1.0, 2.0], "ticktext": ["0", "9", "99"]}
+    svg = static_svg(go.Figure(go.Heatmap(z=[[0.0, 2.0]], colorscale=[[0, "#000000"], [1, "#ffffff"]], colorbar=scale)), 400)
+    said = re.findall(r"<!-- ([^ ]+) -->", svg)  # characters are outlines, each group of them behind its text
+    assert said.count("9") == said.count("99") == 1
+    assert "2.0" not in said
+
+
+def test_names_of_horizontal_bars_stand_at_the_bars_and_numbers_below_them():
+    svg = static_svg(go.Figure(go.Bar(y=["run"], x=[30.0], orientation="h")), 400)
+    said = re.findall(r"<!-- ([^ ]+) -->", svg)
+    assert "run" in said
+    assert "10" in said

@@ -7,12 +7,64 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_up import diagnosis, motion, pictures
 from result_page import AFTER, BEFORE, Page, make_observations, make_result, page
 
+from mbcacq.diagnosis.motion.combine import combined
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.quantities import fixed as fixed_point
 from mbcacq.quantities import signed
 from mbcacq.report import read_run_identity, report_from_result
+from mbcacq.report.sources.coefficients import names_in_words
+from mbcacq.report.sources.from_motion import motion_pictures
+
+
+def headline(verdict):
+    return {"none": "No effect found", "explained": "Explained", "cannot_tell": "Cannot tell"}.get(verdict, "Partly explained")
+
+
+def test_the_report_of_a_run_holds_the_motion_between_its_poses_too(tmp_path):
+    """As it is kept: JSON alone, read again."""
+    of_motion = motion()
+    weak = replace(of_motion.named_effects[0], where=("A3",), parameters={"A3.coulomb_Nm": {"value": 5.0, "std": 4.0}})
+    of_motion = replace(of_motion, effects=(weak, *of_motion.effects))
+    info = {
+        "diagnosis": combined(diagnosis() | {"evidence": None}, of_motion),
+        "pictures": pictures() | {"motion": motion_pictures(of_motion)},
+    }
+    info = json.loads(json.dumps(info, allow_nan=False))
+    html = report_from_result(make_result(), path=tmp_path / "report.html", run_info=info).read_text(encoding="utf-8")
+    words = Page(html).words
+    assert words.index("Joint compliance at A2") < words.index("Motion between the poses") < words.index("Friction at A2")
+    assert words.index("Friction at A2") < words.index("Trend: friction at A3")
+    assert f"Verdict on poses and motion as one problem {headline(info['diagnosis']['together']['verdict'])}" in words
+    for c in of_motion.channels:
+        assert f'id="figure-motion_{c.channel}_{c.at}"' in html
+    del info["pictures"]["motion"]["channels"][0]["before"][3]  # damaged: the tables stay
+    html = report_from_result(make_result(), path=tmp_path / "report.html", run_info=info).read_text(encoding="utf-8")
+    assert "Friction at A2" in Page(html).words
+    assert "figure-motion" not in html
+
+
+def test_coefficients_of_effects_are_named_in_words_and_never_two_alike():
+    names = [
+        "a_1",
+        "hand_eye.x",
+        "joint_compliance:A2:gravity_torque_2",
+        "gear_transmission_error:A1:q1:order=2[0]",
+        "scanner_warmup:scanner:time:time_constant_s=177.931[2]",
+        "thermal_growth:link2:time",
+        "thermal_growth:link2:room_C",
+    ]
+    assert names_in_words(names) == [
+        "a_1",
+        "hand_eye.x",
+        "joint compliance at A2",
+        "gear transmission error at A1, order 2 (1)",
+        "scanner warmup at scanner, time constant 178 s (3)",
+        "thermal growth at link2, over time",
+        "thermal growth at link2, over temperature room",
+    ]
 
 
 def test_the_table_is_that_of_the_published_experiment(tmp_path):

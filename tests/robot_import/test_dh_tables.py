@@ -31,6 +31,7 @@ FORMS = {
     .replace("-90", "-pi/2")
     .replace(",90\n", ",π/2\n")
     .replace("180", "pi"),
+    "units in the cells alone": "theta,d,a,alpha\n0,0.4 m,25 mm,-pi/2\n0,0,0.56 m,0\n-90°,0.0,2.5 cm,-90°\n0,515 mm,0,pi/2\n0,0,0,-pi/2\npi,90 mm,0,0\n",
     "degree signs": PLAIN.replace("-90", "-90°").replace(",90\n", ",90°\n"),
     "trailing separators": PLAIN.replace("\n", ",,\n"),
     "quoted decimal commas": PLAIN.replace("400", '"400,0"').replace(",25,", ',"25,0",'),
@@ -66,6 +67,7 @@ def test_one_arm_in_many_forms(read, text):
             PLAIN.replace("theta_deg,d_mm", "theta,d_mm"),
             "rows.csv:1: column theta_deg is missing: column theta names no unit; name it so if it is in deg",
         ),
+        (FORMS["units in the cells alone"].replace("-pi/2", "-1.57", 1), "column alpha names no unit"),
         (PLAIN.replace("d_mm", "d (kg)"), "rows.csv:1: column d .kg.: d_mm cannot be given in kg"),
         (PLAIN.replace("d_mm", "d_deg"), "column d_mm is missing .the header has: theta_deg, d_deg"),
         (FORMS["type R"].replace(",R", ",P", 1), "row 1 is of type 'P'; an arm of revolute joints is needed"),

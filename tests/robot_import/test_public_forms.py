@@ -91,9 +91,19 @@ def test_the_wrist_that_turns_a_gripper_is_an_axis(read):
     assert read(described(joints)).joints[-1] == "gripper_roll"
 
 
+OPENING = '<limit lower="-0.1" upper="1.7" effort="1" velocity="2"/>'
+
+
+def test_a_last_joint_that_opens_as_jaws_and_moves_what_is_called_a_gripper_is_none_of_the_arm(read):
+    frames = [joint("f1", "link4", "tcp", "fixed"), joint("f2", "link5", "gripper_tip", "fixed")]
+    found = read(described([*arm(4), joint("joint5", "link4", "link5", more=OPENING), *frames]))
+    assert found.joints == ("joint1", "joint2", "joint3", "joint4")
+    assert any("taken for a gripper's and left out" in remark for remark in found.remarks)
+    assert len(read(described([*arm(4), joint("joint5", "link4", "link5"), *frames])).joints) == 5  # it turns to both sides
+
+
 def test_a_last_joint_that_opens_to_one_side_is_said(read):
-    jaw = joint("joint5", "link4", "link5", more='<limit lower="-0.1" upper="1.7" effort="1" velocity="2"/>')
-    found = read(described([*arm(4), jaw]))
+    found = read(described([*arm(4), joint("joint5", "link4", "link5", more=OPENING)]))
     assert len(found.joints) == 5
     assert any("opens to one side only" in remark and "--flange link4" in remark for remark in found.remarks)
 

@@ -6,7 +6,8 @@ from peer_open3d import open3d
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports.clouds import write_cloud
-from mbcacq.spheres.cloud_file import in_mm, looks_small, read_cloud_file
+from mbcacq.spheres import read_cloud
+from mbcacq.spheres.cloud_file import CloudFile, in_mm, looks_small, read_cloud_file
 
 ROWS = [(1.5, -2.0, 300.25, 40000, 65535), (2.5, 0.0, 301.0, 1, 0), (-3.5, 1.0, 299.5, 500, 256)]
 TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<u2"), ("red", "<u2")])
@@ -130,6 +131,14 @@ def test_nothing_of_a_file_that_is_not_whole(read, data, name, sentence):
         read(data, name)
 
 
+def test_a_last_number_that_is_cut_is_seen(read):
+    rows = b"".join(b"%d.2500 -2.5000 30%d.1250\n" % (i, i % 10) for i in range(20))
+    head = b"ply\nformat ascii 1.0\nelement vertex 20\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    assert len(read(head + rows.rstrip(), "a.ply").points) == 20
+    with pytest.raises(ConfigError, match="is cut off in its last number, '309.1'"):
+        read(head + rows[:-4], "a.ply")
+
+
 def test_places_without_a_point_are_left_out(read):
     found = read(ply(rows=[(np.nan, np.nan, np.nan, 7, 7), *ROWS]), "a.ply")
     assert (len(found.points), found.missing) == (3, 1)
@@ -138,13 +147,46 @@ def test_places_without_a_point_are_left_out(read):
 
 def test_a_cloud_in_metres_is_asked_about():
     points = np.random.default_rng(0).uniform(-0.05, 0.35, (100, 3))
+    cloud = CloudFile(points, {}, 0)
     with pytest.raises(ConfigError, match="looks like metres; say --unit m"):
-        in_mm("scan.ply", points, None)
-    np.testing.assert_allclose(in_mm("scan.ply", points, "m"), 1e3 * points)
-    assert in_mm("scan.ply", points, "mm") is points
+        in_mm("scan.ply", cloud, None)
+    np.testing.assert_allclose(in_mm("scan.ply", cloud, "m"), 1e3 * points)
+    assert in_mm("scan.ply", cloud, "mm") is points
     with pytest.raises(ConfigError, match="looks like um"):
-        in_mm("scan.ply", 1e6 * points, None)
-    assert in_mm("scan.ply", 1e3 * points, None).max() > 100
+        in_mm("scan.ply", CloudFile(1e6 * points, {}, 0), None)
+    assert in_mm("scan.ply", CloudFile(1e3 * points, {}, 0), None).max() > 100
+
+
+@pytest.mark.parametrize(
+    ("line", "factor"),
+    [
+        (b"comment unit mm", 1.0),
+        (b"comment Units: meters", 1e3),
+        (b"obj_info unit = inch", 25.4),
+        (b"comment all coordinates in inches", 25.4),
+        (b"comment length unit: feet", 304.8),
+        (b"comment", 1.0),
+        (b"comment normals are unit vectors", 1.0),
+        (b"comment angle unit: deg", 1.0),
+    ],
+)
+def test_a_unit_in_the_header_is_honoured(read, tmp_path, line, factor):
+    found = read(ply("ascii").replace(b"element vertex", line + b"\nelement vertex"), "a.ply")
+    np.testing.assert_allclose(in_mm("a.ply", found, None), factor * found.points.astype(float), rtol=1e-12)
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.ply"), factor * found.points.astype(float), rtol=1e-12)
+    assert in_mm("a.ply", found, "mm") is found.points
+    found = read(pcd().replace(b"VERSION", line.replace(b"comment", b"#").replace(b"obj_info", b"#") + b"\nVERSION"), "a.pcd")
+    np.testing.assert_allclose(in_mm("a.pcd", found, None), factor * found.points.astype(float), rtol=1e-12)
+
+
+def test_a_unit_that_is_no_length_is_refused(read):
+    with pytest.raises(ConfigError, match="the unit 'furlogs' is no length"):
+        read(ply("ascii").replace(b"element vertex", b"comment units: furlogs\nelement vertex"), "a.ply")
+
+
+@pytest.mark.parametrize(("place", "moved"), [(b"0 0 0 1 0 0 0", False), (b"0 0 0.5 1 0 0 0", True), (b"0 0 0 0.7071 0 0.7071 0", True)])
+def test_a_viewpoint_other_than_the_origin_is_seen(read, place, moved):
+    assert read(pcd().replace(b"VIEWPOINT 0 0 0 1 0 0 0", b"VIEWPOINT " + place), "a.pcd").viewpoint is moved
 
 
 def test_normals_turn_with_the_points(tmp_path):

@@ -60,6 +60,20 @@ def test_without_arm_and_without_a_terminal_nothing_moves(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+def test_an_absent_operator_is_no_reason_while_arm_is_missing(tmp_path):
+    """An investigation of a real arm whose artefacts a person moves, started without either: what was not said comes first."""
+
+    def elsewhere(plan):
+        real(plan)
+        del plan["workspace"]
+
+    plan = plan_file(tmp_path, elsewhere, "concealed.yaml")
+    done = mbcacq("investigate", plan, "--out", tmp_path / "run")
+    assert done.returncode == 2
+    assert "--arm" in one_sentence(done)
+    assert "--resume" not in done.stderr
+
+
 def test_arm_asks_about_loopback_too_where_a_tunnel_may_end(tmp_path):
     done = mbcacq("run", plan_file(tmp_path, lambda plan: None), "--out", tmp_path / "run", "--arm", "--yes")
     assert done.returncode == 2

@@ -28,6 +28,7 @@ from mbcacq_kuka.eki.record import Record
 from mbcacq_kuka.eki.session import EkiSession
 from mbcacq_kuka.eki.telegrams import LIN, PTP, State
 from mbcacq_kuka.eki.watch import Move
+from mbcacq_kuka.option_values import check_output
 
 _STANDSTILL_S = 5.0
 
@@ -49,6 +50,8 @@ class KukaEki(ContextDevice):
         "The angles in the viewer agree with the smartPAD's axis display to 0.001°, A1 to A6, signs too.",
         "In T1 start mbcacq_eki: doctor says that the program is ready; its first move waits for the start key.",
         "Stop the program on the smartPAD: the run ends with the sentence that the program was stopped.",
+        "Only if the plan names digital_outputs: the smartPAD's outputs show each on for the pulse of an exposure, then off; "
+        "stop a run in a pulse: it goes off.",
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
@@ -151,6 +154,19 @@ class KukaEki(ContextDevice):
 
         self._begin(session, LIN, away, settle_s, None, speed=float(speed_mm_s), frame=pose.tolist())
 
+    def set_output(self, number: int, value: bool) -> None:
+        """Switch $OUT[number], one of the option digital_outputs; returns once the controller says that it did. It is switched off by
+        ``stop``, and by the controller itself where it loses the connection or stops the arm.
+
+        Raises ConfigError, DeviceTimeout (no answer), DeviceFault (not switched), and what stopped the arm."""
+        check_output(self._name, number, self._options.digital_outputs)
+        self._check().switch(number, bool(value))
+
+    @property
+    def digital_outputs(self) -> tuple[int, ...]:
+        """Those that may be switched."""
+        return self._options.digital_outputs
+
     def state(self) -> RobotState:
         session = self._check()
         state, arrived = session.latest, session.arrived
@@ -161,12 +177,14 @@ class KukaEki(ContextDevice):
         return self._record.drain()
 
     def stop(self) -> None:
-        """The controller brakes the move under way on its path and forgets those that wait; no connection, no motion either."""
+        """The controller brakes the move under way on its path, forgets those that wait, and switches the outputs off; no connection, no
+        motion either."""
         session = self._session
         if session is None:
             return
         with self._lock:
-            number, self._stopped = (self._number if self._number > self._stopped else None), self._number
+            due = self._number > self._stopped or session.switched_on
+            number, self._stopped = (self._number if due else None), self._number
         if number is not None:
             session.halt(number)
 

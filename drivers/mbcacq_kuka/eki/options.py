@@ -8,7 +8,7 @@ from typing import Any
 
 from mbcacq.devices import ConfigError, is_host
 from mbcacq_kuka.controller_flags import COUNT, FIRST, LARGEST
-from mbcacq_kuka.option_values import array, check_limits, check_numbers, check_positive, refuse_unknown
+from mbcacq_kuka.option_values import array, check_limits, check_numbers, check_positive, output_numbers, refuse_unknown
 
 MODES = {"T1": 1, "T2": 2, "AUT": 3, "EXT": 4}
 _RANGES = {
@@ -49,6 +49,9 @@ class EkiOptions:
 
     follow: of the plan's robot section: a person, or another program, moves the arm. Only the link program in the submit interpreter is
     needed then, and only signs of life are sent to it.
+
+    digital_outputs: numbers n of the outputs $OUT[n] that may be switched from here, as to trigger a scanner; they are written into the
+    controller's program.
     """
 
     address: str
@@ -74,6 +77,7 @@ class EkiOptions:
     state_ms: int = 24
     first_flag: int = FIRST
     follow: bool = False
+    digital_outputs: tuple[int, ...] = ()
 
     @property
     def modes(self) -> frozenset[int]:
@@ -111,6 +115,7 @@ def _converted(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
     for key in ("speed_deg_s", "tool_frame", "base_frame"):
         if values.get(key) is not None:
             values[key] = tuple(array(name, key, values[key], (6,)).tolist())
+    values["digital_outputs"] = output_numbers(name, values)
     if "mode" in values:
         values["mode"] = _modes(name, values["mode"])
     return values

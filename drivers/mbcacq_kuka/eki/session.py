@@ -30,6 +30,7 @@ class EkiSession:
         self._watch: Watch | None = None
         self._target: tuple[float, ...] | None = None
         self._beaten, self._heard, self._connections, self._first_deadline = -1, 0.0, 0, 0.0
+        self._switching, self._switch, self._on = threading.Lock(), 0, set[int]()
         self.error: MbcacqError | None = None
         self.hello: Hello | None = None
         self.state: State | None = None
@@ -99,10 +100,45 @@ class EkiSession:
             self._target = target
         self._send(telegram)
 
+    def switch(self, output: int, on: bool) -> None:
+        """Switch $OUT[output]; returns once the controller says that it did. Raises DeviceTimeout, DeviceFault, and what ended the
+        session."""
+        self.await_link()
+        robot = f"robot '{self._name}'"
+        with self._switching:
+            connection, number = self._connections, max(self._switch, self.latest.switched) + 1
+            self._switch = number
+            (self._on.add if on else self._on.discard)(output)
+            self._send(telegrams.switch(number, output, on, self.beat))
+
+            def settled() -> bool:
+                return self.latest.switched >= number or self._link is None or self._connections != connection
+
+            if not self._wait(settled, time.monotonic() + self._options.silence_s):
+                self.halt(self.latest.last)
+                raise DeviceTimeout(
+                    f"{robot}: the controller did not acknowledge the switching of output {output}; copy the files that "
+                    "`mbcacq controller-files` writes again"
+                )
+            if self.latest.switched < number:
+                raise DeviceTimeout(
+                    f"{robot}: the connection was lost while output {output} was switched; the controller has switched it off by itself"
+                )
+            if code := self.latest.switch_code:
+                why = telegrams.SWITCH_REFUSALS.get(code, f"code {code}")
+                raise DeviceFault(f"{robot}: the controller did not switch output {output}: {why}")
+
+    @property
+    def switched_on(self) -> bool:
+        """An output was switched on, and not off again."""
+        return bool(self._on)
+
     def halt(self, number: int) -> None:
-        """Stop all moves up to ``number``. Never raises: without a connection the controller has braked already."""
+        """Stop all moves up to ``number``; what was switched on goes off. Never raises: without a connection the controller has done so
+        already."""
         if self._options.follow:
             return
+        self._on.clear()
         with self._news:
             if self._watch is not None and not self._watch.arrived:
                 self._watch.abandon()
@@ -265,10 +301,16 @@ class EkiSession:
         return self.hello is not None and bool(self.latest.ready) and self.hello.session == self.latest.session
 
     def _await(self, condition: Callable[[], bool], deadline: float, otherwise: str) -> None:
+        if not self._wait(condition, deadline):
+            raise ConnectError(otherwise)
+
+    def _wait(self, condition: Callable[[], bool], deadline: float) -> bool:
+        """Whether it came true until ``deadline``. Raises what ended the session."""
         with self._news:
             while not condition():
                 if self.error is not None:
                     raise self.error.with_traceback(None)
                 if (left := deadline - time.monotonic()) <= 0:
-                    raise ConnectError(otherwise)
+                    return False
                 self._news.wait(min(left, 0.1))
+        return True

@@ -10,8 +10,8 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-BEAT, PTP, LIN, STOP = 0, 1, 2, 3
-INTERFACE = "mbcacq 1"
+BEAT, PTP, LIN, STOP, SWITCH = 0, 1, 2, 3, 4
+INTERFACE, WITHOUT_OUTPUTS = "mbcacq 2", "mbcacq 1"  # that of before switches no outputs, else it is the same
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")
 REFUSALS = {
@@ -22,6 +22,11 @@ REFUSALS = {
     13: "eight moves wait already",
     14: "its program does not run",
     15: "the number of the move was used before",
+}
+SWITCH_REFUSALS = {
+    16: "its program may not switch it (the files on the controller must be those that `mbcacq controller-files` writes for this plan)",
+    17: "it does not change; is it write-protected, or does another program set it?",
+    18: "an emergency stop or an open guard has stopped the arm; acknowledge it",
 }
 
 
@@ -48,7 +53,9 @@ class Hello:
 @dataclass(frozen=True)
 class State:
     """One moment. time ms; axis, current (6,) deg and %; cart: tool in base, mm and deg. last, done, cancelled, refused: numbers of
-    moves; code: why one was refused (REFUSALS). mode: 1 T1, 2 T2, 3 AUT, 4 EXT. beat: the last sign of life the controller had from us.
+    moves; code: why one was refused (REFUSALS). switched: number of the last switch of an output; switch_code: 0, or why it was not
+    switched (SWITCH_REFUSALS); programs of before do not tell these. mode: 1 T1, 2 T2, 3 AUT, 4 EXT. beat: the last sign of life the
+    controller had from us.
     """
 
     base: int
@@ -71,8 +78,11 @@ class State:
     axis: tuple[float, ...]
     cart: tuple[float, ...]
     current: tuple[float, ...]
+    switched: int = 0
+    switch_code: int = 0
 
 
+_OPTIONAL = ("switched", "switch_code")
 _INTEGERS = {f.name: f.name.title().replace("_", "") for f in fields(State) if f.type == "int"}
 
 
@@ -92,6 +102,12 @@ def command(
         f'<Command Kind="{kind}" Id="{number}" Beat="{beat}" Speed="{speed:.6f}" Accel="{acceleration}">'
         f"<Axis {a}></Axis><Frame {f}></Frame></Command>"
     ).encode("ascii")
+
+
+def switch(number: int, output: int, on: bool, beat: int) -> bytes:
+    """The command that switches $OUT[output]. Its two values travel where moves have acceleration and speed, as every telegram has the same
+    elements."""
+    return command(SWITCH, number, beat, speed=float(on), acceleration=output)
 
 
 def parse(data: bytes) -> tuple[Hello | None, State | None]:
@@ -120,7 +136,8 @@ def _hello(element: Element) -> Hello:
 
 
 def _state(element: Element) -> State:
-    integers = {name: _integer(element, attribute) for name, attribute in _INTEGERS.items()}
+    given = {name: attribute for name, attribute in _INTEGERS.items() if name not in _OPTIONAL or attribute in element.attrib}
+    integers = {name: _integer(element, attribute) for name, attribute in given.items()}
     return State(
         **integers,
         axis=_numbers(_child(element, "Axis"), AXES),

@@ -97,6 +97,21 @@ class CycleProcess:
         with self._lock:
             return 0 if self._shared is None else self._shared.send(command)
 
+    def switch(self, bits: int, on: bool) -> None:
+        """Switch the outputs of these bits (see Shared.outputs) on or off, from one of the next answers on."""
+        with self._lock:
+            if self._shared is not None:
+                self._shared.outputs = self._shared.outputs | bits if on else self._shared.outputs & ~bits
+
+    def is_switched(self, bits: int) -> bool:
+        """Whether the outputs of these bits are to be on."""
+        return self._shared is not None and bool(self._shared.outputs & bits)
+
+    def reports_on(self, number: int) -> bool:
+        """Whether the controller reports $OUT[number] as on; the session sends it (see handshake)."""
+        with self._lock:
+            return self._shared is not None and self._reader.output(number)
+
     def close(self) -> None:
         """Brake, end the session, wait until the process has ended; cycles that were not read yet are kept for ``drain``. Idempotent."""
         process, self._process = self._process, None

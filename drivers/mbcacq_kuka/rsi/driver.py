@@ -32,10 +32,11 @@ from mbcacq.devices import (
 from mbcacq_kuka.controller_files import rsi_files
 from mbcacq_kuka.eki.client import EkiClient
 from mbcacq_kuka.eki.start import start_by_eki
+from mbcacq_kuka.option_values import check_output
 from mbcacq_kuka.rsi.cycle_process import CycleProcess
 from mbcacq_kuka.rsi.options import RsiOptions, read_options
 from mbcacq_kuka.rsi.recovery import PendingMove, off_path
-from mbcacq_kuka.rsi.shared import ARRIVED, MOVE, MOVING, STOP, RsiCommand
+from mbcacq_kuka.rsi.shared import ALL_OUTPUTS, ARRIVED, MOVE, MOVING, STOP, RsiCommand
 
 _FAULTS: dict[str, type[MbcacqError]] = {
     "connect": ConnectError,
@@ -77,6 +78,8 @@ class KukaRsi(ContextDevice):
         "The angles that doctor and the viewer show agree with the smartPAD's axis display to 0.001°, A1 to A6, signs too.",
         "Delay stays 0 for a minute (column delay of the recording); note the largest gap between telegrams.",
         "Stop the program on the smartPAD: the run ends with the sentence that the controller fell silent.",
+        "Only if the plan names digital_outputs: the smartPAD's outputs show each on for the pulse of an exposure, then off; "
+        "stop a run in a pulse: it goes off.",
     )
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
@@ -101,7 +104,9 @@ class KukaRsi(ContextDevice):
         return rsi_files(read_options(name, options), facts)
 
     def describe(self) -> Description:
-        axes, rate = (6,), 1000.0 / self._options.cycle_ms
+        axes, rate, outputs = (6,), 1000.0 / self._options.cycle_ms, self._options.digital_outputs
+        named = ", ".join(f"$OUT[{number}]" for number in outputs)
+        switched = (Field("digital_outputs", "1", (len(outputs),), rate, f"{named} (Digout); 1 is on"),) if outputs else ()
         return Description(
             "robot",
             self._model,
@@ -115,6 +120,7 @@ class KukaRsi(ContextDevice):
                 Field("delay", "1", (), rate, "answers the controller counted late"),
                 Field("ipoc", "ms", (), rate, "the controller's cycle counter"),
                 Field("external_axes", "deg or mm", axes, rate, "external axes E1 to E6 (EIPos), as sent; only if sent"),
+                *switched,
                 Field("lost_telegrams", "1", (), rate, "telegrams that never arrived, since the session began"),
                 Field("repeated_telegrams", "1", (), rate, "telegrams that arrived again"),
                 Field("old_telegrams", "1", (), rate, "telegrams that arrived after a later one"),
@@ -150,6 +156,31 @@ class KukaRsi(ContextDevice):
         self._pending = PendingMove(process.last()["q"], target, self._command(target, limits))
         self._move_seq = process.send(self._pending.command)
 
+    def set_output(self, number: int, value: bool) -> None:
+        """Switch $OUT[number], one of the option digital_outputs; returns once the controller reports it so. It is switched off by
+        ``stop``, by every fault and by the end of the session, too.
+
+        Raises ConfigError, DeviceTimeout (not switched), DeviceFault (off meanwhile), and what stopped the arm."""
+        check_output(self._name, number, self._options.digital_outputs)
+        process, bit = self._check(), 1 << self._options.digital_outputs.index(number)
+        process.switch(bit, value)
+        deadline = time.monotonic() + self._options.silence_s
+        while process.reports_on(number) != value:
+            if (now := self._check()) is not process or now.is_switched(bit) != value:
+                raise DeviceFault(f"robot '{self._name}': output {number} was switched off meanwhile, by a stop or a new session")
+            if time.monotonic() > deadline:
+                process.switch(bit, False)
+                raise DeviceTimeout(
+                    f"robot '{self._name}': output {number} was switched {'on' if value else 'off'}, but the controller reports it "
+                    f"{'off' if value else 'on'}; is it write-protected, or does another program set it?"
+                )
+            time.sleep(_POLL_S)
+
+    @property
+    def digital_outputs(self) -> tuple[int, ...]:
+        """Those that may be switched."""
+        return self._options.digital_outputs
+
     def state(self) -> RobotState:
         process = self._check()
         row = process.last()
@@ -167,6 +198,7 @@ class KukaRsi(ContextDevice):
     def stop(self) -> None:
         self._pending = None
         if self._process is not None:
+            self._process.switch(ALL_OUTPUTS, False)
             self._process.send(RsiCommand(STOP))
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from mbcacq_kuka.rsi.mode import AXIS, ModeProbe, Proof
 from mbcacq_kuka.rsi.sequence import Counts, advance
 from mbcacq_kuka.rsi.standstill import noise_of
-from mbcacq_kuka.rsi.telegram import Composer, Malformed, Parser, decimals, finite
+from mbcacq_kuka.rsi.telegram import REPORT_ELEMENT, Composer, Malformed, Parser, decimals, finite, output_attribute
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6
@@ -147,6 +147,7 @@ class Handshake:
         layout = Layout(
             source, parser, axes, axes(row), None if planned is None else itemgetter(*planned), None if delay is None else delay[0]
         )
+        _refuse_missing_outputs(parser, self._settings["digital_outputs"])
         if planned is not None and self._settings["check_set_point"]:
             _refuse_correction(layout, row)
             # A small correction may still be applied, of a program that was not restarted: ASPos is where the arm goes without it.
@@ -237,6 +238,18 @@ class Handshake:
                 muted=True,
             )
         return replace(layout, step=step, tick_s=tick_s)
+
+
+def _refuse_missing_outputs(parser: Parser, numbers: Sequence[int]) -> None:
+    """A controller that reports an output has files that let it be switched, too; one that does not would do nothing, without a word."""
+    for number in numbers:
+        if parser.slots(REPORT_ELEMENT, (output_attribute(number),)) is None:
+            raise SessionFault(
+                "connect",
+                f"its telegrams do not report output {number} ({REPORT_ELEMENT}), so the files on the controller are older than the plan's "
+                "option digital_outputs and would not switch it; copy those that `mbcacq controller-files` writes. Nothing was moved",
+                muted=True,
+            )
 
 
 def _refuse_correction(layout: Layout, row: Sequence[float]) -> None:

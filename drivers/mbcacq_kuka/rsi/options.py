@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.devices import ConfigError
-from mbcacq_kuka.option_values import array, check_limits, check_numbers, check_positive, refuse_unknown
+from mbcacq_kuka.option_values import array, check_limits, check_numbers, check_positive, output_numbers, refuse_unknown
 from mbcacq_kuka.rsi.telegram import Composer
 
 KUKA_SERVER = {"sen_type": "KROSHU", "port": 59152}  # what the RSI programs of KUKA's EKI server are configured for
@@ -62,6 +62,8 @@ class RsiOptions:
 
     follow: of the plan's robot section: another program, or a person, moves the arm. Every answer is then a correction of zero, and the
     session is never ended from here.
+
+    digital_outputs: numbers n of the outputs $OUT[n] that may be switched from here, as to trigger a scanner.
     """
 
     limits_deg: tuple[tuple[float, float], ...]
@@ -91,6 +93,7 @@ class RsiOptions:
     check_set_point: bool = True
     cpu: int | None = None
     follow: bool = False
+    digital_outputs: tuple[int, ...] = ()
 
     def settings(self) -> dict[str, Any]:
         """Settings of the cycle process, all numbers resolved."""
@@ -116,6 +119,7 @@ def read_options(name: str, given: Mapping[str, Any]) -> RsiOptions:
     for key in _PER_AXIS:
         if values.get(key) is not None:
             values[key] = _one_or_six(name, key, values[key])
+    values["digital_outputs"] = output_numbers(name, values)
     options = RsiOptions(**values)
     check_numbers(name, options, _RANGES)
     check_limits(name, options.limits_deg)

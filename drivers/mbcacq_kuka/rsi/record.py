@@ -8,11 +8,13 @@ import numpy as np
 
 from mbcacq.devices import Cycles
 from mbcacq_kuka.rsi.shared import COUNTED, FIXED, Shared
+from mbcacq_kuka.rsi.telegram import REPORT_ELEMENT, output_attribute
 
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _RENAMED = {
     "MACur": "current_percent",
     "Delay.D": "delay",
+    REPORT_ELEMENT: "digital_outputs",
     "IPOC": "ipoc",
     "EIPos": "external_axes",
     "ESPos": "external_axes_set",
@@ -36,13 +38,20 @@ class CycleReader:
         shared = self._shared
         assert shared is not None  # begin comes before detach
         self._rows = np.frombuffer(shared.ring).reshape(shared.capacity, shared.width)
-        self._columns = _columns(shared.names())
+        self._names = shared.names()
+        self._columns = _columns(self._names)
         self.start = self._rows[0][self._columns["q"]].copy()
 
     def last(self) -> dict[str, Any]:
         """The newest row, also after ``detach``: time_s, flags, command as numbers and q (6,) deg."""
         row = self._last if self._shared is None else self._rows[(self._shared.head - 1) % len(self._rows)].copy()
         return {"time_s": float(row[1]), "flags": row[2], "command": row[3], "q": row[self._columns["q"]]}
+
+    def output(self, number: int) -> bool:
+        """Whether the newest row reports $OUT[number] as on."""
+        assert self._shared is not None  # asked while the session goes on
+        row = self._rows[(self._shared.head - 1) % len(self._rows)]
+        return bool(row[len(FIXED) + self._names.index(f"{REPORT_ELEMENT}.{output_attribute(number)}")] > 0.5)
 
     def drain(self) -> Cycles:
         """All rows since the last call."""

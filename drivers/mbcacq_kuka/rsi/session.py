@@ -60,7 +60,8 @@ class RsiSession:
         self._shared, self._settings = shared, settings
         self.silence_s = float(settings["silence_s"])
         self.cycle_s = settings["cycle_ms"] * 1e-3
-        self._composer = Composer(settings["sen_type"], settings["correction"], settings["stop_element"])
+        self._composer = Composer(settings["sen_type"], settings["correction"], settings["stop_element"], settings["digital_outputs"])
+        self._switches = bool(settings["digital_outputs"])
         self.counts = Counts()
         self._handshake = Handshake(self._composer, settings, self.counts)
         self._punctuality = Punctuality(self.cycle_s)
@@ -346,10 +347,16 @@ class RsiSession:
         return self._layout
 
     def _compose(self, digits: bytes, position: tuple[float, ...], stop: bool = False) -> bytes:
+        outputs = self._outputs if self._switches else 0
         if self._follows or self._unproven and self._at_once:
-            return self._composer.compose(ZERO, digits, stop)
+            return self._composer.compose(ZERO, digits, stop, outputs)
         correction = tuple([p - r for p, r in zip(position, self._layout_now.reference, strict=True)])
-        return self._composer.compose(correction, digits, stop)
+        return self._composer.compose(correction, digits, stop, outputs)
+
+    @property
+    def _outputs(self) -> int:
+        """Those that are to be on; none any more once the session ends, for whatever reason."""
+        return 0 if self._faulted or self._closing else self._shared.outputs
 
     def _poll_command(self, now: float) -> None:
         if self._shared.command_seq == self._seq:

@@ -22,10 +22,11 @@ from mbcacq_kuka.rsi.sequence import Counts
 
 MOVE, STOP, CLOSE = 1, 2, 3
 MOVING, ARRIVED, ANSWERED = 1, 2, 4
+ALL_OUTPUTS = -1  # every bit
 COUNTED = ("lost", "repeated", "old", "foreign")  # see sequence.Counts
 FIXED = ("host_time_s", "time_s", "flags", "command", *COUNTED, "cA1", "cA2", "cA3", "cA4", "cA5", "cA6")
 
-_COMMAND_SEQ, _HEAD, _WIDTH, _CAPACITY, _FAULT_SIZE, _NAMES_SIZE, _HEARD, _SENDER, _DISCARDED, _DECIMALS = range(10)
+_COMMAND_SEQ, _HEAD, _WIDTH, _CAPACITY, _FAULT_SIZE, _NAMES_SIZE, _HEARD, _SENDER, _DISCARDED, _DECIMALS, _OUTPUTS = range(11)
 _COMMAND = struct.Struct("<27d")
 _COMMAND_AT = (128, 512)
 _NAMES_AT, _FAULT_AT, _RING_AT = 1024, 24576, 32768
@@ -114,6 +115,17 @@ class Shared:
             v = _COMMAND.unpack_from(self._buffer, _COMMAND_AT[seq & 1])
             if self._header[_COMMAND_SEQ] == seq:
                 return seq, RsiCommand(int(v[0]), v[1:7], v[7:13], v[13:19], v[19:25], v[25], v[26])
+
+    # digital outputs, apart from the commands: of those only the last one counts
+
+    @property
+    def outputs(self) -> int:
+        """Which are to be on: bit k is the k-th of the option digital_outputs."""
+        return self._header[_OUTPUTS]
+
+    @outputs.setter
+    def outputs(self, value: int) -> None:
+        self._header[_OUTPUTS] = value
 
     # cycles: rows of doubles, FIXED and then the session's values
 

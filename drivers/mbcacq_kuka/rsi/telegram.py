@@ -14,6 +14,7 @@ from math import isfinite, nan
 
 MAX_VALUES = 192
 MAX_DATAGRAM = 65535
+SWITCH_ELEMENT, REPORT_ELEMENT = "DiO", "Digout"  # of the digital outputs, to the controller and from it: named as in KUKA's example
 
 _NAME = rb"[\w.:\-]{1,64}"
 _ATTRIBUTE = re.compile(rb"\s+(" + _NAME + rb")\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
@@ -29,6 +30,11 @@ _NEEDED_GROUP = rb"([-+.\deE]{1,48})"
 _NUMBER_GROUP = rb"([-+.\dA-Za-z#]{0,48})"
 _TEXT_GROUP = rb"[^\"'<]*"
 _MAX_NUMBER = 64
+
+
+def output_attribute(number: int) -> str:
+    """The attribute of both elements that stands for $OUT[number]: no name in XML begins with a digit."""
+    return f"o{number}"
 
 
 class Malformed(ValueError):
@@ -179,22 +185,25 @@ def finite(values: Sequence[float]) -> bool:
 
 
 class Composer:
-    """``<Sen>`` telegrams: ``compose(correction (6,) deg, IPOC digits)``. ``stop_element`` '' leaves that element out."""
+    """``<Sen>`` telegrams: ``compose(correction (6,) deg, IPOC digits)``. ``stop_element`` '' leaves that element out, and no ``outputs``
+    (numbers of $OUT) the one that switches them."""
 
-    def __init__(self, sen_type: str, correction: str, stop_element: str) -> None:
+    def __init__(self, sen_type: str, correction: str, stop_element: str, outputs: Sequence[int] = ()) -> None:
         for name in (sen_type, correction, stop_element or "Stop"):
             if not re.fullmatch(r"[A-Za-z_][\w.\-]{0,63}", name):
                 raise ValueError(f"'{name}' is no name for an element or a type")
         axes = " ".join(f'A{i}="%.6f"' for i in range(1, 7))
         stop = f"<{stop_element}>%d</{stop_element}>" if stop_element else ""
-        self._with_stop = bool(stop)
-        self._head = f'<Sen Type="{sen_type}">{stop}<{correction} {axes}/><IPOC>'.encode()
+        self._with_stop, self._bits = bool(stop), range(len(outputs))
+        switched = " ".join(f'{output_attribute(number)}="%d"' for number in outputs)
+        switch = f"<{SWITCH_ELEMENT} {switched}/>" if outputs else ""
+        self._head = f'<Sen Type="{sen_type}">{stop}<{correction} {axes}/>{switch}<IPOC>'.encode()
         self._last: tuple[object, bytes] = (None, b"")
 
-    def compose(self, degrees: Sequence[float], ipoc: bytes, stop: bool = False) -> bytes:
-        """IPOC goes back digit for digit: a controller silently discards anything else."""
-        key = (degrees, stop)
+    def compose(self, degrees: Sequence[float], ipoc: bytes, stop: bool = False, outputs: int = 0) -> bytes:
+        """IPOC goes back digit for digit: a controller silently discards anything else. outputs: bit k is the output given as the k-th."""
+        key = (degrees, stop, outputs)
         if self._last[0] != key:
             values = (stop, *degrees) if self._with_stop else tuple(degrees)
-            self._last = (key, self._head % values)
+            self._last = (key, self._head % (*values, *[outputs >> k & 1 for k in self._bits]))
         return self._last[1] + ipoc + b"</IPOC></Sen>"

@@ -221,6 +221,7 @@ class FakeCell:
             "realtime": self._realtime,
             "scanner_options": dict(plan.scanner.options),
             "scanner_driver": self._scanner,
+            "outputs": kind_of(plan.robot.driver) != SIMULATED,  # the controller shows those that it switches
             "scanner": {} if self._scanner in (NEUTRAL, FOLDER) else scanner_address(self._scanner, plan.scanner.options, self._ports),
             "positioner": (plan.positioner.driver, dict(plan.positioner.options)),
             "sensors": [(s.driver, dict(s.options)) for s in plan.sensors],

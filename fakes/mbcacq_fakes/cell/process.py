@@ -37,7 +37,7 @@ class Servers:
         self._job, self._stack, self._positioner, self._bus = job, stack, None, None
         self._sensors: dict[int, Any] = {}
         options = FakeOptions.model_validate(job["options"])
-        state = ArmState.attach(job["state"])
+        state = self._state = ArmState.attach(job["state"])
         stack.callback(state.close)
         world = make_world(job["facts"], options, job["seed"])
         self._camera: Camera = make_camera(
@@ -125,9 +125,13 @@ class Servers:
         from mbcacq_fakes.protocols.folder import FakeScannerProgram
 
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="mbcacq-clouds-")))
-        self._sensor = self._stack.enter_context(FakeScannerProgram(self._camera, folder))
-        trigger = {"tcp": f"127.0.0.1:{self._sensor.port}", "send": "trigger\n", "reply": "OK"}
-        plain = {"pattern": "*.ply", "unit": "mm", "axes": "x y z", "range_map": None}
+        given = self._job["scanner_options"].get("trigger") or {}
+        output, state = given.get("output") if self._job["outputs"] else None, self._state
+        rises = None if output is None else lambda: state.output(output)[1]
+        self._sensor = self._stack.enter_context(FakeScannerProgram(self._camera, folder, rises))
+        network = {"tcp": f"127.0.0.1:{self._sensor.port}", "send": "trigger\n", "reply": "OK"}
+        trigger = network if output is None else {"output": output, "pulse_s": 0.02}
+        plain = {"pattern": "*.ply", "unit": None, "axes": "x y z", "range_map": None}
         return {"folder": str(folder), "trigger": trigger, "quiet_s": 0.02, **plain, "read_cloud": read_points}
 
     def _make_sensor(self, settings: dict[str, Any], given: Mapping[str, Any]) -> Any:

@@ -11,10 +11,10 @@ import numpy as np
 
 from mbcacq.acquisition import events
 from mbcacq.acquisition.event_bus import EventBus
-from mbcacq.acquisition.expected_view import mean_centres
 from mbcacq.acquisition.gate_options import GateOptions
 from mbcacq.acquisition.gated_exposures import BallFinder, GatedExposures, Misplaced
 from mbcacq.acquisition.placement import PlacementCheck
+from mbcacq.acquisition.pose_observation import ArmAtPose, emit_observation
 from mbcacq.devices import DeviceFault, MbcacqError, Scan
 from mbcacq.plan import LoadedPlan, PlannedPose
 
@@ -113,22 +113,5 @@ class CollectedRun:
         if contradiction:
             self.bus.gap("pose", f"pose {pose.number} ({names}): {contradiction}, pose left out", pose.number)
             return False
-        mean = mean_centres(found)
-        if len(mean.ball) < min(self.loaded.plan.accept.min_balls, len(pose.balls)):
-            few = f"{len(mean.ball)} of {len(pose.balls)} balls found, pose left out"
-            self.bus.gap("pose", f"pose {pose.number} ({names}): {few}", pose.number)
-            return False
-        self.bus.emit(
-            events.PoseDone,
-            *about,
-            q=here.q,
-            direction=here.direction,
-            robot_time_s=here.time_s,
-            ball=mean.ball,
-            xyz=mean.xyz,
-            n_points=mean.n_points,
-            rms_mm=mean.rms_mm,
-            scatter_mm=mean.scatter_mm,
-            n_exposures=len(found),
-        )
-        return True
+        arm: ArmAtPose = {"q": here.q, "direction": here.direction, "robot_time_s": here.time_s}
+        return emit_observation(self.bus, pose, found, self.loaded.plan.accept.min_balls, names, arm)

@@ -11,6 +11,7 @@ from mbcacq.acquisition.collected.assignment import CloudAssignment, Slot, assig
 from mbcacq.acquisition.collected.found_cloud import FoundCloud
 from mbcacq.acquisition.collected.placement_fit import PlacementFit
 from mbcacq.devices import ConfigError
+from mbcacq.files.stated_unit import in_words
 from mbcacq.geometry import se3
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.plan.field_of_view import margin
@@ -33,7 +34,7 @@ def refuse_unreadable(clouds: Sequence[FoundCloud]) -> None:
         raise ConfigError(f"none of {len(clouds)} clouds can be read; the first: {clouds[0].fault}")
 
 
-def refuse_other_unit(clouds: Sequence[FoundCloud], unit: str, units: Sequence[str], look: Look) -> None:
+def refuse_other_unit(clouds: Sequence[FoundCloud], unit: str | None, units: Sequence[str], look: Look) -> None:
     """Raises ConfigError naming the unit in which the clouds show balls, where they show none in the given one."""
     blind = [cloud for cloud in clouds if cloud.digest and not len(cloud.ball)]
     if len(blind) < MOST_OF * len(clouds):
@@ -41,8 +42,9 @@ def refuse_other_unit(clouds: Sequence[FoundCloud], unit: str, units: Sequence[s
     some = blind[:: max(1, len(blind) // TRIED)][:TRIED]
     for other in units:
         if other != unit and sum(len(look(cloud, other, "").ball) >= 1 for cloud in some) > len(some) / 2:
+            named = in_words(other)
             raise ConfigError(
-                f"the clouds are in {other}, not in {unit}: read as {other} they show the balls; add --unit {other} "
+                f"the clouds are in {named}, not in {in_words(unit or 'mm')}: read as {named} they show the balls; add --unit {other} "
                 "(scanner: options: unit in the plan)"
             )
 

@@ -11,11 +11,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mbcacq.design.adaptive.first_block import first_block
 from mbcacq.design.adaptive.next_plan import MOST_NAMED, NextPoses, choose_next, pair_in_words, set_in_words, steps_of
 from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import reachable_views
+from mbcacq.design.adaptive.questions import doubtful
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
 from mbcacq.effects import catalogue
@@ -27,6 +29,9 @@ from mbcacq.plan.growth import with_steps
 from mbcacq.plan.schema import Taught
 
 LARGEST = 1e6  # usual sizes: JSON has no infinity, and what the geometry absorbs has no limit
+# Every figure of a decision is the same to the last bit wherever it is made: two threads of linear algebra add up in another order than
+# one, and a command has one where a program that imports the library has as many as the computer has cores.
+repeatable = threadpool_limits.wrap(1)
 Steps = list[dict[str, Any]]
 Measure = Callable[[LoadedPlan], Observations]  # a plan, of which the first poses may be measured already -> all that is measured
 
@@ -107,7 +112,7 @@ def decisions(
     Raises what ``measure`` raises, and CalibrationError where the data do not determine the geometry.
     """
     budget = budget or Budget()
-    grown = loaded if measured is not None else first_block(loaded)
+    grown = loaded if measured is not None else repeatable(first_block)(loaded)
     for decision in before:
         yield decision
         if decision.end:
@@ -116,7 +121,7 @@ def decisions(
     obs = measured if measured is not None and not before else measure(grown)
     number, views = len(before), list[PlannedPose]()
     while True:
-        views = views or reachable_views(loaded, seed)
+        views = views or repeatable(reachable_views)(loaded, seed)
         decision = _decided(number, grown, weigh(_used(obs)), budget, views)
         yield decision
         if decision.end:
@@ -135,6 +140,7 @@ def _used(obs: Observations) -> Observations:
     return obs if obs.phase is None else obs.select(obs.phase != "verification")
 
 
+@repeatable
 def _decided(number: int, grown: LoadedPlan, look: InterimEvidence, budget: Budget, views: Sequence[PlannedPose]) -> Decision:
     obs = look.problem.linear.obs
     moves, seconds = effort(grown, obs)
@@ -174,14 +180,14 @@ def _acts_in_time(label: str) -> bool:
 
 
 def sure(look: InterimEvidence) -> bool:
-    """Whether what a diagnosis would say can be stood for: nothing; or effects of which each shows by enough information, with no further
-    one probable beside them.
+    """Whether what a diagnosis would say can be stood for: nothing, after a first block and with no effect half as probable as none; or
+    effects of which each shows by enough information, with no further one probable beside them.
     """
     if look.verdict == "cannot_tell":
         return False
     fit = look.full.evidence
     if look.verdict == "none" or not fit.significant:
-        return look.verdict == "none" and look.problem.linear.obs.n_poses >= OPTIONS.first_block
+        return look.verdict == "none" and not doubtful(look) and look.problem.linear.obs.n_poses >= OPTIONS.first_block
     if look.further_odds > OPTIONS.further:
         return False
     return all(lost >= OPTIONS.sure for lost in _lost_without(look.reported, fit.hypotheses))

@@ -100,8 +100,8 @@ def costs_of(loaded: LoadedPlan, measured: Observations | None, options: Adaptiv
 def choose_next(
     look: InterimEvidence,
     loaded: LoadedPlan,
-    visits: int = 3,
-    poses: int = 24,
+    visits: int,
+    poses: int,
     moves: int | None = None,
     views: Sequence[PlannedPose] | None = None,
     options: AdaptiveOptions = OPTIONS,
@@ -129,6 +129,17 @@ def choose_next(
         for v in choice.sequence(most, count, lambda pose: not routed(loaded, pose))
     ]
     return NextPoses(tuple(_feasible(loaded, found)), choice.open_pairs, False, tuple(choice.hidden(found)), choice.shown)
+
+
+def advised(
+    look: InterimEvidence,
+    loaded: LoadedPlan,
+    visits: int = OPTIONS.advised_visits,
+    poses: int = OPTIONS.advised_poses,
+    views: Sequence[PlannedPose] | None = None,
+) -> NextPoses:
+    """The same for a person, who measures all of it before the next look: as much as is expected to decide nine times in ten."""
+    return choose_next(look, loaded, visits, poses, views=views, options=replace(OPTIONS, spare=OPTIONS.advised_spare))
 
 
 def _approached(poses: list[PlannedPose], both_ways: bool) -> tuple[PlannedPose, ...]:

@@ -26,8 +26,14 @@ class AdaptiveOptions:
     rivals: int = 5  # sets of effects beside the most probable one that are to be told from it
     enough: float = 3.0  # natural log of 20: odds of a decision
     spare: float = 2.0  # log odds beyond that are aimed at, since what is expected is a mean
+    advised_spare: float = 5.0  # the same for who measures all of it before the next look. Log odds that are expected to grow by m grow by
+    # a normal variable of variance 2 m: by 8, they end above 3 nine times in ten.
+    advised_visits: int = 5  # and poses, at most: what three visits with 24 did not decide in benchmarks/investigate.md, these do
+    advised_poses: int = 40
     least_gain: float = 0.3  # of a further visit of a sequence, less than which is not planned ahead
     sure: float = 7.0  # log evidence that each effect of a verdict must have: information of 20, less what its coefficients cost
+    doubtful: float = 0.5  # e-value (odds of an effect, 0.1 beforehand) above which a search does not end with ``none``; with 0.2 a clean
+    # cell of 15 went on for 35 poses, and nothing more was found
     excluded: float = 0.8  # share of the catalogue that must be excluded, or be out of reach, before a search ends: what could still hide
     further: float = 0.05  # posterior odds of a further effect beside the named ones, above which a search goes on: those of a decision
     shows: float = 9.0  # information by which an effect of usual size shows: three standard deviations

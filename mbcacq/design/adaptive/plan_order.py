@@ -141,11 +141,13 @@ def _elimination_order(
     count: int,
     options: AdaptiveOptions,
 ) -> np.ndarray:
-    """Indices of all items, the one that was left out last first: what is missed least per second that is saved goes first."""
+    """Indices of all items, the one that was left out last first: what is missed least per second that is saved goes first. The poses of
+    the first block have no order among themselves: so few that they hardly determine the geometry say little of each other but rounding.
+    """
     elimination, costs = BackwardElimination(before, blocks, 0), costs_of(loaded, None, options)
     station = np.unique([item.station for item in items], return_inverse=True)[1]
     gone = list[int]()
-    while elimination.left.any():
+    while elimination.left.sum() > min(count, options.first_block):
         index, _, missed = elimination.missed()
         loss = asked.hidden(elimination.squares) - asked.hidden(elimination.squares - missed)
         here = np.bincount(station[index])[station[index]]
@@ -154,7 +156,7 @@ def _elimination_order(
         for k in np.argsort(rate, kind="stable")[:some]:
             elimination.remove(int(index[k]))
             gone.append(int(index[k]))
-    return np.array(gone[::-1])
+    return np.array([*elimination, *gone[::-1]])
 
 
 def _value(asked: Questions, squares: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.design.adaptive.options import OPTIONS
+from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
 from mbcacq.diagnosis.evidence.coefficients import coefficients, displacements
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
 from mbcacq.diagnosis.evidence.posterior import nested
@@ -64,7 +64,7 @@ class SetComparison:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Questions:
     """columns (M, R, K): first the ``pairs`` of the sets, then, in usual sizes, of the effects that could hide, by weights and names
-    (K - pairs,).
+    (K - pairs,). aim: log odds between sets that are to be expected.
     """
 
     sets: tuple[SetToTell, ...]
@@ -73,6 +73,7 @@ class Questions:
     pairs: int
     weights: np.ndarray
     names: tuple[str, ...]
+    aim: float
 
     def value(self, products: np.ndarray, squares: np.ndarray, before: np.ndarray) -> np.ndarray:
         """(...,): expected log odds gained over what is known ``before`` (one D for each comparison), as far as they are needed, and what
@@ -96,7 +97,7 @@ class Questions:
         total = np.zeros(products.shape[:-2])
         for comparison, known in zip(self.comparisons, before, strict=True):
             gained = 0.5 * np.maximum(comparison.information(products) - known, 0.0)
-            total = total + comparison.weight * np.minimum(gained, needed(comparison))
+            total = total + comparison.weight * np.minimum(gained, max(self.aim - comparison.known, 0.0))
         return total
 
     @property
@@ -109,12 +110,7 @@ class Questions:
         return np.array([c.information(products) for c in self.comparisons])
 
 
-def needed(comparison: SetComparison) -> float:
-    """Log odds that a comparison still lacks."""
-    return max(OPTIONS.enough + OPTIONS.spare - comparison.known, 0.0)
-
-
-def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: bool = False) -> Questions:
+def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: bool = False, options: AdaptiveOptions = OPTIONS) -> Questions:
     """What is open after a look, or before the first one, as columns of a problem that is linearised at measured and planned poses.
 
     timeless: leave out what acts in time, where nobody knows yet when a pose will be measured.
@@ -130,21 +126,33 @@ def questions(look: InterimEvidence | None, linear: LinearProblem, timeless: boo
         pairs=pairs,
         weights=np.array(weights),
         names=tuple(names),
+        aim=options.enough + options.spare,
     )
 
 
 def surviving(look: InterimEvidence) -> list[Hypothesis]:
     """The sets that the evidence leaves, the reported one first; without any other those that are neither part nor extension of it and
-    against which a decision has little to spare. Where it is open whether there is an effect, the empty set and the most probable ones.
+    against which a decision has little to spare. Where an effect is shown neither to be there nor to be absent, the empty set and the most
+    probable ones, the most probable of all first: what it is, if it is there, is asked at once.
     """
     fit = look.full.evidence
     if fit.significant:
         least = look.reported.log_posterior - OPTIONS.enough - OPTIONS.spare
         near = [h for h in fit.hypotheses if h.members and h.log_posterior > least and not nested(h, look.reported)]
         return [look.reported, *(look.alternatives or near)[: OPTIONS.rivals]]
-    if not fit.undecided:
+    if not doubtful(look):
         return []
-    return [fit.none, *[h for h in fit.hypotheses if h.members][: OPTIONS.rivals]]
+    most_probable: dict[frozenset[str], Hypothesis] = {}  # of each set, at one value of its hyper-parameters
+    for h in fit.hypotheses:
+        most_probable.setdefault(h.labels, h)
+    effects = [h for h in most_probable.values() if h.members]
+    return sorted([fit.none, *effects[: OPTIONS.rivals]], key=lambda h: -h.log_posterior)
+
+
+def doubtful(look: InterimEvidence) -> bool:
+    """Whether no effect is shown, and yet one is too probable for the answer that there is none."""
+    fit = look.full.evidence
+    return not fit.significant and fit.log_e_value > float(np.log(OPTIONS.doubtful))
 
 
 def differ_in_time(look: InterimEvidence) -> bool:

@@ -13,7 +13,7 @@ from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
 from mbcacq.design.adaptive.places import errors_at
 from mbcacq.design.adaptive.planned_observations import continued
-from mbcacq.design.adaptive.questions import Questions, needed, questions
+from mbcacq.design.adaptive.questions import Questions, questions
 from mbcacq.diagnosis.interim import InterimEvidence
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.model.cell import Station
@@ -87,7 +87,7 @@ class VisitChoice:
         places: np.ndarray | None = None,
     ):
         linear = _linearised(look, pool, stations)
-        self.asked = questions(look, linear)
+        self.asked = questions(look, linear, options=options)
         count, kept = look.problem.linear.obs.n_poses, look.full.evidence.linear.keep
         keep = np.r_[kept, np.ones(linear.obs.n_centres - len(kept), dtype=bool)]
         blocks = InformationBlocks.of(linear, self.asked.columns, look.full.noise, keep)
@@ -106,8 +106,10 @@ class VisitChoice:
 
     @property
     def futile(self) -> bool:
-        """Whether there are sets of which none is excluded, and nothing reachable tells them apart."""
-        undecided = [pair for pair in self.open_pairs if abs(np.log(pair.odds)) < self._options.enough]
+        """Whether there are sets of which none is excluded, and nothing reachable tells them apart. That there is an effect takes more than
+        the odds of a decision, so the empty set is not excluded while it is among them.
+        """
+        undecided = [pair for pair in self.open_pairs if not (pair.a and pair.b) or abs(np.log(pair.odds)) < self._options.enough]
         return bool(undecided) and all(pair.futile for pair in undecided)
 
     def sequence(self, visits: int, poses: int, refused: Callable[[PlannedPose], bool] = lambda pose: False) -> list[Visit]:
@@ -274,7 +276,7 @@ def _open_pairs(
     now, then, held = (asked.information(m.gram[pairs, pairs]) for m in (before, after, fixed))
     out: dict[tuple[int, int], OpenPair] = {}
     for j, comparison in enumerate(asked.comparisons):
-        if needed(comparison) <= options.spare:
+        if comparison.known >= options.enough:
             continue  # decided as it stands
         first, second = sorted((comparison.a, comparison.b))
         a, b = asked.sets[first], asked.sets[second]

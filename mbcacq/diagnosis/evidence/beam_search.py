@@ -210,14 +210,19 @@ class EvidenceSearch:
 @dataclass(frozen=True)
 class RankedSets:
     """All sets that were compared, the most probable first, the empty one (``none``) among them. log_e_value: of all effects together
-    against none; above ``least`` there is an effect. cut_short: time ran out before all was compared.
+    against none; above ``least`` there is an effect. prior: of the sets. cut_short: time ran out before all was compared.
     """
 
     hypotheses: tuple[Hypothesis, ...]
     none: Hypothesis
     log_e_value: float
     least: float
+    prior: SetPrior
     cut_short: bool = False
+
+    def log_prior_of(self, member: Member, hypothesis: Hypothesis) -> float:
+        """Log prior probability of an effect next to the others of a set."""
+        return self.prior.log_probability(member.candidate, [m.candidate for m in hypothesis.members if m is not member])
 
     @property
     def significant(self) -> bool:

@@ -73,7 +73,7 @@ def compared(
         budget=problem.budget,
     )
     ranked = search.run(NoisePoint(linear, problem.prior_noise, theta), begin)
-    return EvidenceFit(tuple(ranked), search.known[()], log_e_value(ranked), LEAST_LOG_E_VALUE, search.cut_short, linear=linear)
+    return EvidenceFit(tuple(ranked), search.known[()], log_e_value(ranked), LEAST_LOG_E_VALUE, prior, search.cut_short, linear=linear)
 
 
 def readmitted(problem: DiagnosisProblem) -> np.ndarray:

@@ -4,19 +4,28 @@
    the angle by which it winds A2 up.
 2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other.
 3. Where one of them cannot tell two effects apart, and the other names one of these, that one is named.
-4. The evidences of both add (``joint_sets``): what neither decides alone may be decided by both.
+4. The evidences of both multiply (``joint_sets``): what neither shows or decides alone may be shown and decided by both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointSet, joint_sets, not_excluded
+from mbcacq.diagnosis.motion.joint_sets import (
+    EvidenceSets,
+    JointEvidence,
+    SingleValue,
+    StatedEffect,
+    apart,
+    joint_evidence,
+    not_excluded,
+    paired,
+)
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
@@ -26,8 +35,6 @@ from mbcacq.effects.in_words import effect_in_words
 from mbcacq.model.json_text import plain
 from mbcacq.quantities import K, measured, split_unit
 
-SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
-PHASE = "phase_deg"
 MOST_TOGETHER = 6  # joint sets that are reported
 FARTHEST = 38.0  # standard deviations: beyond, the probability of a normal distribution is no floating point number
 
@@ -38,6 +45,12 @@ class SingleEstimate:
 
     value: float | tuple[float, ...]
     std: float | tuple[float, ...]
+
+    @classmethod
+    def of(cls, one: SingleValue) -> SingleEstimate:
+        """As a number where it has one component."""
+        value, std = one.value.tolist(), one.std.tolist()
+        return cls(value[0], std[0]) if len(value) == 1 else cls(tuple(value), tuple(std))
 
     def shown(self, parameter: str) -> str:
         """With its expanded uncertainty (k = 2) in the unit of the parameter's name; a vector component by component."""
@@ -96,15 +109,31 @@ class DecidedPair:
 
 
 def combined(poses: dict[str, Any], motion: MotionDiagnosis) -> dict[str, Any]:
-    """The JSON of the pose diagnosis with that of the motion (``motion``), what both found (``agreement``), and what one decides that the
-    other cannot (``decided``).
+    """The JSON of the pose diagnosis with that of the motion (``motion``), what both found (``agreement``), what one decides that the
+    other cannot (``decided``), and what both show as one problem (``together``).
     """
-    both = {
+    both = together(poses, motion)
+    return poses | {
+        "motion": motion.to_json(),
         "agreement": [asdict(a) for a in agreement(poses, motion)],
         "decided": [asdict(d) for d in decided(poses, motion)],
-        "together": [asdict(one) for one in together(poses, motion)],
+        "together": {"verdict": verdict_of_both(poses, motion, both)} | plain(both),
     }
-    return poses | {"motion": motion.to_json()} | both
+
+
+def verdict_of_both(poses: Mapping[str, Any], motion: MotionDiagnosis, both: JointEvidence) -> str:
+    """The verdict on a run: 'cannot_tell' where poses and motion contradict each other, or one of them cannot tell and both together cannot
+    either; else what is explained of both.
+    """
+    each = {poses["verdict"], motion.verdict}
+    if any(not a.agrees for a in agreement(poses, motion)):
+        return "cannot_tell"
+    if "cannot_tell" in each and not (both.decided and (both.significant or not both.sets[0].effects)):
+        return "cannot_tell"
+    named = bool(both.reported) or bool(each & {"explained", "partly_explained"})
+    if each & {"unexplained", "partly_explained"}:
+        return "partly_explained" if named else "unexplained"
+    return "explained" if named else "none"
 
 
 def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float = NUMBERS.agreement_sigmas) -> list[ParameterAgreement]:
@@ -118,7 +147,9 @@ def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float =
                 continue  # the names of its parameters do not tell where it is
             for key, mine, theirs in paired(own, other):
                 distance = distance_of(key, mine, theirs)
-                out.append(ParameterAgreement(name, where, key, mine, theirs, distance, distance <= sigmas))
+                out.append(
+                    ParameterAgreement(name, where, key, SingleEstimate.of(mine), SingleEstimate.of(theirs), distance, distance <= sigmas)
+                )
     return out
 
 
@@ -134,36 +165,9 @@ def in_terms_of_poses(poses: Mapping[str, Any], motion: MotionDiagnosis) -> dict
     return out
 
 
-def paired(own: Estimates, other: Estimates) -> Iterator[tuple[str, SingleEstimate, SingleEstimate]]:
-    """The parameters that both have. Those of one order of a periodic effect with several belong together."""
-    for key in own:
-        location = key.rpartition(".")[0]
-        orders = f"{location}.order" if location else "order"
-        if key not in other:
-            continue
-        if orders not in own or orders not in other:
-            both = _estimate(own[key]), _estimate(other[key])
-            if both[0] is not None and both[1] is not None and np.size(both[0].value) == np.size(both[1].value):
-                yield key, both[0], both[1]
-            continue
-        for j, i in same_orders(own[orders]["value"], other[orders]["value"]):
-            mine, theirs = _estimate(own[key], j), _estimate(other[key], i)
-            if mine is not None and theirs is not None:
-                yield key, mine, theirs
-
-
-def same_orders(own: Any, other: Any) -> list[tuple[int, int]]:
-    """Positions of periodic components that are the same, in both lists of orders."""
-    apart = np.abs(np.subtract.outer(np.atleast_1d(own).astype(float), np.atleast_1d(other).astype(float)))
-    return [(j, int(row.argmin())) for j, row in enumerate(apart) if row.min() < SAME_ORDER]
-
-
-def distance_of(key: str, mine: SingleEstimate, theirs: SingleEstimate) -> float:
+def distance_of(key: str, mine: SingleValue, theirs: SingleValue) -> float:
     """Distance of two estimates in combined standard deviations."""
-    difference = np.atleast_1d(mine.value) - np.atleast_1d(theirs.value)
-    if key.rpartition(".")[2] == PHASE:
-        difference = (difference + 180.0) % 360.0 - 180.0
-    sigmas = np.abs(difference) / np.maximum(np.hypot(np.atleast_1d(mine.std), np.atleast_1d(theirs.std)), 1e-300)
+    sigmas = np.abs(apart(key, mine, theirs)) / np.maximum(np.hypot(mine.std, theirs.std), 1e-300)
     if len(sigmas) == 1:
         return float(sigmas[0])
     probability = float(chdtrc(len(sigmas), np.sum(sigmas**2)))
@@ -189,75 +193,71 @@ def labels_of(effects: Any) -> set[str]:
     return out
 
 
-def together(poses: Mapping[str, Any], motion: MotionDiagnosis) -> tuple[JointSet, ...]:
-    """The sets of effects by the evidences of poses and motion together, the most probable first; none where one has no evidence."""
+def together(poses: Mapping[str, Any], motion: MotionDiagnosis) -> JointEvidence:
+    """The evidence of poses and motion as one problem, by their most probable sets; no set where one of them has no evidence."""
     of_poses = poses.get("evidence")
-    of_motion = [e.evidence for e in motion.evidence]
+    of_motion = [plain(e.evidence) for e in motion.evidence]
     if not of_poses or not of_motion:
-        return ()
+        return JointEvidence((), -np.inf)
     every = {key: p for e in poses["effects"] for key, p in e["parameters"].items()}
     every |= {key: p for e in motion.named_effects for key, p in e.parameters.items()}
-    sets = [_sets_of(one, every) for one in map(plain, of_motion)]
-    found = joint_sets([_sets_of(of_poses, {}), *sets], _distance)
-    return found[:MOST_TOGETHER]
+    found = joint_evidence([_sets_of(of_poses, {}), *(_sets_of(one, every) for one in of_motion)])
+    return replace(found, sets=found.sets[:MOST_TOGETHER])
 
 
 def _sets_of(evidence: Mapping[str, Any], every: Estimates) -> EvidenceSets:
     """The sets of an evidence, in the words of the poses where ``every`` parameter of both is given."""
     out = []
     for one in evidence["sets"]:
-        effects: dict[str, dict[str, Any]] = {}
+        effects: dict[str, StatedEffect] = {}
         for e in one["effects"]:
             translate = catalogue.declaration(e["name"]).in_terms_of_poses if every else None
-            stated = e["parameters"] if translate is None else translate(e["parameters"], every)
-            effects.setdefault(f"{e['name']}:{'+'.join(e['where'])}", {}).update(stated)
+            stated, prior = (p if translate is None or not p else translate(p, every) for p in (e["parameters"], e.get("prior", {})))
+            label = f"{e['name']}:{'+'.join(e['where'])}"
+            before = effects.get(label, StatedEffect())
+            log_prior = before.log_prior + (e.get("log_prior") or 0.0)
+            effects[label] = StatedEffect({**before.parameters, **stated}, {**before.prior, **prior}, log_prior)
         out.append(effects)
-    return EvidenceSets(tuple(float(one["log_odds"]) for one in evidence["sets"]), tuple(out))
-
-
-def _distance(label: str, one: Estimates, other: Estimates) -> float:
-    """The largest distance of a parameter that both state, in combined standard deviations."""
-    del label
-    return max((distance_of(key, mine, theirs) for key, mine, theirs in paired(one, other)), default=0.0)
-
-
-def _estimate(entry: Mapping[str, Any], component: int | None = None) -> SingleEstimate | None:
-    """None for a parameter that is not finite. component: of one with several orders."""
-    if any(v is None for v in (*np.atleast_1d(entry["value"]), *np.atleast_1d(entry["std"]))):
-        return None
-    value, std = np.atleast_1d(entry["value"]).astype(float), np.atleast_1d(entry["std"]).astype(float)
-    if component is not None:
-        value, std = value[[component]], std[[component]]
-    if len(value) == 1:
-        return SingleEstimate(float(value[0]), float(std[0]))
-    return SingleEstimate(tuple(value.tolist()), tuple(std.tolist()))
+    log_odds = np.array([float(one["log_odds"]) for one in evidence["sets"]])
+    some = np.array([bool(one["effects"]) for one in evidence["sets"]])
+    mass = 0.0
+    if some.any() and not some.all() and evidence["log_e_value"] is not None:
+        mass = float(np.logaddexp.reduce(log_odds[some]) - log_odds[~some].max()) - float(evidence["log_e_value"])
+    return EvidenceSets(tuple(log_odds.tolist()), tuple(out), max(mass, 0.0))
 
 
 def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> str:
     """poses, text: the pose diagnosis as JSON and in words."""
-    found = agreement(poses, motion)
-    lines = [*contradictions(found), "Poses, at standstill", "====================", text, ""]
+    front, both = contradictions(agreement(poses, motion)), in_both(poses, motion)
+    lines = [*front, *([""] if front else []), "Poses, at standstill", "====================", text, ""]
     lines += ["Motion, between the poses", "=========================", motion_text(motion)]
-    if found:
-        lines += ["", "Found in both:"]
-        for a in found:
-            poses_say, motion_says = a.stated()
-            verdict = "they agree" if a.agrees else "they contradict each other"
-            lines.append(f"  {a.label}: {poses_say} from the poses, {motion_says} from the motion: {verdict} ({a.sigmas:.1f} sigma)")
-    pairs = decided(poses, motion)
-    if pairs:
-        lines += ["", "Decided by both together:", *(f"  {pair}" for pair in pairs)]
-    lines += _together_in_words(together(poses, motion))
+    for heading, said in both:
+        lines += ["", f"{heading}:", *(f"  {line}" for line in said)]
     return "\n".join(lines)
 
 
-def _together_in_words(sets: Sequence[JointSet]) -> list[str]:
+def in_both(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[tuple[str, list[str]]]:
+    """What poses and motion say together, in words: heading and lines. poses: JSON of the pose diagnosis."""
+    found, pairs = agreement(poses, motion), decided(poses, motion)
+    out = [("Found in both", [_agreement_in_words(a) for a in found])] if found else []
+    out += [("Decided by both together", [str(pair) for pair in pairs])] if pairs else []
+    return out + _together_in_words(together(poses, motion))
+
+
+def _agreement_in_words(a: ParameterAgreement) -> str:
+    poses_say, motion_says = a.stated()
+    verdict = "they agree" if a.agrees else "they contradict each other"
+    return f"{a.label}: {poses_say} from the poses, {motion_says} from the motion: {verdict} ({a.sigmas:.1f} sigma)"
+
+
+def _together_in_words(both: JointEvidence) -> list[tuple[str, list[str]]]:
     """The most probable joint set, and the others that are not excluded."""
-    if not sets or not sets[0].effects:
+    sets = both.sets
+    if not both.reported:
         return []
     names = [" and ".join(effect_in_words(label) for label in one.effects) or "no effect" for one in (sets[0], *not_excluded(sets))]
-    rest = [f"  not excluded: {name}" for name in names[1:]] or ["  no other set is within 20 : 1"]
-    return ["", "By the evidence of poses and motion together:", f"  {names[0]}", *rest]
+    rest = [f"not excluded: {name}" for name in names[1:]] or ["no other set is within 20 : 1"]
+    return [("By the evidence of poses and motion together", [names[0], *rest])]
 
 
 def contradictions(found: Sequence[ParameterAgreement]) -> list[str]:
@@ -270,4 +270,4 @@ def contradictions(found: Sequence[ParameterAgreement]) -> list[str]:
                 f"Poses and motion contradict each other on {a.label}: {poses_say} by the poses and {motion_says} by the motion "
                 f"({a.sigmas:.1f} sigma). One of both has another cause: believe neither value before that is found."
             )
-    return [*out, ""] if out else []
+    return out

@@ -102,9 +102,8 @@ class EffectSelection:
         members = tuple(Member(t, None, self._mass.get(t.form, 0.0), t.sizes) for t in mine)
         there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
         ranked = search.run(start, there)
-        return RankedSets(
-            tuple(ranked), search.known[()], log_e_value(ranked) - log_prior_mass(terms), LEAST_LOG_E_VALUE, cut_short=self.budget.spent
-        )
+        log_e = log_e_value(ranked) - log_prior_mass(terms)
+        return RankedSets(tuple(ranked), search.known[()], log_e, LEAST_LOG_E_VALUE, search.prior, cut_short=self.budget.spent)
 
     def _grown(self, best: Hypothesis) -> Hypothesis:
         """The set with the further effect that makes it more probable by most, each with the colour of the residual that it would leave.

@@ -18,7 +18,7 @@ def summarized(sets: RankedSets) -> EvidenceSummary:
     """The most probable sets, the empty one among them, with the parameters of each."""
     best = sets.hypotheses[0].log_posterior
     shown = [h for h in sets.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
-    compared = tuple(ComparedSet(_effects_of(h), float(h.log_posterior - best)) for h in shown)
+    compared = tuple(ComparedSet(_effects_of(sets, h), float(h.log_posterior - best)) for h in shown)
     return EvidenceSummary(0, sets.log_e_value, sets.least, compared)
 
 
@@ -60,17 +60,25 @@ def _coefficients(hypothesis: Hypothesis[GramPoint]) -> tuple[np.ndarray, np.nda
     return covariance @ system.a, covariance
 
 
-def _effects_of(hypothesis: Hypothesis[GramPoint]) -> tuple[ComparedEffect, ...]:
+def _effects_of(sets: RankedSets, hypothesis: Hypothesis[GramPoint]) -> tuple[ComparedEffect, ...]:
     """The effects of a set with the posterior mean of their parameters, beyond offsets and masses."""
     if not hypothesis.members:
         return ()
     mean, covariance = _coefficients(hypothesis)
     out = []
     for member, own in zip(hypothesis.members, slices_of(hypothesis.members), strict=True):
-        variant, typical = member.candidate.variant, member.candidate.typical
-        reported = variant.candidate.report(typical * mean[own], covariance[own, own] * np.outer(typical, typical), variant.hyper, 0.0)
-        parameters = {name: ParameterEstimate(_frozen(p["value"]), _frozen(p["std"])) for name, p in reported.items()}
-        out.append(ComparedEffect(member.candidate.name, member.candidate.where, parameters))
+        candidate, typical = member.candidate.variant.candidate, member.candidate.typical
+        scale, before = np.outer(typical, typical), np.diag((member.size * typical) ** 2)
+
+        def reported(c: np.ndarray, v: np.ndarray, of=candidate, hyper=member.candidate.variant.hyper) -> dict[str, ParameterEstimate]:
+            return {name: ParameterEstimate(_frozen(p["value"]), _frozen(p["std"])) for name, p in of.report(c, v, hyper, 0.0).items()}
+
+        parameters = reported(typical * mean[own], covariance[own, own] * scale)
+        with np.errstate(divide="ignore", invalid="ignore"):  # an angle between coefficients that are zero is not a number
+            absent, spread = reported(np.zeros(len(typical)), before), reported(typical * mean[own], before)
+        prior = {name: ParameterEstimate(absent[name].value, p.std) for name, p in spread.items()}
+        log_prior = sets.log_prior_of(member, hypothesis)
+        out.append(ComparedEffect(candidate.name, candidate.where, parameters, prior=prior, log_prior=log_prior))
     return tuple(out)
 
 

@@ -1,34 +1,54 @@
-"""Sets of effects of poses and of motion of one run together: evidences add, and a shared effect is in both or in neither.
+"""Sets of effects of poses and of motion of one run together: one evidence of both kinds of rows, in which a shared effect is one.
 
 1. A set of each evidence (poses, and every kind of mismatch of the motion) makes a joint set. Effects that were compared in several of
    them are in all of these or in none.
-2. Its log posterior odds are the sum. An effect that is in several has one coefficient: half the squared distance of what they state of it,
-   in combined standard deviations, is taken off. The prior of a shared effect counts in each evidence, so that odds are understated.
-3. What neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it.
+2. The evidences of independent rows multiply. A shared effect has one prior probability and one coefficient, so that its second prior is
+   taken off, and its evidence is that of one coefficient behind both (``log_shared``).
+3. What neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it; and what neither
+   shows alone may be shown by both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.effects.declaration import Estimates
 
 MOST_SETS = 12  # of each evidence: further ones are less probable than the best by far
+SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
+PHASE, TURN = "phase_deg", 360.0
+UNIFORM_DEG = TURN / np.sqrt(12.0)  # standard deviation of an angle of which nothing is known
 
-Distance = Any  # (label, parameters, parameters) -> distance in combined standard deviations
+
+@dataclass(frozen=True)
+class StatedEffect:
+    """What one set of one evidence states of an effect, in the words of the poses.
+
+    parameters: with their standard deviations; prior: the same before the recording, about no effect; log_prior: logarithm of the effect's
+    prior probability next to the others of the set. Without a prior (older files) the joint odds are understated.
+    """
+
+    parameters: Estimates = field(default_factory=dict)
+    prior: Estimates = field(default_factory=dict)
+    log_prior: float = 0.0
 
 
 @dataclass(frozen=True)
 class EvidenceSets:
-    """The sets of one evidence: log posterior odds, and the parameters by effect (``name:location``)."""
+    """The sets of one evidence: log posterior odds, and what is stated of each effect (``name:location``). log_mass: logarithm of the most
+    that the prior probabilities of its sets can add up to.
+    """
 
     log_odds: tuple[float, ...]
-    effects: tuple[Mapping[str, Mapping[str, Any]], ...]
+    effects: tuple[Mapping[str, StatedEffect], ...]
+    log_mass: float = 0.0
 
     @property
     def known(self) -> frozenset[str]:
@@ -44,8 +64,36 @@ class JointSet:
     log_odds: float
 
 
-def joint_sets(evidences: Sequence[EvidenceSets], distance: Distance) -> tuple[JointSet, ...]:
-    """All consistent joint sets, the most probable first; none if the evidences share no consistent one."""
+@dataclass(frozen=True)
+class JointEvidence:
+    """What poses and motion show together.
+
+    sets: the most probable first. log_e_value: natural logarithm of the evidence of all sets with an effect together against none, minus
+    infinity where no joint set is without effects; above least_log_e_value there is an effect.
+    """
+
+    sets: tuple[JointSet, ...]
+    log_e_value: float
+    least_log_e_value: float = LEAST_LOG_E_VALUE
+
+    @property
+    def significant(self) -> bool:
+        """Whether there is an effect."""
+        return self.log_e_value > self.least_log_e_value
+
+    @property
+    def decided(self) -> bool:
+        """Whether the most probable set is the only one: others are part of it, or excluded."""
+        return bool(self.sets) and not not_excluded(self.sets)
+
+    @property
+    def reported(self) -> tuple[str, ...]:
+        """The effects of the most probable set, where there is an effect."""
+        return self.sets[0].effects if self.significant and self.sets else ()
+
+
+def joint_evidence(evidences: Sequence[EvidenceSets]) -> JointEvidence:
+    """All consistent joint sets; none if the evidences share no consistent one."""
     known = [one.known for one in evidences]
     shared = {label for i, one in enumerate(known) for label in one if any(label in other for other in known[:i])}
     chosen = [np.argsort(one.log_odds)[::-1][:MOST_SETS] for one in evidences]
@@ -54,21 +102,106 @@ def joint_sets(evidences: Sequence[EvidenceSets], distance: Distance) -> tuple[J
         sets = [one.effects[i] for one, i in zip(evidences, picks, strict=True)]
         if any(len({label in s for s, k in zip(sets, known, strict=True) if label in k}) > 1 for label in shared):
             continue
-        log = sum(one.log_odds[i] for one, i in zip(evidences, picks, strict=True)) - disagreement(sets, shared, distance)
+        log = sum(one.log_odds[i] for one, i in zip(evidences, picks, strict=True))
+        log += sum(log_of_one([s[label] for s in sets if label in s]) for label in shared)
         labels = frozenset(label for s in sets for label in s)
         found[labels] = float(np.logaddexp(found.get(labels, -np.inf), log))
     best = max(found.values(), default=0.0)
     ranked = sorted(found.items(), key=lambda item: -item[1])
-    return tuple(JointSet(tuple(sorted(labels)), log - best) for labels, log in ranked)
+    some = [log for labels, log in ranked if labels]
+    log_e = float(np.logaddexp.reduce(some)) - found.get(frozenset(), np.inf) if some else -np.inf
+    log_e -= sum(one.log_mass for one in evidences)
+    return JointEvidence(tuple(JointSet(tuple(sorted(labels)), log - best) for labels, log in ranked), log_e)
 
 
-def disagreement(sets: Sequence[Mapping[str, Mapping[str, Any]]], shared: set[str], distance: Distance) -> float:
-    """Half the squared distance of the parameters that several sets state of one effect."""
+def log_of_one(stated: Sequence[StatedEffect]) -> float:
+    """By how much the log posterior of an effect that several evidences state changes when it is one effect with one set of parameters.
+
+    The parameters that both state are compared as if they were independent, those of further evidences with those of the first.
+    """
     total = 0.0
-    for label in shared:
-        stated = [s[label] for s in sets if label in s]
-        total += sum(0.5 * distance(label, one, other) ** 2 for i, one in enumerate(stated) for other in stated[:i])
+    for other in stated[1:]:
+        total -= other.log_prior
+        for key, mine, theirs in paired(stated[0].parameters, other.parameters):
+            total += float(np.sum(log_shared(key, mine, theirs, prior_of(stated[0], key, len(mine.value)))))
     return total
+
+
+def prior_of(stated: StatedEffect, key: str, components: int) -> SingleValue | None:
+    """A parameter before the recording; what it is without the effect may not be a number."""
+    if key not in stated.prior:
+        return None
+    value, std = (np.atleast_1d(np.asarray(stated.prior[key][part], dtype=float)) for part in ("value", "std"))
+    return SingleValue(value, std) if len(value) == len(std) == components and np.isfinite(std).all() else None
+
+
+def log_shared(key: str, mine: SingleValue, theirs: SingleValue, prior: SingleValue | None) -> np.ndarray:
+    """(k,) log evidence of one parameter behind two independent recordings, over the product of those of a parameter for each.
+
+    With normal posteriors p1, p2 and the prior p0 that is the logarithm of the integral of p1 p2 / p0. Without a prior, half the squared
+    distance in combined standard deviations is taken off, which understates it.
+    """
+    difference, first, second = apart(key, mine, theirs), mine.std**2, theirs.std**2
+    if prior is None:
+        return -0.5 * difference**2 / np.maximum(first + second, 1e-300)
+    about = np.where(np.isfinite(prior.value) & (name_of(key) != PHASE), mine.value - prior.value, 0.0)
+    spread = np.minimum(prior.std, UNIFORM_DEG) if name_of(key) == PHASE else prior.std
+    before = np.maximum(spread**2, np.maximum(first, second))  # a posterior is not wider than its prior
+    precision = 1 / first + 1 / second - 1 / before
+    mean = (about / first + (about - difference) / second) / precision
+    exponent = about**2 / first + (about - difference) ** 2 / second - precision * mean**2
+    return 0.5 * np.log(before / (first * second * precision)) - 0.5 * exponent
+
+
+@dataclass(frozen=True)
+class SingleValue:
+    """value, std: (k,) of a parameter with k components."""
+
+    value: np.ndarray
+    std: np.ndarray
+
+
+def name_of(key: str) -> str:
+    """The parameter's name without its location."""
+    return key.rpartition(".")[2]
+
+
+def apart(key: str, mine: SingleValue, theirs: SingleValue) -> np.ndarray:
+    """(k,) difference of two estimates; of a phase the shorter way round."""
+    difference = mine.value - theirs.value
+    return (difference + TURN / 2) % TURN - TURN / 2 if name_of(key) == PHASE else difference
+
+
+def paired(own: Estimates, other: Estimates) -> Iterator[tuple[str, SingleValue, SingleValue]]:
+    """The parameters that both have, if all are finite. Those of one order of a periodic effect with several belong together."""
+    for key in own:
+        location = key.rpartition(".")[0]
+        orders = f"{location}.order" if location else "order"
+        if key not in other:
+            continue
+        if orders not in own or orders not in other:
+            both = single_value(own[key]), single_value(other[key])
+            if both[0] is not None and both[1] is not None and len(both[0].value) == len(both[1].value):
+                yield key, both[0], both[1]
+            continue
+        for j, i in same_orders(own[orders]["value"], other[orders]["value"]):
+            mine, theirs = single_value(own[key], j), single_value(other[key], i)
+            if mine is not None and theirs is not None:
+                yield key, mine, theirs
+
+
+def same_orders(own: Any, other: Any) -> list[tuple[int, int]]:
+    """Positions of periodic components that are the same, in both lists of orders."""
+    apart_by = np.abs(np.subtract.outer(np.atleast_1d(own).astype(float), np.atleast_1d(other).astype(float)))
+    return [(j, int(row.argmin())) for j, row in enumerate(apart_by) if row.min() < SAME_ORDER]
+
+
+def single_value(entry: Mapping[str, Any], component: int | None = None) -> SingleValue | None:
+    """None for a parameter that is not finite. component: of one with several orders."""
+    value, std = (np.atleast_1d(np.asarray(entry[key], dtype=float)) for key in ("value", "std"))  # None is not a number
+    if component is not None:
+        value, std = value[[component]], std[[component]]
+    return SingleValue(value, std) if np.isfinite(value).all() and np.isfinite(std).all() else None
 
 
 def not_excluded(sets: Sequence[JointSet]) -> tuple[JointSet, ...]:

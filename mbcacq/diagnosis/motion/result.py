@@ -12,6 +12,7 @@ from pydantic import PlainValidator
 
 from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.trend import TREND, components, is_trend
 from mbcacq.errors import ConfigError
 from mbcacq.model.channel_series import MotionSeries
 from mbcacq.model.json_text import Number, damage, from_fields, plain
@@ -61,6 +62,11 @@ class MotionEffect:
     steps: tuple[MotionStep, ...]
     notes: tuple[str, ...] = ()
 
+    @property
+    def is_trend(self) -> bool:
+        """Whether no size of it reaches its expanded uncertainty: it helps, but no figure of it may be relied on."""
+        return is_trend({name: components(estimate) for name, estimate in self.parameters.items()})
+
 
 @dataclass(frozen=True)
 class UnmodelledMotionEffect:
@@ -76,6 +82,7 @@ class UnmodelledMotionEffect:
     y: tuple[float, ...]
 
     name = "unknown"
+    is_trend = False
 
     @property
     def parameters(self) -> Mapping[str, Mapping[str, Any]]:
@@ -264,6 +271,8 @@ def _mean(errors: list[ErrorBeforeAfter]) -> dict[str, float]:
 
 
 def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
-    """In words with units, ± U (k = 2)."""
+    """In words with units, ± U (k = 2); of a trend no figure."""
+    if effect.is_trend:
+        return TREND
     each = {name: from_fields(ParameterEstimate, p) for name, p in effect.parameters.items()}
     return "; ".join(parameter_in_words(name, estimate) for name, estimate in each.items())

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis.motion.result import ChannelEvidence, ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.output.text import NOT_DETERMINED, phase_is_undetermined, verdict_in_words
+from mbcacq.diagnosis.output.text import FINDINGS, NOT_DETERMINED, TRENDS, phase_is_undetermined, verdict_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.quantities import K, measured, significant, split_unit, symbol
 
@@ -46,15 +46,11 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
         for m in diagnosis.mismatch[:MOST_ROWS]:
             lines.append(f"  {m.at:<8} depends on {m.depends_on:<14} share {m.share:.0%} ({CHANNELS[m.channel]})")
         lines.append("")
-    if diagnosis.effects:
-        lines.append("Effects, ± U (k = 2):")
-    for effect in diagnosis.effects:
-        gain = effect.held_out_gain_here if isinstance(effect, MotionEffect) else effect.held_out_gain
-        where = ", ".join(effect.where)
-        lines.append(f"{effect_in_words(effect.name)} at {where} (removes {gain:.1%} of the excess there, on held-out data)")
-        lines += [f"  {_values(name, p)}" for name, p in effect.parameters.items()]
-        lines += [f"  {size_of_shape(effect)}"] if isinstance(effect, UnmodelledMotionEffect) else []
-        lines += [f"  {note}" for note in (effect.notes if isinstance(effect, MotionEffect) else ())]
+    for heading, trend in ((FINDINGS, False), (TRENDS, True)):
+        effects = [e for e in diagnosis.effects if e.is_trend is trend]
+        lines += [heading] if effects else []
+        for effect in effects:
+            lines += _describe(effect)
     for pair in diagnosis.not_separable:
         both = " and ".join(map(effect_in_words, pair.effects))
         odds = "" if pair.odds is None else f"; {odds_in_words(pair.odds)} for the second"
@@ -70,6 +66,18 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
             rms = f"{significant(one.error.before_rms)} {symbol(one.unit)} before, {significant(one.error.after_rms)} after"
             lines.append(f"  {one.at} {CHANNELS[one.channel]}: {rms}")
     return "\n".join(lines)
+
+
+def _describe(effect: MotionEffect | UnmodelledMotionEffect) -> list[str]:
+    """The lines of one effect; of a trend no figure."""
+    where = ", ".join(effect.where)
+    if isinstance(effect, UnmodelledMotionEffect):
+        gain, rest = effect.held_out_gain, [size_of_shape(effect)]
+    else:
+        values = [] if effect.is_trend else [_values(name, p) for name, p in effect.parameters.items()]
+        gain, rest = effect.held_out_gain_here, [*values, *effect.notes]
+    head = f"{effect_in_words(effect.name)} at {where} (removes {gain:.1%} of the excess there, on held-out data)"
+    return [head, *(f"  {line}" for line in rest)]
 
 
 def _evidence(e: ChannelEvidence) -> str:

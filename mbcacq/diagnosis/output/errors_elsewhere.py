@@ -22,7 +22,11 @@ def errors_elsewhere(there: Elsewhere, effect: SizedEffect) -> tuple[float | Non
 
     None for what the geometry absorbs, for effects over time, which no posture has, and for single balls or stations.
     """
-    moved = there.displacement(effect) if np.isfinite(effect.in_typical_sizes) else None
+    return errors_of(there, there.displacement(effect) if np.isfinite(effect.in_typical_sizes) else None)
+
+
+def errors_of(there: Elsewhere, moved: np.ndarray | None) -> tuple[float | None, float | None]:
+    """The same of displacements (P, 3) mm at these postures."""
     if moved is None or not np.any(moved):
         return None, None
     linear = there.linear

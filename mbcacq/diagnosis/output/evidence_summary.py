@@ -23,11 +23,11 @@ def summarized(problem: DiagnosisProblem, fit: EvidenceFit) -> EvidenceSummary:
     """The most probable sets of a fit, the empty one among them, with the coefficients of each."""
     best = fit.hypotheses[0].log_posterior
     shown = [h for h in fit.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
-    sets = tuple(ComparedSet(effects_of(problem, h), float(h.log_posterior - best)) for h in shown)
+    sets = tuple(ComparedSet(effects_of(problem, fit, h), float(h.log_posterior - best)) for h in shown)
     return EvidenceSummary(fit.linear.obs.n_poses, fit.log_e_value, fit.least, sets, tuple(untried_in_words(problem, fit)))
 
 
-def effects_of(problem: DiagnosisProblem, hypothesis: Hypothesis) -> tuple[ComparedEffect, ...]:
+def effects_of(problem: DiagnosisProblem, fit: EvidenceFit, hypothesis: Hypothesis) -> tuple[ComparedEffect, ...]:
     """The effects of a set with their parameters."""
     found, untried = coefficients(hypothesis), {u.candidate.key for u in stands_for_untried(problem, hypothesis)}
     out = []
@@ -35,7 +35,11 @@ def effects_of(problem: DiagnosisProblem, hypothesis: Hypothesis) -> tuple[Compa
         candidate = member.candidate
         reported = candidate.report(found.mean[own], found.covariance[own, own], member.hyper)
         parameters = {name: ParameterEstimate(p.value, p.std) for name, p in reported.items()}
-        out.append(ComparedEffect(candidate.name, candidate.where, parameters, candidate.key not in untried))
+        before = np.diag((member.size * candidate.typical) ** 2)
+        absent, spread = (candidate.report(c, before, member.hyper) for c in (np.zeros(candidate.k), found.mean[own]))
+        prior = {name: ParameterEstimate(absent[name].value, p.std) for name, p in spread.items() if name in absent}
+        tried, log_prior = candidate.key not in untried, fit.log_prior_of(member, hypothesis)
+        out.append(ComparedEffect(candidate.name, candidate.where, parameters, tried, prior, log_prior))
     return tuple(out)
 
 

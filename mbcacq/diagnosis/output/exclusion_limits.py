@@ -1,13 +1,12 @@
-"""Exclusion limits: the largest size of every effect at every location that a recording does not exclude, with 95 % confidence.
+"""Exclusion limits: the size of every effect at every location above which it would have shown, with 95 % confidence.
 
-A coefficient c is estimated as c^ with standard deviation s, and |c| is below |c^| + 1.645 s in 95 % of recordings, whatever it is. An
-effect of known sign is below c^ + 1.645 s, where an estimate below -s counts as -s, so that noise never excludes what the recording could
-not show (power-constrained limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166). The limit of a parameter of several
-coefficients, an amplitude or a shift, is the largest such limit over all directions.
+A limit is of one parameter (an amplitude, a shift, a compliance) over a band of the effect's hyper-parameter (``limit_bands``): of all
+effects of that size, with a value from the band and any direction of the coefficients, 95 % would have shown more than this recording does
+(``upper_limit``).
 
 With the effect everything is free that it is confused with: geometry, what was found, the elasticity that every arm has, and the other
 effects at its location. A slow error of a gear and the elasticity of its joint may compensate each other, and a limit of one that takes
-the other for zero is false. The limit is the largest over the values of the hyper-parameter that it names (``limit_bands``).
+the other for zero is false.
 
 Sizes have a prior of what machines have. A limit beyond it says nothing: the effect was not tested by these poses.
 """
@@ -21,25 +20,26 @@ import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere, harmless
+from mbcacq.diagnosis.output.compensation import Compensation, largest
+from mbcacq.diagnosis.output.errors_elsewhere import errors_of, harmless
 from mbcacq.diagnosis.output.limit_bands import LimitBand, alike, bands, kept
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
-from mbcacq.diagnosis.output.noise_floor import NOT_SIZES
-from mbcacq.diagnosis.output.sufficient_poses import QUANTILE, of_fewest_coefficients
+from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
+from mbcacq.diagnosis.output.upper_limit import directions, independent_values, largest_ratio, upper_limit
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects import catalogue, steps
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import MOMENT, Candidate
+from mbcacq.effects.trend import NOT_SIZES
 
 ABSORBED = 1e-6  # information on a typical size below which the geometry absorbs the effect
-ASCENTS = 12  # towards the direction of the largest limit; each is nearer by far more than half
 
 
 @dataclass(frozen=True, kw_only=True)
 class BandLimit:
-    """The limit of one parameter over a band. coefficients (k,): as large as the limit, where it is largest; inf where the geometry absorbs
-    them.
+    """The limit of one parameter over a band. hyper, coefficients (k,): as large as the limit, at the value and in the direction that are
+    determined least; inf where the geometry absorbs them.
     """
 
     candidate: Candidate
@@ -75,17 +75,22 @@ def limits_of(
 
 def with_confounders(problem: CandidateScoring, candidate: Candidate, others: Sequence[Candidate]) -> CandidateScoring:
     """The problem with everything free that an effect is confused with: other effects at its location, and what every arm has."""
-    blocks, sigma = [], []
+    beside = confounders(candidate, others)
+    if not beside:
+        return problem
+    blocks = [problem.block(other, value) for other, value in beside]
+    sigma = np.concatenate([largest(other) for other, _ in beside])
+    return problem.conditioned_on([(np.concatenate(blocks, axis=1), sigma**-2.0)])
+
+
+def confounders(candidate: Candidate, others: Sequence[Candidate]) -> list[tuple[Candidate, float | None]]:
+    """The effects that are free beside one, each at values of its hyper-parameter."""
+    out = []
     for other in others:
         here = set(other.where) & set(candidate.where) and other.name != candidate.name
-        if other.key == candidate.key or not (here or catalogue.declaration(other.name).every_arm):
-            continue
-        for value in values_beside(other):
-            blocks.append(problem.block(other, value))
-            sigma.append(OPTIONS.largest_usual * other.typical)
-    if not blocks:
-        return problem
-    return problem.conditioned_on([(np.concatenate(blocks, axis=1), np.concatenate(sigma) ** -2.0)])
+        if other.key != candidate.key and (here or catalogue.declaration(other.name).every_arm):
+            out += [(other, value) for value in values_beside(other)]
+    return out
 
 
 def values_beside(other: Candidate) -> tuple[float | None, ...]:
@@ -111,26 +116,43 @@ def limits_of_band(problem: CandidateScoring, candidate: Candidate, band: LimitB
     root = vectors[chosen] / np.sqrt(value[chosen])[:, None, :]
     covariance = root @ np.swapaxes(root, 1, 2)
     estimate = (covariance @ gradient[chosen][:, :, None])[:, :, 0]
+    positive = candidate.positive and candidate.k == 1
     out = []
     for name, (which, unit) in parameters.items():
         c, V = estimate[:, which] * unit, covariance[:, which][:, :, which] * np.outer(unit, unit)
-        sizes, direction = largest_size(c, V, candidate.positive and candidate.k == 1)
-        h = int(sizes.argmax())
+        along = directions(len(which))
+        precision = np.einsum("dk,hkl,dl->hd", along, np.linalg.inv(V), along)
+        number = independent(problem, candidate, own, name, which)
+        size = upper_limit(float(largest_ratio(c, V, positive)), precision, number, len(which), positive)
+        h, d = np.unravel_index(int(precision.argmin()), precision.shape)
         coefficients = np.zeros(candidate.k)
-        coefficients[which] = sizes[h] * direction[h] / unit * candidate.typical[which]
-        usual = float(sizes[h] / np.max(unit))
+        coefficients[which] = size * along[d] / unit * candidate.typical[which]
         out.append(
             BandLimit(
                 candidate=candidate,
                 band=own,
                 parameter=name,
-                value=float(sizes[h]),
+                value=size,
                 hyper=own.values[h],
                 coefficients=coefficients,
-                in_usual_sizes=usual,
+                in_usual_sizes=float(size / np.max(unit)),
             )
         )
     return out
+
+
+def independent(problem: CandidateScoring, candidate: Candidate, band: LimitBand, parameter: str, which: np.ndarray) -> float:
+    """Number of independent values of a band, for a parameter of some coefficients (indices): by recordings of noise alone."""
+    if len(band.values) == 1:
+        return 1.0
+    key, kept = (candidate.key, band.values, parameter), problem.store.independent
+    if key not in kept:
+        S, b = problem.scores_of_noise(candidate, band.values)
+        t, positive = candidate.typical, candidate.positive and candidate.k == 1
+        covariance = np.linalg.inv(S * np.outer(t, t))
+        drawn = (covariance @ (b * t[:, None]))[:, which]
+        kept[key] = independent_values(largest_ratio(drawn, covariance[:, which][:, :, which], positive), len(which), positive)
+    return kept[key]
 
 
 def absorbed(candidate: Candidate, band: LimitBand, parameter: str) -> BandLimit:
@@ -176,28 +198,6 @@ def parameters_of(candidate: Candidate, hyper: float | None) -> dict[str, tuple[
     return {name: (np.array([j for j, _ in each]), np.array([size for _, size in each])) for name, each in own.items()}
 
 
-def largest_size(c: np.ndarray, V: np.ndarray, positive: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(H,) the largest limit over all directions of vectors with estimates c (H, k) and covariances V (H, k, k), and that direction (H, k).
-
-    The limit is a convex function of the direction: following its gradient it only rises.
-    """
-    if c.shape[1] == 1:
-        std = np.sqrt(V[:, 0, 0])
-        return (np.maximum(c[:, 0], -std) if positive else np.abs(c[:, 0])) + QUANTILE * std, np.ones_like(c)
-    sizes, directions = np.full(len(c), -np.inf), np.zeros_like(c)
-    for start in (np.linalg.eigh(V)[1][:, :, -1], c / np.maximum(np.linalg.norm(c, axis=1, keepdims=True), 1e-300)):
-        v = start
-        for _ in range(ASCENTS):
-            sign = np.where(np.einsum("hk,hk->h", v, c) < 0, -1.0, 1.0)[:, None]
-            along = np.einsum("hkl,hl->hk", V, v)
-            slope = sign * c + QUANTILE * along / np.sqrt(np.maximum(np.einsum("hk,hk->h", v, along), 1e-300))[:, None]
-            v = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
-        reached = np.abs(np.einsum("hk,hk->h", v, c)) + QUANTILE * np.sqrt(np.einsum("hk,hkl,hl->h", v, V, v))
-        better = reached > sizes
-        sizes, directions = np.where(better, reached, sizes), np.where(better[:, None], v, directions)
-    return sizes, directions
-
-
 def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Elsewhere) -> tuple[ExclusionLimit, ...]:
     """As they are reported: those that these poses test first, of these the ones with the largest error in the workspace, and each reading
     but once.
@@ -206,13 +206,17 @@ def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Els
     nothing that will be measured.
     """
     context = Context(full.geometry_only.linear.obs, there.context.state, full.geometry_only.linear.prediction)
+    compensation = Compensation.of(full.geometry_only, there)
+    found = {(c.name, c.where) for c, _ in full.model.effects}
+    others = [c for c in of_fewest_coefficients(candidates) if (c.name, c.where) not in found]
     out: dict[tuple, ExclusionLimit] = {}
     for limit in limits_of(conditioned_on_everything(full), candidates, full.model.effects):
         gone = not np.isfinite(limit.value)
         if gone and (catalogue.declaration(limit.candidate.name).acts_in_time or harmless(there, limit.sized)):
             continue
         tested = limit.in_usual_sizes <= OPTIONS.largest_usual
-        workspace_mm, length_mm = errors_elsewhere(there, limit.sized) if tested else (None, None)
+        moved = compensation.displacement(limit.sized, confounders(limit.candidate, others)) if tested else None
+        workspace_mm, length_mm = errors_of(there, moved)
         one = ExclusionLimit(
             name=limit.candidate.name,
             where=limit.candidate.where,

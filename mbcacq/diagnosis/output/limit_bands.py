@@ -14,7 +14,8 @@ import numpy as np
 from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, Candidate
 
 ORDERS = (1.0, 1.5, 2.5, 5.0, 15.0, 50.0, np.inf)  # ends of the bands: the first and the second order trade with geometry and elasticity
-SLOW = (1.0, 1.125, 1.25, 1.375, 1.5, 1.75, 2.0, 2.25)  # orders that are looked at whether or not a search would claim them
+SLOW = tuple(np.arange(20, 50) / 20)  # orders that are looked at whether or not a search would claim them
+ALONE = (1.0, 2.0)  # orders that have a limit of their own, as those have that the gear has by its construction: few gears have others
 ALIKE = 3.0  # standard deviations of a band's values are up to this many times their median
 
 
@@ -35,12 +36,16 @@ def bands(candidate: Candidate, found: Sequence[float] = ()) -> list[LimitBand]:
         return [LimitBand((None,))]
     if not candidate.periodic:
         return [LimitBand(tuple(np.sort(hyper.values).tolist()))]
-    orders = np.unique(np.concatenate([hyper.values, SLOW]))
+    orders = np.unique(np.concatenate([hyper.values, SLOW, hyper.preferred]))
+    alone = np.isin(orders, (*ALONE, *hyper.preferred))
     out = []
     for low, high in zip(ORDERS[:-1], ORDERS[1:], strict=True):
-        inside = orders[(orders >= low) & (orders < high)]
-        if len(inside) and not any(low <= one < high for one in found):
-            out.append(LimitBand(tuple(inside.tolist())))
+        inside = (orders >= low) & (orders < high)
+        if any(low <= one < high for one in found):
+            continue
+        out += [LimitBand((float(order),)) for order in orders[inside & alone]]
+        if np.any(inside & ~alone):
+            out.append(LimitBand(tuple(orders[inside & ~alone].tolist())))
     return out
 
 

@@ -110,7 +110,7 @@ def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]
             chosen = spread(a - b)
             apart = float(np.linalg.norm((a - b)[chosen], axis=1).mean())
             both = " and ".join(f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in pair)
-            reason = f"{both} differ by {apart:.3f} mm at these poses: measure them again, and others like them"
+            reason = f"{both} differ by {apart:.3f} mm at the poses that tell them apart best: measure those again, and others like them"
             out.append(Advice(reason, _in_degrees(there.context.obs.q[chosen])))
     return out
 

@@ -133,7 +133,7 @@ def sum_of_shares(mismatch: Sequence[MismatchEntry], before: PredictiveScore, af
     elif total > explained + UNSAID:
         said.append(f"together they explain {explained:.0%}, since some compensate others" if explained > UNSAID else "none is proven")
     if explained < 1 - UNSAID:
-        said.append(f"{1 - explained:.0%} is not explained")
+        said.append(f"{1 - (explained if said else total):.0%} is not explained")  # of figures that are rounded alike
     return [f"the shares add up to {total:.0%}: {', '.join(said)}"] if said else []
 
 

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
-from mbcacq.diagnosis.output.noise_floor import NoiseFloor, is_trend
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Alternative, Diagnosis, EffectFound, ExclusionLimit, GeometryAlone, NotSeparable, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, significant, split_unit, uncertainty, with_unit
@@ -21,6 +22,8 @@ VERDICTS = {
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "Cannot tell: these poses do not let the candidates be told apart, or be seen.",
 }
+NOT_TOLD_APART = "Cannot tell: these poses do not tell apart what could be behind the mismatch."
+OPEN = "Cannot tell: these poses leave open whether there is an effect."
 DIFFERENT = 0.01  # p-value below which recordings are said to differ
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
@@ -35,7 +38,7 @@ SUSPECTED = "No model of it predicts what was left out: the place below is a sus
 def words(d: Diagnosis, calibrated: bool = False) -> str:
     """The whole diagnosis as text of several lines. calibrated: the cell was calibrated with what was found, which is no next step then."""
     floor = noise_floor(d)
-    lines = [verdict_in_words(d.verdict, floor)]
+    lines = [first_sentence(d, floor)]
     lines += summary_lines(d, floor, calibrated)
     lines.append("")
     if d.mismatch:
@@ -47,12 +50,8 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
         lines += [heading] if effects else []
         for effect in effects:
             lines += describe(effect)
-    held = d.fit.held_out
     lines += geometry_lines(d.geometry_alone)
-    lines.append(
-        f"On held-out data (by {held.split}): {micrometres(held.before_rms_mm)} before, {micrometres(held.after_rms_mm)} after; "
-        f"χ²/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; expected from noise alone: {floor.noise} (k = 2)."
-    )
+    lines.append(held_out_line(d, floor))
     lines += proposal_lines(d.proposals)
     lines += limit_lines(d.exclusion_limits)
     lines += [difference(one) for one in d.between_recordings]
@@ -62,19 +61,37 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
     return "\n".join(lines)
 
 
+def first_sentence(d: Diagnosis, floor: NoiseFloor) -> str:
+    """The verdict; of one that cannot tell, what of."""
+    if d.verdict == "cannot_tell" and d.not_separable:
+        return NOT_TOLD_APART
+    return OPEN if d.verdict == "cannot_tell" and not d.effects else verdict_in_words(d.verdict, floor)
+
+
+def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
+    """The misfit of data that took part in nothing; where nothing was found there is no before and after."""
+    held = d.fit.held_out
+    rms, chi2 = micrometres(held.before_rms_mm), f"{held.before_chi2_dof:.2f}"
+    if d.effects:
+        rms, chi2 = f"{rms} before, {micrometres(held.after_rms_mm)} after", f"{chi2} before, {held.after_chi2_dof:.2f} after"
+    return f"On held-out data (by {held.split}): {rms}; χ²/dof {chi2}; expected from noise alone: {floor.noise} (k = 2)."
+
+
 def findings_and_trends(effects: Sequence[EffectFound]) -> tuple[list[EffectFound], list[EffectFound]]:
     """The effects with a figure that may be relied on, and those without one, each in their order."""
-    return [e for e in effects if not _is_trend(e)], [e for e in effects if _is_trend(e)]
-
-
-def _is_trend(effect: EffectFound) -> bool:
-    return is_trend({name: _components(estimate) for name, estimate in effect.parameters.items()})
+    return [e for e in effects if not e.is_trend], [e for e in effects if e.is_trend]
 
 
 def _named(effects: Sequence[EffectFound]) -> str:
-    said = [f"{effect_in_words(e.name)} at {', '.join(e.where)}" for e in effects]
+    said = [located(e) for e in effects]
     more = f" and {len(said) - MOST_NAMED} more" if len(said) > MOST_NAMED else ""
     return "; ".join(said[:MOST_NAMED]) + more
+
+
+def located(effect: EffectFound) -> str:
+    """What it is and where; of an unmodelled one also what it is a function of."""
+    of = f" of {effect.depends_on}" if effect.name == UNKNOWN and effect.depends_on else ""
+    return f"{effect_in_words(effect.name)}{of} at {', '.join(effect.where)}"
 
 
 def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> list[str]:
@@ -87,8 +104,10 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     excess = held.before_rms_mm**2 - floor.floor_mm**2
     removed = min(max((held.before_rms_mm**2 - held.after_rms_mm**2) / excess, 0.0), 1.0) if excess > 0 else 0.0
     before, after = micrometres(held.before_rms_mm), micrometres(held.after_rms_mm)
-    much = f"{before} before, {after} after, on held-out data; noise alone leaves {floor.noise} (k = 2)"
-    much = f"{removed:.0%} of the misfit beyond noise, {much}" if d.effects else much
+    # Of an excess that is within the uncertainty of the noise there is no share.
+    share = f"{removed:.0%} of the misfit beyond noise, " if held.before_rms_mm - floor.floor_mm > floor.expanded_mm else ""
+    much = f"{share}{before} before, {after} after" if d.effects else before
+    much += f", on held-out data; noise alone leaves {floor.noise} (k = 2)"
     trend = [f"Trend, too weak for a figure: {_named(trends)}"] if trends else []
     return [f"What and where: {what}", *trend, f"How much: {much}", f"How sure: {how_sure(d)}", f"What next: {what_next(d, calibrated)}"]
 
@@ -99,26 +118,40 @@ def how_sure(d: Diagnosis) -> str:
         usual = [e for e in d.exclusion_limits if e.tested and (e.in_usual_sizes or np.inf) <= 1.0]
         if not d.exclusion_limits:
             return "no limits of what could hide are known"
-        return f"{len(usual)} of {len(d.exclusion_limits)} limits of what could hide are below the usual size of the effect (95 %)"
+        return f"of {len(d.exclusion_limits)} effects of usual size that were looked for, {len(usual)} are excluded (95 %)"
+    if d.not_separable:
+        pair = max(d.not_separable, key=lambda one: one.odds or 0.0)
+        return f"{' and '.join(map(effect_in_words, pair.effects))} cannot be told apart ({odds_of(pair)})"
     first = d.effects[0]
     others = [a for a in first.alternatives if a.odds is not None]
     strongest = max(others, key=lambda a: a.odds or 0.0, default=None)
     if strongest is None:
-        return f"{p_value(first.p_value)} for {effect_in_words(first.name)}; nothing else comes near it"
+        return f"{p_value(first.p_value)} for {located(first)}; nothing else comes near it"
     other = f"{effect_in_words(strongest.name)} at {', '.join(strongest.where)}"
-    return f"the next explanation in place of {effect_in_words(first.name)} is {other} ({likelihood(strongest)})"
+    return f"in place of {located(first)} the next explanation is {other} ({likelihood(strongest)})"
 
 
 def what_next(d: Diagnosis, calibrated: bool = False) -> str:
     """One step: what tells the candidates apart, or that what was found be tried."""
     if d.advice:
         return d.advice[0].reason
-    if d.model and calibrated:
-        return "try the calibration with what was found on another recording (mbcacq verify), or put it to use"
+    if d.not_separable:
+        return "measure more, at postures that the recording does not have: these do not decide between what is left"
     if d.model:
-        return "calibrate with what was found (--calibrate), and try it on another recording (--check)"
-    tested = [e for e in d.exclusion_limits if e.tested]
-    return f"nothing; what could hide most is {limited(tested[0])}" if tested else "measure other postures"
+        taken = "try the calibration with what was found on another recording (mbcacq verify), or put it to use"
+        return taken if calibrated else "calibrate with what was found (--calibrate), and try it on another recording (--check)"
+    return what_could_hide(d.exclusion_limits)
+
+
+def what_could_hide(limits: Sequence[ExclusionLimit]) -> str:
+    """What to do where nothing was found, or nothing that can be kept."""
+    most = next((e for e in limits if e.tested), None)
+    if most is None:
+        return "measure other postures"
+    if most.workspace_mm is None:
+        return f"nothing; the largest that could hide is {limited(most)}"
+    size = f"{significant(most.workspace_mm, 2)} mm"
+    return f"nothing; or, where {size} matter, postures that show {limited(most)}, the largest that could hide"
 
 
 def noise_floor(d: Diagnosis) -> NoiseFloor:
@@ -181,7 +214,10 @@ def limit_lines(limits: Sequence[ExclusionLimit]) -> list[str]:
     untested = [limit for limit in limits if not limit.tested]
     out = [hidden(limit) for limit in [limit for limit in limits if limit.tested][:MOST_LIMITS]]
     if untested:
-        listed_ones = list(dict.fromkeys(f"{limited(one)} ({split_unit(one.parameter.rpartition('.')[2])[0]})" for one in untested))
+        parameters: dict[str, dict[str, None]] = {}
+        for one in untested:
+            parameters.setdefault(limited(one), {})[split_unit(one.parameter.rpartition(".")[2])[0]] = None
+        listed_ones = [f"{what} ({', '.join(each)})" for what, each in parameters.items()]
         more = f" and {len(listed_ones) - MOST_LIMITS} more" if len(listed_ones) > MOST_LIMITS else ""
         within = f"only what is over {DIAGNOSIS.largest_usual:.0f} times the usual size would show"
         out.append(f"Not tested by these poses ({within}): {'; '.join(listed_ones[:MOST_LIMITS])}{more}")
@@ -210,8 +246,8 @@ def limited(limit: ExclusionLimit) -> str:
         but = f", but at {len(band.left_out)} moments between" if band.left_out else ""
         return f"{at} at any pose from {band.low:.0f} to {band.high:.0f}{but}"
     words, unit, factor = split_unit(band.parameter)
-    ends = " to ".join(dict.fromkeys(significant(factor * end, 2) for end in (band.low, band.high)))
-    return f"{at} of {words} {with_unit(ends, unit)}"
+    low, high = (significant(factor * end, 2) for end in (band.low, band.high))
+    return f"{at} of {words} {with_unit(low, unit)}" if low == high else f"{at} of any {words} from {low} to {with_unit(high, unit)}"
 
 
 def describe(effect: EffectFound) -> list[str]:
@@ -220,18 +256,13 @@ def describe(effect: EffectFound) -> list[str]:
         f"{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
         f"removes {effect.held_out_gain:.0%} of the excess over noise)"
     ]
-    out += [] if _is_trend(effect) else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
-    if effect.alternatives:
-        out.append(
-            "  could also be: "
-            + "; ".join(f"{effect_in_words(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives)
-        )
+    out += [] if effect.is_trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
+    possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
+    excluded = [a for a in effect.alternatives if a not in possible]
+    for heading, some in (("could also be", possible), ("excluded in its place", excluded)):
+        if some:
+            out.append(f"  {heading}: " + "; ".join(f"{effect_in_words(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in some))
     return [*out, ""]
-
-
-def _components(estimate: ParameterEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    values, stds = (x if isinstance(x, tuple) else (x,) for x in (estimate.value, estimate.std))
-    return values, stds
 
 
 def phase_is_undetermined(name: str, std: float) -> bool:
@@ -241,8 +272,7 @@ def phase_is_undetermined(name: str, std: float) -> bool:
 
 def _reported(name: str, estimate: ParameterEstimate) -> str:
     """A parameter with its expanded uncertainty; a phase that has no value as such, where it has one in no harmonic."""
-    stds = estimate.std if isinstance(estimate.std, tuple) else (estimate.std,)
-    if all(phase_is_undetermined(name, s) for s in stds):
+    if all(phase_is_undetermined(name, s) for s in estimate.components[1]):
         return f"{split_unit(name)[0]} {NOT_DETERMINED}"
     return parameter_in_words(name, estimate)
 

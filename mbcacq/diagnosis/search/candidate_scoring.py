@@ -6,6 +6,7 @@ problem is conditioned on were refitted together with the candidate.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from mbcacq.estimation.whitening import CentreWhitening
 UnitKey = tuple[str, int, int]  # location, index, component
 MOST_KEPT = 3000  # candidates whose products are kept
 ROUNDING = 1e-11  # share of a squared displacement that is left where two displacements cancel
+NOISES = 64  # draws of noise, by which the median of a largest of many scores is known: it need not be exact
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class ProductStore:
     batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
     beyond_geometry: list[np.ndarray] = field(default_factory=list)
     moved: list[np.ndarray] = field(default_factory=list)
+    noise: list[np.ndarray] = field(default_factory=list)
+    independent: dict[tuple[str, tuple[float | None, ...], str], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -212,23 +216,33 @@ class CandidateScoring:
                 kept[components] = twists @ kept[()]
         return kept[components]
 
+    def noise_draws(self) -> np.ndarray:
+        """(rows, NOISES) draws of what is left of a residual without any effect once geometry is projected out: covariance I - QQ'."""
+        if not self.store.noise:
+            value, vectors = np.linalg.eigh(self.Q.T @ self.Q)
+            drawn = np.random.default_rng(0).standard_normal((len(self.r0), NOISES))
+            share = vectors / (1.0 + np.sqrt(np.maximum(1.0 - value, 0.0)))
+            self.store.noise.append(drawn - self.Q @ (share @ (vectors.T @ (self.Q.T @ drawn))))
+        return self.store.noise[0]
+
+    def scores_of_noise(self, candidate: Candidate, values: Sequence[float | None]) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrices (H, k, k) with geometry alone, and right-hand sides (H, k, NOISES) of recordings without any effect."""
+        if not candidate.components:
+            products = [self.candidate_products(candidate, value) for value in values]
+            return np.array([S for _, S, _ in products]), np.array([X.T @ self.noise_draws() for X, _, _ in products])
+        flat, S, _ = self._normal_matrices(candidate, np.array(values, dtype=float), None)
+        by_pose = self.whiten.pose_products(self._units(candidate.components), self.noise_draws())
+        return S, _of_functions(flat, by_pose, len(S))
+
     def normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrices (H, k, k) and right-hand sides (H, k) of a candidate with components beyond all that is projected out."""
         assert candidate.hyper is not None, "a candidate with components has a hyper-parameter"
         key = candidate.key if values is candidate.hyper.values else None
         flat, S, b = self._normal_matrices(candidate, values, key)
         if self.conditioned.shape[1]:
-            absorbed = self._absorbed(candidate, flat, len(S))
+            absorbed = _of_functions(flat, self.conditioned_pose_products(candidate.components), len(S))
             S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
         return S, b
-
-    def _absorbed(self, candidate: Candidate, flat: np.ndarray, H: int) -> np.ndarray:
-        """(H, k, a): products of a candidate's columns with the basis of what the problem is conditioned on."""
-        components = candidate.components
-        c, products = len(components), self.conditioned_pose_products(components)
-        f = len(flat) // H
-        absorbed = (flat @ products.reshape(len(products), -1)).reshape(H, f, c, -1)
-        return absorbed.transpose(0, 2, 1, 3).reshape(H, c * f, -1)
 
     def _normal_matrices(self, candidate: Candidate, values: np.ndarray, key: str | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Functions (H f, P), normal matrices (H, k, k) and right-hand sides (H, k), geometry projected out; kept under ``key``."""
@@ -240,7 +254,7 @@ class CandidateScoring:
         H, _, f = F.shape
         flat = np.ascontiguousarray(np.swapaxes(F, 1, 2)).reshape(H * f, P)
         xr = (flat @ b).reshape(H, f, c).transpose(0, 2, 1).reshape(H, c * f)
-        xq = (flat @ C.reshape(P, -1)).reshape(H, f, c, -1).transpose(0, 2, 1, 3).reshape(H, c * f, -1)
+        xq = _of_functions(flat, C, H)
         xx = np.empty((H, c, f, c, f))
         for i in range(f):
             for j in range(i + 1):
@@ -252,3 +266,12 @@ class CandidateScoring:
         if key is not None:
             self.store.scans[key] = result
         return result
+
+
+def _of_functions(flat: np.ndarray, by_pose: np.ndarray, H: int) -> np.ndarray:
+    """(H, k, a): products of a candidate's columns, its functions flat (H f, P) times its components, with others; by_pose (P, c, a): of
+    the components alone.
+    """
+    P, c, a = by_pose.shape
+    f = len(flat) // H
+    return (flat @ by_pose.reshape(P, -1)).reshape(H, f, c, a).transpose(0, 2, 1, 3).reshape(H, c * f, a)

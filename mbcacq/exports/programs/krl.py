@@ -41,6 +41,7 @@ COMMENT: /;.*/
 %ignore /[ \t\f\v\x00-\x1f\x7f-\xa0]+/
 """
 POSE = {"x", "y", "z", "s", "t"}
+FRAME = {"x", "y", "z"}  # of a base or a tool too, unless a motion uses it
 DECLARING = ("decl", "global", "const")
 POSE_REASON = "is a pose, whose joints are the controller's choice"
 OTHER = "is no place"
@@ -65,6 +66,7 @@ class _KrlStatements:
         self.uses = Variables()
         self.points: list[tuple[str, str, ProgrammedPoint]] = []  # variable, reason that is known already, point
         self.left: list[LeftAlone] = []
+        self.frames: list[tuple[str, str, int]] = []  # variable, name, line
         self.targets: dict[str, int] = {}  # variables that motions go to, and the first line
         self.assigned = set[str]()
 
@@ -103,8 +105,8 @@ class _KrlStatements:
                 continue
             first, more = group.children[0], group.children[1:]
             approximated = all(str(name).lower().startswith("c_") for part in more for name in names_in(part)) and all(
-                getattr(part, "data", "") == "variable" for part in more
-            )
+                getattr(part, "data", "") == "variable" or getattr(part, "type", "") == "ENUM" for part in more
+            )  # C_PTP; #BASE and #TOOL of relative motions
             kind = getattr(first, "data", "")
             if kind == "aggregate":
                 why = "" if approximated else "is part of an expression"
@@ -167,6 +169,8 @@ class _KrlStatements:
         if why := _no_joint_target(aggregate, fields, wanted):
             if why != OTHER:
                 self.left.append((name, number, reason or why))
+            elif variable and set(fields) >= FRAME:
+                self.frames.append((variable, name, number))
             return
         found = [fields[key] for key in wanted]
         if not all(text and text[0] != "'" for _, text in found):
@@ -209,6 +213,10 @@ def read(text: str, n: int, programs: Iterable[str] = ()) -> RobotProgram:
             left.append((point.name, point.line, reason))
         else:
             points.append(point)
+    for variable, name, number in found.frames:
+        uses = found.uses[variable]
+        if uses.relative or uses.absolute:
+            left.append((name, number, uses.reason(variable) if uses.relative else POSE_REASON))
     left += _elsewhere(found)
     notes = (
         ("no program (.src) stands beside this data list: its points are known by their names, X and the name of the point",)

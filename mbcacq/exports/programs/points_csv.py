@@ -61,7 +61,7 @@ def read_points(path: Path, n: int) -> PointTable:
     q = np.full((len(table), n), np.nan)
     if has_joints:
         q = table.numbers([column.name for column in joints])
-        refuse_radians(table, np.degrees(q))
+        refuse_radians(table, np.degrees(q), named=True)
     goals = None
     if has_pose:
         goals = np.array([se3.from_abc(row[:3], row[3:]) for row in table.numbers([column.name for column in POSE])])

@@ -166,10 +166,7 @@ class KinematicTree:
     def _jaw(self, end: str) -> list[str]:
         """A sentence about a last joint that may well be a gripper whose names do not say so."""
         turning = [j for j in self.chain(end) if j.kind in TURNING]
-        if len(turning) <= ARM_BEFORE_FINGERS or (last := turning[-1]).kind != "revolute":
-            return []
-        span, rest = last.upper - last.lower, min(abs(last.upper), abs(last.lower))
-        if not (0 < span < LIKE_A_JAW[0] and rest < LIKE_A_JAW[1]):
+        if len(turning) <= ARM_BEFORE_FINGERS or not _opens_as_jaws(last := turning[-1]):
             return []
         return [f"the last joint '{last.name}' opens to one side only, as jaws of a gripper do; if it is one, say --flange {last.parent}"]
 
@@ -243,9 +240,17 @@ class KinematicTree:
         """Names of the joints of grippers and of all behind them; none where nothing else moves."""
         moving = [j for j in self.above.values() if j.kind != "fixed"]
         named = {j.name for j in moving if _like_a_gripper(j)}
+        named |= {j.name for j in moving if self._jaw_of_gripper(j)}
         first = [j for j in moving if j.name in named or j.name in self._fingers(j) or self._beside_one(j, named)]
         found = {behind.name for joint in first for behind in self._all_behind(joint)}
         return found if sum(j.kind in TURNING and j.name not in found for j in moving) >= 2 else set()
+
+    def _jaw_of_gripper(self, joint: TreeJoint) -> bool:
+        """Whether the last joint of an arm opens as jaws do, and what it moves is called a gripper."""
+        before = sum(j.kind in TURNING for j in self.chain(joint.parent))
+        if before < ARM_BEFORE_FINGERS or self._height[joint.child] or not _opens_as_jaws(joint):
+            return False
+        return any(_GRIPPER.search(link) for link in self._fixed_behind(joint.child))
 
     def _beside_one(self, joint: TreeJoint, grippers: set[str]) -> bool:
         """Whether a joint branches off where the joints of a gripper do, as the thumb of a hand."""
@@ -281,6 +286,12 @@ def _like_a_gripper(joint: TreeJoint) -> bool:
     if _FINGER.search(joint.name) or _FINGER.search(joint.child):
         return True
     return _GRIPPER.search(joint.name) is not None and _WRIST.search(joint.name) is None
+
+
+def _opens_as_jaws(joint: TreeJoint) -> bool:
+    """Whether a joint turns from nearly zero to one side only."""
+    span, rest = joint.upper - joint.lower, min(abs(joint.upper), abs(joint.lower))
+    return joint.kind == "revolute" and bool(0 < span < LIKE_A_JAW[0] and rest < LIKE_A_JAW[1])
 
 
 def _called(link: str, name: str) -> bool:

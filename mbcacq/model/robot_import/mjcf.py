@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -111,7 +112,7 @@ def _compiled(path: Path) -> _Model:
     except (ValueError, OSError) as error:
         reason = str(error).splitlines()[0]
     try:
-        spec = mujoco.MjSpec.from_file(str(path.resolve()))
+        spec = _spec(mujoco, path.resolve())
         bare = frozenset(number for number, body in enumerate(spec.bodies) if not body.geoms)
         massless = _without_shapes(mujoco, spec)
         model = spec.compile()
@@ -122,6 +123,13 @@ def _compiled(path: Path) -> _Model:
     if massless:
         about += f", so that the masses of {', '.join(sorted(massless))} are unknown"
     return _Model(mujoco, model, bare, frozenset(model.body(name).id for name in massless), (about,))
+
+
+def _spec(mujoco: Any, path: Path) -> Any:
+    """The specification in a file, which MuJoCo reads as one under the ending .xml only, and as an included file under any."""
+    if path.suffix.lower() == ".xml":
+        return mujoco.MjSpec.from_file(str(path))
+    return mujoco.MjSpec.from_string(f"<mujoco><include file={quoteattr(str(path))}/></mujoco>")
 
 
 def _without_shapes(mujoco: Any, spec: Any) -> set[str]:

@@ -13,7 +13,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.robot_import.kinematic_tree import TURNING, KinematicTree, TreeJoint
 from mbcacq.model.robot_import.source import ArmSource
-from mbcacq.model.robot_import.xacro_file import expanded, macros
+from mbcacq.model.robot_import.xacro_file import BEFORE_2014, STATEMENTS, expanded, macros
 from mbcacq.model.xml_file import XmlFile
 
 WITHOUT_LIMITS = 1e3  # rad: limits beyond say that there are none
@@ -79,9 +79,9 @@ def _root(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]
         raise ConfigError(f"{path}: begins with <{root.tag}>, not with <robot> as a URDF does; give a .urdf, .xacro or MJCF file")
     if root.find("link") is None and (defined := macros(data)):
         raise ConfigError(f"{path}: defines macros only ({', '.join(defined)}); import the file that calls them")
-    for old in ("include", "macro", "property"):
+    for old in STATEMENTS:
         if root.find(old) is not None:
-            raise ConfigError(f"{path}: has <{old}> without 'xacro:', as xacro wrote it before 2014; put xacro: before these names")
+            raise ConfigError(f"{path}: has <{old}> without 'xacro:', {BEFORE_2014}")
     return root
 
 

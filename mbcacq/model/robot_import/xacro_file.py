@@ -21,6 +21,8 @@ PACKAGE, MOST_BYTES = "package.xml", 1 << 20
 MOST_FOLDERS, DEEPEST = 4000, 3  # looked through for packages beside one that is found, a repository of a maker has a few hundred
 NEAR, SHORTEST_NAME = 5, 5  # folders above the file; letters of the name of one that is taken for a package with a longer name
 _MACRO = re.compile(rb"""<xacro:macro\s[^>]*?\bname\s*=\s*["']([^"']+)""")
+STATEMENTS = ("include", "macro", "property")
+BEFORE_2014 = "as xacro wrote it before 2014; put xacro: before these names"
 _OURS = "mbcacq: "  # before sentences of ours that pass through xacro
 
 
@@ -45,6 +47,14 @@ def expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, s
         raise ConfigError(f"{path}: {_reason(error, xacro, path)}") from None
 
 
+def _unprefixed(path: Path) -> str:
+    """The first statement of xacro that a file writes without the prefix, '' where there is none."""
+    with contextlib.suppress(OSError, SyntaxError, ValueError):  # ParseError is a SyntaxError, what defusedxml refuses a ValueError
+        root = ElementTree.fromstring(path.read_bytes())
+        return next((name for name in STATEMENTS if root.find(name) is not None), "")
+    return ""
+
+
 def macros(data: bytes) -> list[str]:
     """Names of the macros that a file defines."""
     return [name.decode("utf-8", "replace") for name in _MACRO.findall(data)]
@@ -53,12 +63,15 @@ def macros(data: bytes) -> list[str]:
 def _reason(error: Exception, xacro: Any, path: Path) -> str:
     said = str(error)
     if _OURS in said:
-        return said.split(_OURS, 1)[1].splitlines()[0]
+        return said.split(_OURS)[1].splitlines()[0].strip()
     name = str(error.args[0]) if error.args else ""
     if type(error).__name__ == "ArgException" or (undefined := re.search(r"Undefined substitution argument (\S+)", said)):
         name = name if type(error).__name__ == "ArgException" else undefined[1]  # type: ignore[possibly-unbound]
         return f"xacro needs an argument '{name}'; give it by --arg {name}=VALUE"
     where = [f for f in xacro.filestack or () if f and Path(f).resolve() != path.resolve()]
+    for file in (path, *(Path(path.parent, f) for f in getattr(xacro, "all_includes", ()))):
+        if old := _unprefixed(file):
+            return f"has <{old}> without 'xacro:'{'' if file is path else f' (in {file})'}, {BEFORE_2014}"
     return f"xacro cannot expand it{f' (in {where[-1]})' if where else ''}: {said.splitlines()[0] if said else type(error).__name__}"
 
 

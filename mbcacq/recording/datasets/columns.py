@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.errors import ConfigError
+from mbcacq.files.stated_unit import stated_unit
 from mbcacq.files.table import Table
-from mbcacq.files.units import unit_named
 from mbcacq.model.cell import Cell
 from mbcacq.recording.datasets.csv_columns import XYZ, numbered
 from mbcacq.recording.datasets.pose_columns import (
@@ -28,7 +28,6 @@ from mbcacq.recording.datasets.yaml_text import load_yaml
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
 _JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
 _WORD = re.compile(r"[$A-Za-z]+\d*|\d+")
-_UNITS = re.compile(r"\bunits?\b\W*(?:of length\W*|length\W*)?([A-Za-zµμ]+)", re.IGNORECASE)
 # Words that traces and scopes write before the axis: $AXIS_ACT.A1, "Actual position A1", ActPos_J1, Istposition Achse 1.
 _MEASURED = r"(?:\$?axis_act|actual(?:_position|_angle)?|act_?(?:pos(?:ition)?)?|measured(?:_position)?|ist_?position|position)_"
 RTDE_JOINT = "actual_q"
@@ -128,14 +127,10 @@ def names_poses(headings: Sequence[str]) -> bool:
 
 def unit_above(table: Table) -> str | None:
     """The unit of length that lines above the headings state (``Units: mm``), None without any. Raises ConfigError for an unknown one."""
-    found = _UNITS.search(" ".join(table.preamble))
-    if found is None:
-        return None
-    unit = unit_named(found[1])
-    unit = unit if unit in LENGTHS else unit_named(found[1].lower().rstrip("s"))  # Millimeters, Inches
-    if unit not in LENGTHS:
-        raise ConfigError(f"{table.path}: the unit '{found[1]}' above the headings is no length that is known; give mm, cm, m, um or inch")
-    return unit
+    unit = stated_unit("\n".join(table.preamble), str(table.path))
+    if unit and unit not in LENGTHS:
+        raise ConfigError(f"{table.path}: the unit '{unit}' above the headings is none that is read; give mm, cm, m, um or inch")
+    return unit or None
 
 
 def joints_among(headings: Sequence[str]) -> list[str]:

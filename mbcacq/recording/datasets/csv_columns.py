@@ -77,14 +77,20 @@ def trajectory_schema(n: int) -> TableSchema:
     )
 
 
-def refuse_radians(table: Table, q: np.ndarray) -> None:
-    """Raises ConfigError for joint angles q (rows, n) deg within 2 pi whose headings name no unit: radians, or an arm that hardly moves."""
+def refuse_radians(table: Table, q: np.ndarray, *, named: bool = False) -> None:
+    """Raises ConfigError for joint angles q (rows, n) deg within 2 pi whose headings name no unit: radians, or an arm that hardly moves.
+
+    named: also where the headings say that they are in deg.
+    """
     uneven = np.abs(2 * q - np.round(2 * q)) > 1e-6
-    silent = not any(table.names_unit(f"q{i + 1}") for i in range(q.shape[1]))
-    if silent and np.abs(q).max(initial=0.0) <= 2 * np.pi and np.count_nonzero(uneven) >= 2:
+    if np.abs(q).max(initial=0.0) > 2 * np.pi or np.count_nonzero(uneven) < 2:
+        return
+    if not any(table.names_unit(f"q{i + 1}") for i in range(q.shape[1])):
         raise ConfigError(
             f"{table.path}: all joint angles are within 2 pi and {table.heading('q1')} says no unit; name the columns q1_rad.. or q1_deg.."
         )
+    if named and table.found["q1"].unit == "deg":
+        raise ConfigError(f"{table.path}: all joint angles are within 2 pi, which looks like radians; name the columns q1_rad..")
 
 
 def rotations(table: Table) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.files.atomic_write import write_file
+from mbcacq.files.stated_unit import in_words
 from mbcacq.model.cell import Artefact, Cell
 
 TRIED = 5  # clouds without a ball that are looked at in other units
@@ -65,7 +66,7 @@ def _refuse_other_unit(path: Path, artefact: Artefact) -> None:
         except DeviceFault:
             seen = 0
         if seen:
-            named = "inches" if unit == "in" else unit
+            named = in_words(unit)
             raise ConfigError(f"{path}: shows no ball read in mm and {seen} read in {named}; convert the clouds from {named} to mm")
 
 

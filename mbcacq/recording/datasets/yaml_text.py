@@ -91,7 +91,8 @@ def validate(model: type[Spec], data: dict[str, Any], node: yaml.Node, name: str
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         more = f" ({error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise ConfigError(f"{name}:{line_of(node, first['loc'])}: {place}: {first['msg']}{more}; correct it") from None
+        said = f"'{place}' is missing{more}; add it" if first["type"] == "missing" else f"{place}: {first['msg']}{more}; correct it"
+        raise ConfigError(f"{name}:{line_of(node, first['loc'])}: {said}") from None
 
 
 def known_only(kind: Any, data: Any) -> Any:

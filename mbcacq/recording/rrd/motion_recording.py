@@ -13,6 +13,7 @@ import rerun.blueprint as rrb
 from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import replacing
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
+from mbcacq.quantities import symbol
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.blueprint import curves_over_time
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
@@ -83,7 +84,7 @@ def motion_tabs(motion: MotionDrawn, name: str = "Diagnosis") -> list[rrb.Contai
     text = rrb.TextDocumentView(name="Verdict", origin=layout.MOTION_TEXT)
     left = [
         curves_over_time(
-            f"{titles[kind]}, {series.of(kind)[0].unit}: residuals before (orange), after (blue)",
+            f"{titles[kind]}, {symbol(series.of(kind)[0].unit)}: residuals before (orange), after (blue)",
             [f"{layout.MOTION_CHANNELS}/{n}/{c}/{at}/residual/**" for n, c, at in entities if c == kind],
         )
         for kind in series.kinds()
@@ -93,7 +94,7 @@ def motion_tabs(motion: MotionDrawn, name: str = "Diagnosis") -> list[rrb.Contai
         for kind in series.kinds():
             which = f", recording {number + 1}" if len(series.recordings) > 1 else ""
             joints = [at for n, c, at in entities if (n, c) == (number, kind)]
-            views = [_joint(f"{layout.MOTION_CHANNELS}/{number}/{kind}/{at}", at, series.of(kind)[0].unit) for at in joints]
+            views = [_joint(f"{layout.MOTION_CHANNELS}/{number}/{kind}/{at}", at, symbol(series.of(kind)[0].unit)) for at in joints]
             out.append(rrb.Grid(*views, grid_columns=min(len(views), 3), name=drawable(f"{titles[kind]}{which}")))
     return out
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import RecordingError
 from mbcacq.estimation.forward_model import CellState, predict, residual
 from mbcacq.files.atomic_write import publish
@@ -45,13 +46,18 @@ class Judgement:
 
 
 def log_result(
-    run: Path | str, observations: Observations, after: CellState, before: CellState | None = None, judgement: Judgement | None = None
+    run: Path | str,
+    observations: Observations,
+    after: CellState,
+    before: CellState | None = None,
+    judgement: Judgement | None = None,
+    effects: EffectModel | None = None,
 ) -> Path:
     """Write result.rrd into a run folder (replacing an older one); viewers show it together with the run.
 
     observations: those of the run, or any selection of them; poses of a station that the calibration did not determine (its
     T_base_station is the identity) are left out. after, before: the calibrated cell, and the cell to compare it with. judgement: of its
-    verification.
+    verification. effects: what the calibrated cell does beyond its geometry.
     Raises RecordingError where the run cannot be read or the file cannot be written.
     """
     run = Path(run)
@@ -62,7 +68,8 @@ def log_result(
     stream = new_stream(layout.APPLICATION, recording_id=recordings[0].recording_id, send_properties=False)
     try:
         states = {"before": before, "after": after} if before is not None else {"after": after}
-        errors = {name: residual(observations, predict(observations, state))[:, :3] for name, state in states.items()}
+        moved = {"after": effects.displacements(observations)} if effects else {}
+        errors = {name: residual(observations, predict(observations, state, moved.get(name)))[:, :3] for name, state in states.items()}
         known = ~np.all(after.T_base_station == np.eye(4), axis=(1, 2))
         shown = known[observations.station[observations.pose]]
         verified = judgement is not None and len(judgement.error) > 0

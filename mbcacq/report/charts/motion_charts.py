@@ -10,14 +10,12 @@ from mbcacq.model.channel_series import ChannelSeries
 from mbcacq.report.charts.diagnosis_charts import axis
 from mbcacq.report.charts.style import AFTER, BEFORE, styled
 
-MOST = 1250  # samples a line: two for each point of the widest screen that a figure has half of
 MEASURED = "#777777"
 
 
 def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> go.Figure:
     """Measured, model alone and with effects over time; below them the residuals, which have gaps where nothing is compared."""
-    keep = slice(None, None, -(-len(series.time_s) // MOST))
-    time = np.round(series.time_s[keep], 4)
+    time = np.round(series.time_s, 4)
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.55, 0.45])
     lines = (
         ("measured", series.measured, MEASURED, 3.2, "solid", 1),
@@ -29,7 +27,7 @@ def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> go.Fig
     for name, values, colour, width, dash, row in lines:
         figure.add_scatter(
             x=time,
-            y=_short(values[keep]),
+            y=_short(values),
             mode="lines",
             name=name,
             legendgroup=name,

@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.report.charts.spacing_svg import ticks
 from mbcacq.report.charts.style import AFTER, BEFORE
 
-WIDTH, LEFT, RIGHT, HEAD, FOOT, THICK = 620.0, 64.0, 62.0, 62.0, 44.0, 8.0
+WIDTH, LEFT, RIGHT, HEAD, FOOT, THICK = 620.0, 64.0, 62.0, 62.0, 44.0, 11.0
 COLOURS = (BEFORE, AFTER, "#009E73")  # Okabe and Ito's
 
 
@@ -39,7 +39,7 @@ def stages_picture(places: Sequence[str], stages: Mapping[str, np.ndarray], expe
         for k, errors in enumerate(size.values()):
             at, wide = y + THICK * k, max(errors[row] * unit, 1)
             out.append(f'<rect x="{LEFT:g}" y="{at:.1f}" width="{wide:.1f}" height="{THICK:g}" fill="{COLOURS[k]}"/>')
-            out.append(f'<text x="{LEFT + wide + 4:.1f}" y="{at + THICK - 0.5:.1f}" font-size="9" fill="#444">{errors[row]:.3f}</text>')
+            out.append(f'<text x="{LEFT + wide + 4:.1f}" y="{at + THICK - 2:.1f}" font-size="9.5" fill="#444">{errors[row]:.3f}</text>')
     for k, (name, errors) in enumerate(size.items()):
         x = LEFT + k * (WIDTH - LEFT) / 3
         out.append(

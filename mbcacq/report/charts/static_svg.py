@@ -10,6 +10,7 @@ import numpy as np
 
 PX_PER_INCH = 96.0  # of CSS
 LEGEND_PX = 105.0  # of a name in the legend
+TICK_PX = 55.0  # of a number on the horizontal axis
 MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "triangle-up": "^", "x": "X", "circle-x-open": "o"}
 DASHES = {"dash": "--", "dot": ":", "dashdot": "-."}
 
@@ -32,6 +33,7 @@ def static_svg(figure: Any, width_px: float, scale: float = 1.0) -> str:
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
+    from matplotlib.ticker import AutoLocator
 
     height = scale * float(figure.layout.height or 300)
     drawing = Figure(figsize=(width_px / PX_PER_INCH, height / PX_PER_INCH), layout="constrained")
@@ -40,17 +42,22 @@ def static_svg(figure: Any, width_px: float, scale: float = 1.0) -> str:
     bars = [trace for trace in figure.data if trace.type == "bar"]
     for number, trace in enumerate(figure.data):
         DRAW[trace.type](axes, trace, _Place(categories, bars, figure.layout.barmode or "group", number))
+    categories.upright = any(bar.orientation == "h" for bar in bars)
     _finish(axes, figure.layout, categories, max(int(width_px / LEGEND_PX), 1))
+    if isinstance(axes.xaxis.get_major_locator(), AutoLocator):
+        axes.locator_params(axis="x", nbins=max(int(width_px / TICK_PX), 3))
     out = io.StringIO()
     FigureCanvasSVG(drawing).print_svg(out, metadata={"Date": None})
     return out.getvalue()
 
 
 class _Categories:
-    """Names on the horizontal axis, numbered in the order of their first use; numbers stay numbers."""
+    """Names on the horizontal axis, numbered in the order of their first use; numbers stay numbers. upright: they are on the vertical
+    one."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
+        self.upright = False
 
     def numbers(self, values: Any, category: bool = False) -> np.ndarray:
         values = np.atleast_1d(np.asarray(values))
@@ -130,6 +137,8 @@ def _heatmap(axes: Any, trace: Any, place: _Place) -> None:
     bar.outline.set_visible(False)
     bar.ax.set_title(trace.colorbar.title.text or "", fontsize=7)
     bar.ax.tick_params(labelsize=7)
+    if trace.colorbar.tickvals is not None:
+        bar.set_ticks(list(trace.colorbar.tickvals), labels=[_plain(str(t)) for t in trace.colorbar.ticktext])
 
 
 def _histogram(axes: Any, trace: Any, place: _Place) -> None:
@@ -171,7 +180,9 @@ def _finish(axes: Any, layout: Any, categories: _Categories, most: int) -> None:
         axes.grid(axis="y", color="#e6e6e6", linewidth=0.6)
     for name, axis in (("x", layout.xaxis), ("y", layout.yaxis)):
         _axis(axes, name, axis)
-    if categories.names and layout.xaxis.type != "linear":
+    if categories.upright:
+        axes.set_yticks(range(len(categories.names)), categories.names)
+    elif categories.names and layout.xaxis.type != "linear":
         axes.set_xticks(range(len(categories.names)), categories.names)
     if layout.yaxis.scaleanchor:
         axes.set_aspect("equal", adjustable="datalim")

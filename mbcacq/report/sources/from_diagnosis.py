@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.output.noise_floor import NoiseFloor, components, is_trend_in_json
+from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
+from mbcacq.effects.trend import components, is_trend_in_json
 from mbcacq.quantities import K, micrometres, p_value, pair, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable

@@ -8,26 +8,72 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.diagnosis.motion.combine import agreement, contradictions, in_both, together, verdict_of_both
 from mbcacq.diagnosis.motion.result import CheckedChannel, MotionDiagnosis, MotionEffect, MotionMismatch, UnmodelledMotionEffect
 from mbcacq.diagnosis.motion.text import CHANNELS, size_of_shape, verdict_sentence
 from mbcacq.diagnosis.output.pictures import axis_of
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
+from mbcacq.model.json_text import plain
 from mbcacq.quantities import significant, split_unit, symbol
 from mbcacq.report.content import EffectContent, MotionChannel, MotionContent, MotionKind
 from mbcacq.report.sources.from_diagnosis import VERDICTS, effect_content, share
 from mbcacq.report.verdict import readable
 
 STRETCH_S = 20.0  # of a recording that is drawn: longer, and a reversal of an axis is narrower than a line
+MOST = 1250  # samples a line: two for each point of the widest screen that a figure has half of
 AXES = {"tau": "torque", "q_joint": "joint side − motor side", "q_set": "actual − set point"}
 NAMES = {"tau": "the torque", "q_joint": "the joint-side angle", "q_set": "the set point"}
 LEAST_SHARE = 0.005  # of the excess over noise; the dependences below it are counted, not listed
 REFUSED = "no model is kept: on held-out data it leaves {}"
+OTHER_SET = (
+    "the fit leaves more than held-out data do, for these are two sets of effects. Each held-out part is predicted by what is selected on "
+    "the others, which there has an effect more; selected on all data are the effects below, and what is unmodelled or not separable from "
+    "another stays in the fit"
+)
+MORE = 1.25  # of the held-out rms, from which that of the fit is another set's: with one set it is the smaller of both
 
 
-def motion_content(found: MotionDiagnosis) -> MotionContent:
-    """Content of a diagnosis of motion. Raises ConfigError where it was read from JSON, and has no channels to draw."""
-    diagnosis, series = found.to_json(), found.series
+def motion_content(found: MotionDiagnosis, poses: Mapping[str, Any] | None = None) -> MotionContent:
+    """Content of a diagnosis of motion. poses: the diagnosis of the poses of the same run, as JSON. Raises ConfigError where the motion was
+    read from JSON, and has no channels to draw."""
+    return _content(found, found.series, poses)
+
+
+def kept_motion_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> MotionContent | None:
+    """Content of the motion in a kept diagnosis of a run, None where it has none; with the channels of ``motion_pictures``, where they are
+    there and undamaged. Raises ConfigError where the diagnosis is damaged."""
+    if not diagnosis.get("motion"):
+        return None
+    try:
+        series = _read_series((pictures or {})["motion"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        series = MotionSeries("", (), ())
+    return _content(MotionDiagnosis.from_json(diagnosis["motion"]), series, diagnosis)
+
+
+def motion_pictures(found: MotionDiagnosis) -> dict[str, Any]:
+    """The stretch of each channel that is drawn, as JSON."""
+    drawn = (one for kind in found.series.kinds() for one in _stretch(found.series, kind))
+    return plain(replace(found.series, channels=tuple(drawn)))
+
+
+def _read_series(content: Mapping[str, Any]) -> MotionSeries:
+    """What ``motion_pictures`` wrote. Raises KeyError, TypeError, ValueError, AttributeError where it is damaged."""
+    channels = []
+    for one in content["channels"]:
+        arrays = {name: np.array(one[name], dtype=float) for name in ("time_s", "measured", "before", "after")}
+        if len(arrays["time_s"]) < 2 or any(a.shape != arrays["time_s"].shape for a in arrays.values()):
+            raise ValueError("the arrays of a channel differ in length")
+        channels.append(ChannelSeries(**{**one, **arrays}))
+    recordings = tuple(map(str, content["recordings"]))
+    if not all(0 <= one.recording < len(recordings) for one in channels):
+        raise ValueError("a channel is of no recording")
+    return MotionSeries(str(content["robot"]), recordings, tuple(channels))
+
+
+def _content(found: MotionDiagnosis, series: MotionSeries, poses: Mapping[str, Any] | None) -> MotionContent:
+    diagnosis = found.to_json()
     level, headline, _ = VERDICTS.get(diagnosis["verdict"], ("none", readable(diagnosis["verdict"]), ""))
     channels = diagnosis["fit"]["channels"]
     kinds = [
@@ -46,7 +92,9 @@ def motion_content(found: MotionDiagnosis) -> MotionContent:
         reason=_sentence(verdict_sentence(diagnosis["verdict"]).removeprefix(f"{headline}: ")),
         split=diagnosis["fit"]["held_out"]["split"],
         recordings=[name or "the recording" for name in series.recordings],
-        effects=[_effect(e, content) for e, content in zip(found.effects, diagnosis["effects"], strict=True)],
+        effects=sorted(
+            (_effect(e, content) for e, content in zip(found.effects, diagnosis["effects"], strict=True)), key=lambda e: e.trend
+        ),
         mismatch=[
             (NAMES.get(m.at, m.at), CHANNELS[m.channel], _covariate(m.depends_on), share(m.share)) for m in found.mismatch if _listed(m)
         ],
@@ -54,7 +102,16 @@ def motion_content(found: MotionDiagnosis) -> MotionContent:
         kinds=kinds,
         checks=[(one.recording or "the other recording", [_checked(c) for c in one.channels]) for one in found.checks],
         remarks=_remarks(diagnosis),
+        contradictions=[] if poses is None else contradictions(agreement(poses, found)),
+        both=[] if poses is None else _as_one_problem(poses, found),
     )
+
+
+def _as_one_problem(poses: Mapping[str, Any], found: MotionDiagnosis) -> list[tuple[str, list[str]]]:
+    """The verdict on the run, and what poses and motion say together."""
+    verdict = verdict_of_both(poses, found, together(poses, found))
+    _, headline, _ = VERDICTS.get(verdict, ("none", readable(verdict), ""))
+    return [("Verdict on poses and motion as one problem", [f"{headline}."]), *in_both(poses, found)]
 
 
 def _effect(effect: MotionEffect | UnmodelledMotionEffect, content: Mapping[str, Any]) -> EffectContent:
@@ -84,8 +141,14 @@ def _channel(channel: Mapping[str, Any]) -> MotionChannel:
         held_out=held_out,
         chi2=held_out_chi2,
         fitted=fitted,
-        remark="" if refused is None else REFUSED.format(f"{significant(refused)} {unit}"),
+        remark=REFUSED.format(f"{significant(refused)} {unit}") if refused is not None else OTHER_SET if _of_another_set(channel) else "",
     )
+
+
+def _of_another_set(channel: Mapping[str, Any]) -> bool:
+    """Whether the fit to all data leaves so much more than the held-out data that these were predicted by other effects."""
+    fitted, held_out = channel["train"]["after_rms"], channel["held_out"]["after_rms"]
+    return fitted is not None and held_out is not None and fitted > MORE * held_out
 
 
 def _before_after(error: Mapping[str, Any]) -> tuple[tuple[str, str], tuple[str, str]]:
@@ -113,11 +176,14 @@ def _sentence(text: str) -> str:
 
 
 def _stretch(series: MotionSeries, kind: str) -> list[ChannelSeries]:
-    """The same stretch of each joint: of all, that with the largest difference between model and data before the effects."""
+    """The same stretch of each joint: of all, that with the largest difference between model and data before the effects; in as many
+    samples as a line shows. Nothing where the series has no such channel."""
     by_joint: dict[str, list[ChannelSeries]] = {}
     for one in series.of(kind):
         by_joint.setdefault(one.at, []).append(one)
     joints = list(by_joint.values())
+    if not joints:
+        return []
     best, largest = (0, slice(0, 0)), -1.0
     for number in range(len(joints[0])):
         time = joints[0][number].time_s
@@ -131,6 +197,6 @@ def _stretch(series: MotionSeries, kind: str) -> list[ChannelSeries]:
         sums = running[length:] - running[:-length]
         start = int(np.argmax(sums))
         if sums[start] > largest:
-            best, largest = (number, slice(start, start + length)), float(sums[start])
+            best, largest = (number, slice(start, start + length, -(-length // MOST))), float(sums[start])
     number, part = best
     return [of_joint[number].part(part) for of_joint in joints]

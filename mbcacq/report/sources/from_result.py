@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from datetime import datetime
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,11 @@ from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, symbol, uncertainty
+from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
+from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
+from mbcacq.report.sources.from_motion import kept_motion_content
 from mbcacq.report.sources.run_folder import WITH_EFFECTS
 from mbcacq.report.verdict import (
     SUSPICIOUS,
@@ -83,6 +86,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
         diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
+        motion=None if diagnosis is None else kept_motion_content(diagnosis, run_info.get("pictures")),
         earlier=earlier,
         arm_improved=ArmImprovement.from_dict(geometry["arm_improved"]) if geometry.get("arm_improved") else None,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
@@ -90,7 +94,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         noise=_noise(result),
         observability=_observability(result),
         correlation=_correlation(result),
-        not_separable=[(" and ".join(c["parameters"]), float(c["correlation"])) for c in result.get("correlated", ())][:20],
+        not_separable=[(" and ".join(names_in_words(c["parameters"])), float(c["correlation"])) for c in result.get("correlated", ())][:20],
         warnings=_warnings(result, spacing),
         caveats=[sentence[0].upper() + sentence[1:] + "." for sentence in caveats(result)],
         versions=[*((str(k), str(v)) for k, v in (run_info.get("versions") or {}).items()), ("report written by", f"mbcacq {__version__}")],
@@ -226,11 +230,12 @@ def _fit(result: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
     out = []
-    for p in result["parameters"]:
+    # Left out are hundreds of coefficients of basis functions, none of which means anything by itself.
+    parameters = [p for p in result["parameters"] if not str(p["name"]).startswith("unknown:")]
+    words = names_in_words([str(p["name"]) for p in parameters])
+    for p, in_words in zip(parameters, words, strict=True):
         name = str(p["name"])
-        if name.startswith("unknown:"):
-            continue  # hundreds of coefficients of basis functions, none of which means anything by itself
-        unit, factor = ("°", 180 / np.pi) if p["unit"] == "rad" else (symbol(str(p["unit"])), 1.0)
+        unit, factor = _shown_unit(str(p["unit"]))
         rotation = re.fullmatch(r"hand_eye\.r[xyz]", name) is not None
         error, value = factor * float(p["error"]), factor * float(p["value"])
         group = next((title for prefix, title in GROUPS if name.startswith(prefix)), None)
@@ -243,7 +248,7 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
         out.append(
             ParameterRow(
                 group=group,
-                name=name.removeprefix("hand_eye."),
+                name=in_words.removeprefix("hand_eye."),
                 unit=unit,
                 nominal=nominal,
                 correction=error,
@@ -253,6 +258,14 @@ def _parameters(result: Mapping[str, Any]) -> list[ParameterRow]:
             )
         )
     return out
+
+
+def _shown_unit(unit: str) -> tuple[str, float]:
+    """Symbol of the unit in which a parameter of this one is shown, and how many of that it is."""
+    if unit == "rad":
+        return "°", 180 / np.pi
+    _, shown, factor = split_unit(f"_{unit.replace('/', '_per_')}")
+    return (shown, factor) if shown else (symbol(unit), 1.0)
 
 
 def _noise(result: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -277,15 +290,18 @@ def _observability(result: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _correlation(result: Mapping[str, Any]) -> tuple[list[str], np.ndarray] | None:
-    """Names and correlations of all free parameters but the balls, which are as certified but for their uncertainty."""
+    """Names and correlations of all free parameters but the balls, which are as certified but for their uncertainty. Coefficients of
+    effects are numbered in the order of their table, so that the names leave room for the picture."""
     names = list(result["names"])
     C = np.array(result["covariance"], dtype=float).reshape(len(names), len(names))
-    keep = [i for i, n in enumerate(names) if not n.startswith("ball_")]
+    keep = [i for i, n in enumerate(names) if not n.startswith(("ball_", "unknown:"))]
     if len(keep) < 2:
         return None
     C = C[np.ix_(keep, keep)]
     std = np.sqrt(np.diag(C))
-    return [names[i] for i in keep], C / np.maximum(np.outer(std, std), 1e-300)
+    number = count(1)
+    labels = [f"effect {next(number)}" if ":" in names[i] else names[i] for i in keep]
+    return labels, C / np.maximum(np.outer(std, std), 1e-300)
 
 
 def _warnings(result: Mapping[str, Any], spacing: Spacing | None) -> list[str]:

@@ -16,6 +16,7 @@ from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq_fakes.world.frame import ScannerFrame
 
 HOST = "127.0.0.1"
+WATCH_S = 0.002
 FAULTS = {
     "silent": "the trigger is not acknowledged",
     "refused": "the trigger is answered BUSY, and nothing is saved",
@@ -30,17 +31,18 @@ FAULTS = {
 
 
 class FakeScannerProgram:
-    """Context manager. source: a frame for an exposure; folder: where its clouds go."""
+    """Context manager. source: a frame for an exposure; folder: where its clouds go. rises: how often the output of a robot that triggers
+    it was switched on so far, or None."""
 
-    def __init__(self, source: Callable[[float], ScannerFrame], folder: Path) -> None:
-        self._source, self._folder = source, folder
+    def __init__(self, source: Callable[[float], ScannerFrame], folder: Path, rises: Callable[[], int] | None = None) -> None:
+        self._source, self._folder, self._rises = source, folder, rises
         self._active: dict[str, Any] = {}
         self.saved = 0
         self._server = socket.create_server((HOST, 0))
         self._server.settimeout(0.1)
         self.port = int(self._server.getsockname()[1])
         self._quit = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="fake-scanner-program", daemon=True)
+        self._thread = threading.Thread(target=self._serve if rises is None else self._watch, name="fake-scanner-program", daemon=True)
         self.faults = self
 
     def set(self, fault: str, value: Any = True, times: int | None = None) -> None:
@@ -69,6 +71,15 @@ class FakeScannerProgram:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.stop()
+
+    def _watch(self) -> None:
+        """A wire from the robot instead of the network."""
+        assert self._rises is not None
+        seen = self._rises()
+        while not self._quit.wait(WATCH_S):
+            if (now := self._rises()) != seen:
+                seen = now
+                self._save()
 
     def _serve(self) -> None:
         while not self._quit.is_set():

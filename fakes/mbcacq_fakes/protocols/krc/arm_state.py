@@ -29,7 +29,10 @@ MOST_AXES = 9  # that fit into a slot
 _COUNT = struct.Struct("<q")
 _AXES_AT = 8  # number of axes, behind the count
 _SLOT_AT = (64, 64 + 256)  # two slots on cache lines of their own; the one not being written is always whole
-_SIZE = 64 + 2 * 256
+_OUTPUTS_AT = 64 + 2 * 256  # a row an output that was ever switched: its number + 1, its value, how often it was switched on
+_OUTPUT = struct.Struct("<3q")
+_MOST_OUTPUTS = 16
+_SIZE = _OUTPUTS_AT + _MOST_OUTPUTS * _OUTPUT.size
 
 LINUX = Path("/dev/shm")  # where Linux has shared memory as files
 _NO_MEMORY = "the fake controller has no {} KiB of shared memory ({}); free some in /dev/shm, which must be writable"
@@ -105,6 +108,24 @@ class ArmState:
                 n = self.axes
                 q, qd, direction = v[1 : 1 + n], v[1 + n : 1 + 2 * n], v[1 + 2 * n : 1 + 3 * n]
                 return ArmReading(v[0], q, qd, direction, v[-3] != 0.0, int(v[-2]), FAULTS[int(v[-1])])
+
+    def switch(self, number: int, value: bool) -> None:
+        """The controller's digital output ``number`` changes to ``value`` (one writer only)."""
+        at = self._output_at(number)
+        _, _, rises = _OUTPUT.unpack_from(self._buffer, at)
+        _OUTPUT.pack_into(self._buffer, at, number + 1, value, rises + value)
+
+    def output(self, number: int) -> tuple[bool, int]:
+        """Whether the output is on, and how often it was switched on so far."""
+        _, value, rises = _OUTPUT.unpack_from(self._buffer, self._output_at(number))
+        return bool(value), rises
+
+    def _output_at(self, number: int) -> int:
+        """Where its row is, or the first free one."""
+        for at in range(_OUTPUTS_AT, _SIZE, _OUTPUT.size):
+            if _OUTPUT.unpack_from(self._buffer, at)[0] in (0, number + 1):
+                return at
+        raise ValueError(f"no more than {_MOST_OUTPUTS} outputs can be switched")
 
     def forget(self) -> None:
         """Take the block's name away once everybody has attached: it then ends with them, whatever kills them."""

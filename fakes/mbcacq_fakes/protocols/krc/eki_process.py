@@ -35,6 +35,8 @@ class EkiController:
     def __init__(self, settings: EkiSettings, state: ArmState | None = None) -> None:
         self.settings, self._state = settings, state
         self.system = System(settings)
+        if state is not None:
+            self.system.out.changed = state.switch
         self.outlet = Outlet(settings.faults)
         config = read_config(settings.channel)
         self.channel = EkiChannel(settings.program, config, settings.host, settings.port, self._set_flag, self.outlet.send)
@@ -110,6 +112,7 @@ class EkiController:
     def _apply_faults(self) -> None:
         active, system = self.outlet.active, self.system
         self.channel.refusing = bool(active["refuse"])
+        system.out.stuck = bool(active["stuck"])
         system.machine.ignore, system.machine.short_deg = bool(active["ignore"]), active["short_deg"]
         if active["override"]:
             system.ov_pro = int(active["override"])

@@ -22,6 +22,7 @@ FAULTS = (
     "split",  # telegrams leave byte by byte
     "merge",  # telegrams leave in one piece with the next two
     "ignore",  # moves are accepted and never begun
+    "stuck",  # outputs are not switched
     "short_deg",  # A1 stops so far before its target
     "program_stop",  # the operator stops the robot program
     "restart",  # the operator selects it and starts it again

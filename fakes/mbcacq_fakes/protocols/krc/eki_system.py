@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import radians
 from typing import Any
 
@@ -49,6 +49,22 @@ class _Holds(Cells):
         self._timers.hold(index, value)
 
 
+class Outputs(Cells):
+    """$OUT. changed: gets number and value of one that changes."""
+
+    def __init__(self) -> None:
+        super().__init__(4096, False)
+        self.changed: Callable[[int, bool], None] | None = None
+        self.stuck = False
+
+    def __setitem__(self, index: Any, value: Any) -> None:
+        if self.stuck or self[index] == value:
+            return
+        super().__setitem__(index, value)
+        if self.changed is not None:
+            self.changed(index, value)
+
+
 class System:
     """Attributes are system variables in lower case, without the $: what KRL asks for and is not here does not exist."""
 
@@ -56,7 +72,7 @@ class System:
 
     def __init__(self, settings: EkiSettings) -> None:
         self.rob_timer = settings.clock_ms
-        self.flag = Cells(1024, False)
+        self.flag, self.out = Cells(1024, False), Outputs()
         self.timer = _Timers(self)
         self.timer_stop = _Holds(self.timer)
         self.robtrafo, self.v_r1mada = settings.model, settings.machine_data

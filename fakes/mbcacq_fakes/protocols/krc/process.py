@@ -18,7 +18,7 @@ from mbcacq_fakes.dynamics.ideal_arm import IdealArm, Kinematics
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import Control
 from mbcacq_fakes.protocols.krc.encoders import Encoders
-from mbcacq_fakes.protocols.krc.session import OPERATOR, FakeRsiSession
+from mbcacq_fakes.protocols.krc.session import OPERATOR, PC_STOP, FakeRsiSession
 from mbcacq_fakes.protocols.krc.settings import COUNTED, JUMP_DEG, KrcSettings
 from mbcacq_fakes.protocols.krc.wire import RobTemplate, RsiAnswer, SenReader
 
@@ -55,6 +55,7 @@ class RsiController:
         self._body: tuple[object, str] = (None, "")
         self._pose: tuple[list[float], Sequence[float]] = ([], ())
         self._sources = self._element_sources()
+        self._outputs = dict.fromkeys(settings.digital_outputs, False)  # $OUT
         self._begin_session()
 
     def cycle(self) -> None:
@@ -70,6 +71,7 @@ class RsiController:
         if self._control.led_seq and session.start != (led := self._control.led()):
             session.lead(led)
             self._planned_pose = self._kinematics.pose(session.start)
+        self._switch()
         moved = arm.step(session.set_point)
         if moved or not self._cycles % 25 or session.ended is not None:
             self._publish()
@@ -80,6 +82,16 @@ class RsiController:
         else:
             self._fault_code = 0
             self._exchange(moved)
+
+    def _switch(self) -> None:
+        """Carry out what the last answer says of the outputs; a session that ends, but for Stop, leaves them as they are until the program
+        begins again."""
+        if not self._outputs or self._faults["stuck"] or self._session.ended not in (None, PC_STOP) or time.monotonic() < self._down_until:
+            return
+        for number, value in self._session.outputs.items():
+            if self._outputs[number] != value:
+                self._outputs[number] = value
+                self._state.switch(number, value)
 
     # one exchange
 
@@ -157,7 +169,7 @@ class RsiController:
             return f'<Rob Type="KUKA"><AIPos A1="1.0" A2=<IPOC>{ipoc}</IPOC></Rob>'.encode()
         if self._counted("no_aipos"):
             return f'<Rob Type="KUKA"><Delay D="{self._session.delay}"/><IPOC>{ipoc}</IPOC></Rob>'.encode()
-        key = (self._session.delay, self._session.start, self._fault_seq)
+        key = (self._session.delay, self._session.start, self._fault_seq, *self._outputs.values())
         if moved or self._encoders.noisy or self._body[0] != key:
             self._body = (key, self._template.body([v for e in self._template.elements for v in self._values(e)]))
         if self._counted("jump"):
@@ -183,6 +195,7 @@ class RsiController:
             "AJPos": lambda: getattr(arm, "joint_deg", arm.q),
             "EIPos": lambda: self._settings.external_deg,
             "Delay": lambda: (self._session.delay,),
+            "Digout": lambda: tuple(self._outputs.values()),
         }
 
     def _actual_pose(self) -> Sequence[float]:
@@ -230,7 +243,9 @@ class RsiController:
             self._control.set_faults({name: 0.0})
         self._fault_seq = self._control.fault_seq
         quirks = {name: self._faults[name] != 0.0 for name in ("upper_type", "swap")}
-        self._template = RobTemplate(self._settings.elements, self._settings.precision, int(self._faults["spaced"]), **quirks)
+        self._template = RobTemplate(
+            self._settings.elements, self._settings.precision, int(self._faults["spaced"]), outputs=self._settings.digital_outputs, **quirks
+        )
 
     def _counted(self, name: str) -> bool:
         if not self._left or not self._left.get(name) or not self._session.active:

@@ -24,6 +24,7 @@ class FakeRsiSession:
         self.active = False  # an operator waits: nothing is counted before the first valid answer
         self.delay = 0
         self.ended: int | None = None
+        self.outputs = dict.fromkeys(settings.digital_outputs, False)  # the program begins with all of them off
         self._largest_step = [v * settings.overspeed * settings.cycle_ms * 1e-3 + 1e-6 for v in settings.speed_deg_s]
         fastest = settings.acceleration_deg_s2
         self._largest_change = (
@@ -37,6 +38,7 @@ class FakeRsiSession:
         if answer is None or answer.ipoc != str(ipoc) or answer.sen_type != self._settings.sen_type:
             return False
         self.active = True
+        self.outputs = {number: answer.outputs.get(number, False) for number in self.outputs}  # HOLDON="0"
         if self._settings.counting == "consecutive":
             self.delay = 0
         if answer.stop:
@@ -53,6 +55,7 @@ class FakeRsiSession:
         if not (self.active or rejected):
             return
         self._asked = ()
+        self.outputs = dict.fromkeys(self.outputs, False)
         self.delay += 1
         if not self._settings.hold_on:
             self._correction = (0.0,) * 6

@@ -28,6 +28,7 @@ FAULTS = (
     "jump",  # that many telegrams show A1 30 deg from where it is
     "clamp_deg",  # AXISCORR limits the correction to this, silently
     "ignore",  # corrections are accepted and not carried out
+    "stuck",  # outputs are not switched
     "stop",  # the operator stops the program
     "swap",  # the elements come in reverse order
     "spaced",  # 1: CR LF between elements, blanks before />; 2: line feeds only; 3: blanks wherever XML allows them
@@ -46,7 +47,8 @@ class KrcSettings:
     limits_deg (6, 2); clamp_deg, monitor_deg: AXISCORR and AXISCORRMON limits, None for the full range. external_deg: what EIPos shows.
     empty_first: so many nearly empty telegrams begin a session, as with RSI 2.
     timeout: late packets that end the session; counting: 'total' or 'consecutive'. dh: rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
-    beta_deg) from which RIst is computed, or none. layout: a name of PROFILES or the elements themselves.
+    beta_deg) from which RIst is computed, or none. digital_outputs: numbers n of $OUT[n] that the files on it switch by DiO and report as
+    Digout; files of before have none. layout: a name of PROFILES or the elements themselves.
     moving: the bodies and drives behind the axes (``mbcacq_fakes.dynamics.online.description``), or None for an arm without masses.
     lag_s: first-order lag of the arm behind a dead time of two cycles. encoder_noise_deg, encoder_step_deg: how far AIPos scatters about
     where the arm is, in any cycle, and in which steps it is read; zero for none. rearm_s: pause before telegrams are offered again after
@@ -75,6 +77,7 @@ class KrcSettings:
     monitor_deg: float | None = None
     precision: int = 6
     empty_first: int = 0
+    digital_outputs: tuple[int, ...] = ()
     layout: str | tuple[str, ...] = "mbcacq"
     dh: tuple[tuple[float, ...], ...] = ()
     moving: dict[str, Any] | None = None

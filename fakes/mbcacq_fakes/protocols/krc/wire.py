@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
@@ -26,15 +26,25 @@ _SPACING = (("", "/>", "="), ("\r\n", " />", "="), ("\n", "/>", "="), ("  ", "  
 
 
 class RobTemplate:
-    """Formats ``<Rob>``: values of each element in the order given, Delay as an integer, IPOC last."""
+    """Formats ``<Rob>``: values of each element in the order given, Delay and outputs as integers, IPOC last."""
 
-    def __init__(self, elements: Sequence[str], precision: int, spaced: int = 0, upper_type: bool = False, swap: bool = False) -> None:
-        self.elements = tuple(e for e in elements if e != "IPOC")
+    def __init__(
+        self,
+        elements: Sequence[str],
+        precision: int,
+        spaced: int = 0,
+        upper_type: bool = False,
+        swap: bool = False,
+        outputs: Sequence[int] = (),
+    ) -> None:
+        self.elements = tuple(e for e in elements if e != "IPOC") + (("Digout",) if outputs else ())
         number, (gap, end, equals) = f"%.{precision}f", _SPACING[spaced]
         parts = []
         for element in self.elements:
             if element == "Delay":
                 parts.append(f'<Delay D{equals}"%d"{end}')
+            elif element == "Digout":
+                parts.append("<Digout " + " ".join(f'o{n}{equals}"%d"' for n in outputs) + end)
             else:
                 parts.append(f"<{element} " + " ".join(f'{a}{equals}"{number}"' for a in _ATTRIBUTES[element]) + end)
         if swap:
@@ -57,6 +67,7 @@ class RsiAnswer:
     sen_type: str
     correction: dict[str, float]
     stop: bool
+    outputs: dict[int, bool] = field(default_factory=dict)  # those that it names
 
 
 class SenReader:
@@ -67,6 +78,7 @@ class SenReader:
         self._ipoc = re.compile(rb"<IPOC\s*>\s*(-?\d{1,20})\s*</IPOC\s*>")
         self._correction = re.compile(rb"<" + correction.encode() + rb"\s([^<>]*?)/?>")
         self._axis = re.compile(rb"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
+        self._switch, self._output = re.compile(rb"<DiO\s([^<>]*?)/?>"), re.compile(rb"\bo(\d{1,4})\s*=\s*[\"']([01])[\"']")
         self._stop = re.compile(b"<" + stop_element.encode() + rb"\s*>\s*(\d+)\s*</") if stop_element else None
 
     def read(self, data: bytes) -> RsiAnswer | None:
@@ -80,4 +92,6 @@ class SenReader:
         except ValueError:
             return None
         stop = self._stop.search(root[2]) if self._stop else None
-        return RsiAnswer(ipoc[1].decode(), root[1].decode(), correction, stop is not None and int(stop[1]) != 0)
+        switch = self._switch.search(root[2])
+        outputs = {int(number): value == b"1" for number, value in self._output.findall(switch[1])} if switch else {}
+        return RsiAnswer(ipoc[1].decode(), root[1].decode(), correction, stop is not None and int(stop[1]) != 0, outputs)

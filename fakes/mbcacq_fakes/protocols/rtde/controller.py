@@ -53,7 +53,7 @@ class FakeUrController:
             "not_found": frozenset(),
         }
         self.inject(**faults)
-        self.arm, self._realtime = ProgrammedArm(start_deg, state, CLOCK_START_S), realtime
+        self.arm, self._realtime, self._state = ProgrammedArm(start_deg, state, CLOCK_START_S), realtime, state
         self.watchdog_s = watchdog_s if watchdog_s is not None else WATCHDOG_S if realtime else STALL_S
         self._server = socket.create_server((host, port))
         self._server.settimeout(0.1)
@@ -132,10 +132,16 @@ class FakeUrController:
         wanted = (self.outputs & ~mask) | (registers.get("standard_digital_output", 0) & mask)
         changed, self.outputs = wanted ^ self.outputs, wanted
         for number in range(8):
-            if changed >> number & 1 and self.on_output is not None:
-                self.on_output(number, bool(wanted >> number & 1))
+            if changed >> number & 1:
+                self._tell_output(number, bool(wanted >> number & 1))
         if self._active["runtime_state"] == 2 and not self._active["safety_bits"] & ~3:
             self.arm.obey(registers, self._active["speed_fraction"])
+
+    def _tell_output(self, number: int, value: bool) -> None:
+        if self._state is not None:
+            self._state.switch(number, value)
+        if self.on_output is not None:
+            self.on_output(number, value)
 
     def values(self) -> dict[str, Any]:
         """What it says of itself; all else is zero."""

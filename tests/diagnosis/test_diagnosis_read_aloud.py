@@ -1,0 +1,78 @@
+"""The text of a diagnosis says nothing that has to be explained away."""
+
+from dataclasses import replace
+
+from mbcacq.diagnosis.output.text import words
+from mbcacq.diagnosis.result import (
+    Alternative,
+    Diagnosis,
+    EffectFound,
+    EstimatedNoise,
+    ExclusionLimit,
+    FitFigures,
+    FitSummary,
+    GeometryAlone,
+    HeldOutFigures,
+    NotSeparable,
+)
+from mbcacq.effects.effect import ParameterEstimate
+
+NOISE = EstimatedNoise(scanner_mm=(0.003, 0.003, 0.005), joint_rad=(5e-6,) * 6)
+GEOMETRY = GeometryAlone(
+    poses=120, centres=600, rms_mm=0.02, chi2=1.0, dof=1, noise=NOISE, calibrated={}, T_flange_scanner=(), parameters=()
+)
+
+
+def diagnosed(verdict, *effects, before=0.020, after=0.009, **fields):
+    held = HeldOutFigures(before, after, 4.0, 1.0, "station")
+    fit = FitSummary(FitFigures(before, after, 4.0, 1.0), held, 0.009)
+    return Diagnosis(verdict=verdict, mismatch=(), effects=effects, fit=fit, geometry_alone=(GEOMETRY,), **fields)
+
+
+SOFT = EffectFound(
+    name="joint_compliance",
+    where=("A2",),
+    parameters={"A2.compliance_rad_per_Nm": ParameterEstimate(2e-6, 1e-7)},
+    p_value=1e-12,
+    held_out_gain=0.9,
+    alternatives=(Alternative("lost_motion", ("A2",), 0.0, 0.2), Alternative("payload", ("mount",), 0.0, 1e-5)),
+)
+UNMODELLED = replace(SOFT, name="unknown", where=("link2",), depends_on="q2", alternatives=(), parameters={})
+
+
+def test_what_is_excluded_could_not_be_it():
+    text = words(diagnosed("explained", SOFT))
+    assert "could also be: lost_motion at A2 (odds 1 : 5" in text
+    assert "excluded in its place: payload at mount (odds less than 1 : 1000)" in text
+
+
+def test_where_nothing_was_found_there_is_no_before_and_after():
+    text = words(diagnosed("none", before=0.009, after=0.009))
+    assert "before" not in text
+    assert "How much: 9.0 µm, on held-out data" in text
+
+
+def test_of_a_misfit_within_the_uncertainty_of_the_noise_no_share_is_stated():
+    assert "100% of the misfit beyond noise" in words(diagnosed("explained", SOFT))
+    assert "of the misfit beyond noise" not in words(diagnosed("explained", SOFT, before=0.0092, after=0.0091))
+
+
+def test_an_unmodelled_effect_says_what_it_is_a_function_of():
+    assert "What and where: unmodelled effect of q2 at link2" in words(diagnosed("unexplained", UNMODELLED))
+
+
+def test_a_verdict_that_cannot_tell_says_of_what():
+    two = (NotSeparable(("joint_compliance:A2", "lost_motion:A2"), 0.99, 0.2),)
+    text = words(diagnosed("cannot_tell", SOFT, not_separable=two))
+    assert text.startswith("Cannot tell: these poses do not tell apart")
+    assert "How sure: joint_compliance at A2 and lost_motion at A2 cannot be told apart (correlation 0.99, odds 1 : 5" in text
+    assert "What next: measure more" in text
+    assert words(diagnosed("cannot_tell", before=0.009)).startswith("Cannot tell: these poses leave open whether there is an effect")
+
+
+def test_parameters_of_one_effect_that_was_not_tested_are_one_entry():
+    preload = ExclusionLimit(
+        name="gravity_compensator", where=("A2",), parameter="A2.preload_deg", value=1.0, workspace_mm=None, length_mm=None, tested=False
+    )
+    text = words(diagnosed("none", before=0.009, exclusion_limits=(preload, replace(preload, parameter="A2.stretched_deg"))))
+    assert "gravity_compensator at A2 (preload, stretched)" in text
