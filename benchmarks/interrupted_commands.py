@@ -53,11 +53,13 @@ def rows_of(name: str, kept: Kept) -> list[list[str]]:
 
 
 def write_page(rows: list[list[str]]) -> None:
-    """Rows of these commands in place of those that the page has of them."""
+    """Rows of these commands in place of those that the page has of them; new ones come last."""
+    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    there = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+    there = [row for row in there if len(row) == len(HEADS) and row[0] != HEADS[0]]
     struck = {row[0] for row in rows}
-    there = [[cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.read_text(encoding="utf-8").splitlines() if line[:2] == "| "]
-    others = [row for row in there if len(row) == len(HEADS) and row[0] not in {*struck, HEADS[0]}]
-    put(PAGE, "\n".join(table(HEADS, [*others, *rows])))
+    names = dict.fromkeys(row[0] for row in (*there, *rows))
+    put(PAGE, "\n".join(table(HEADS, [row for name in names for row in (rows if name in struck else there) if row[0] == name])))
 
 
 def main() -> int:
