@@ -35,7 +35,8 @@ from typing import Any
 import bench
 import yaml
 from bench import MBCACQ, Kept, changed_plan, counted, curve, option, svg, table, text
-from disturbed_run import CELL, CYCLE, NOISE_MM, DisturbedRuns, Fault, centres_of, preload, three_poses
+from faults.preloaded import preload
+from faults.small_run import CELL, CYCLE, NOISE_MM, DisturbedRuns, Fault, centres_of, three_poses
 
 ERRNOS = {
     "open": ("EMFILE", "ENFILE", "EACCES", "ENOSPC", "EIO", "ENOMEM", "EINTR"),

@@ -15,22 +15,20 @@ import os
 import random
 import shutil
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import bench
-import numpy as np
 import synthetic
-from bench import MBCACQ, changed_plan, counted, option
-from disturbed_run import CELL, DisturbedRuns, Ending, preload
+from bench import MBCACQ, counted, option
+from faults.preloaded import preload
+from faults.replayed_disk import Disk, records
+from faults.small_run import CELL, DisturbedRuns, Ending, compare, two_stations
 
 from mbcacq.acquisition.events import RunStarted
 from mbcacq.errors import MbcacqError
@@ -41,20 +39,6 @@ from mbcacq.recording.run_folder.check import check
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
 
 EARLY, LATE = 0.3, 1.5  # s before the first motion and after the last that a kill may hit as well
-SAME_Q = 1e-12  # rad; the mean over another number of equal cycles differs in its last bits
-
-
-def plan_file(folder: Path) -> Path:
-    """plans/quick.yaml with a second station, noise drawn by pose."""
-
-    def change(plan: dict[str, Any]) -> None:
-        plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
-        plan["steps"][1]["stations"] = ["p1", "p2"]
-        plan["exposures"] = 3
-        still = {"encoder_noise_deg": 0.0, "encoder_step_deg": 0.0}  # a mean over another number of cycles is the same
-        plan["fake"] = {"draws": "pose", "robot": still}
-
-    return changed_plan("quick.yaml", folder / "plan.yaml", change)
 
 
 def start(*arguments: object) -> subprocess.Popen:
@@ -65,36 +49,6 @@ def start(*arguments: object) -> subprocess.Popen:
         text=True,
         start_new_session=True,
     )
-
-
-def compare(folder: Path, whole) -> str:
-    """'' if the observations of a run folder are those of the undisturbed run, else the first thing that differs."""
-    return next(differences(folder, whole), "")
-
-
-def differences(folder: Path, whole) -> Iterator[str]:
-    """What differs between a run folder and the undisturbed run, in words; nothing more once poses or balls are others."""
-    from mbcacq.recording import load_observations
-
-    found = load_observations(folder)
-    if sorted(found.pose_id.tolist()) != whole.pose_id.tolist():
-        yield f"poses {sorted(found.pose_id.tolist())}"
-        return
-    order = np.argsort(found.pose_id)
-    rank = np.argsort(order)
-    rows = np.lexsort((np.arange(found.n_centres), rank[found.pose]))
-    if not np.array_equal(found.ball[rows], whole.ball):
-        yield "other balls"
-        return
-    if not np.array_equal(found.xyz[rows], whole.xyz):
-        yield f"centres differ by up to {np.abs(found.xyz[rows] - whole.xyz).max():.2e} mm"
-    if (away := np.abs(found.q[order] - whole.q).max()) > SAME_Q:
-        yield f"joint angles differ by up to {away:.2e} rad"
-    if not np.array_equal(found.direction[order], whole.direction):
-        yield "the arm came from another side"
-    merged = load_observations(folder / "whole.rrd") if (folder / "whole.rrd").exists() else found
-    if not np.array_equal(merged.xyz, found.xyz) or not np.array_equal(merged.q, found.q):
-        yield "the merged recording differs from its parts"
 
 
 def one_round(plan: Path, folder: Path, after_s: float, whole) -> tuple[str, str]:
@@ -133,7 +87,7 @@ def kills(given: argparse.Namespace) -> int:
     rng, hits, bad = random.Random(given.seed), Counter(), 0
     with tempfile.TemporaryDirectory() as place:
         work = Path(place)
-        plan = plan_file(work)
+        plan = two_stations(work)
         first = start(plan, "--out", work / "whole")
         _, text = first.communicate(timeout=300)
         if first.returncode:
@@ -151,123 +105,6 @@ def kills(given: argparse.Namespace) -> int:
             shutil.rmtree(work / "run", ignore_errors=True)
     print(f"{given.rounds} kills ({', '.join(f'{n} {hit}' for hit, n in hits.items())}): {given.rounds - bad} equal, {bad} not")
     return 1 if bad else 0
-
-
-BLOCK = 4096
-
-
-@dataclass(frozen=True)
-class Record:
-    """kind: 'w' written, 's' synced, 'r' renamed to ``other``, 'u' unlinked, 'c' created (if it was not there), 't' emptied."""
-
-    kind: str
-    time_s: float
-    path: str
-    other: str
-    at: int
-    data: bytes
-
-
-def records(log: bytes) -> Iterator[Record]:
-    """The records of a log; a torn last one is left out."""
-    place = 0
-    while place + 17 <= len(log):
-        kind, time_s, first, second = struct.unpack_from("<cdII", log, place)
-        place += 17
-        path, other = log[place : place + first], log[place + first : place + first + second]
-        place += first + second
-        if place + 16 > len(log):
-            return
-        at, size = struct.unpack_from("<qQ", log, place)
-        place += 16
-        data = log[place : place + size]
-        place += size
-        if len(data) < size:
-            return
-        yield Record(kind.decode(), time_s, path.decode().lstrip("/"), other.decode().lstrip("/"), at, data)
-
-
-@dataclass
-class File:
-    """content: as the running system sees it; durable: as it was at the last sync; pending: what was done since."""
-
-    content: bytearray = field(default_factory=bytearray)
-    durable: bytes = b""
-    pending: list[Record] = field(default_factory=list)
-
-
-class Disk:
-    """Files by name, the names that are on the disk, and what was done to names since: each a creation, a renaming or a removal."""
-
-    def __init__(self, files: dict[str, bytes] | None = None) -> None:
-        self.names = {path: File(bytearray(data), data) for path, data in (files or {}).items()}
-        self.durable_names = dict(self.names)
-        self.pending: list[tuple[Record, File]] = []
-
-    def apply(self, record: Record) -> None:
-        path = record.path
-        if record.kind == "s" and path not in self.names:  # a folder: the names in it are on the disk
-            for change, file in self.pending:
-                if _folder(change.path) == path:
-                    _rename(self.durable_names, change, file)
-            self.pending = [(change, file) for change, file in self.pending if _folder(change.path) != path]
-        elif record.kind == "s":
-            file = self.names[path]
-            file.durable, file.pending = bytes(file.content), []
-        elif record.kind in "ru" and path in self.names:
-            self._renamed(record, self.names[path])
-        elif record.kind in "ctw":
-            if path not in self.names:
-                self._renamed(record, File())
-            file = self.names[path]
-            if record.kind == "t" and file.content:
-                file.content.clear()
-                file.pending.append(record)
-            elif record.kind == "w":
-                _write(file.content, record.at, record.data)
-                file.pending.append(record)
-
-    def _renamed(self, record: Record, file: File) -> None:
-        _rename(self.names, record, file)
-        self.pending.append((record, file))
-
-    def after_cut(self, rng: random.Random | None) -> dict[str, bytes]:
-        """Name -> content. rng: keeps unsynced blocks and names by chance; None keeps none. A renaming is kept or lost as a whole, as file
-        systems with a journal promise; of several, any may be lost."""
-        names = dict(self.durable_names)
-        for record, file in self.pending if rng is not None else ():
-            if rng.random() < 0.5:
-                _rename(names, record, file)
-        return {name: _kept(file, rng) for name, file in names.items()}
-
-
-def _rename(names: dict[str, File], record: Record, file: File) -> None:
-    """What a record does to names: one comes, one goes, or both."""
-    if record.kind in "ru":
-        names.pop(record.path, None)
-    if record.kind != "u":
-        names[record.other if record.kind == "r" else record.path] = file
-
-
-def _folder(path: str) -> str:
-    return path.rpartition("/")[0]
-
-
-def _kept(file: File, rng: random.Random | None) -> bytes:
-    out = bytearray(file.durable)
-    for record in file.pending if rng is not None else ():
-        if record.kind == "t":
-            out.clear()
-        for start in range(0, len(record.data), BLOCK):
-            if rng.random() < 0.5:
-                _write(out, record.at + start, record.data[start : start + BLOCK])
-    return bytes(out)
-
-
-def _write(content: bytearray, at: int, data: bytes) -> None:
-    if len(content) < at:
-        content.extend(bytes(at - len(content)))
-    content[at : at + len(data)] = data
 
 
 def power_cuts(given: argparse.Namespace) -> int:

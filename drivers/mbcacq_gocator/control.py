@@ -49,6 +49,11 @@ class ControlChannel:
     def is_open(self) -> bool:
         return self._sock is not None
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it is closed, by us or by the sensor."""
+        return wire.has_ended(self._sock)
+
     def open(self) -> None:
         """Connect and compare protocol versions. Raises ConnectError, IdentityError, DeviceTimeout, ProtocolError."""
         self._sock = wire.connect(self._address, self._port, "control", self._connect_timeout_s)

@@ -150,6 +150,8 @@ class Gocator(ContextDevice):
             attempt += 1
 
     def _connect(self) -> GocatorSession:
+        if self._session is not None and self._session.has_ended:
+            self._drop()  # nothing is under way
         if self._session is not None:
             return self._session
         with named(self.name):

@@ -6,8 +6,9 @@ import asyncio
 import logging
 import os
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from datetime import datetime
 
 from asyncua import ua
@@ -21,14 +22,32 @@ from mbcacq_opcua.options import OpcUaOptions
 
 CLOCK = ua.NodeId(ua.Int32(ObjectIds.Server_ServerStatus_CurrentTime))
 STARTED = ua.NodeId(ua.Int32(ObjectIds.Server_ServerStatus_StartTime))
+RETRY_S = 0.1
 Reading = Callable[[float, list[float]], None]
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what is wrong is said by our errors, once
 
 
+@asynccontextmanager
+async def _within(seconds: float) -> AsyncIterator[None]:
+    """As asyncio.timeout, which does not know the exception in which a request of asyncua ends that is answered while it is cancelled."""
+    limit = asyncio.timeout(seconds)
+    try:
+        async with limit:
+            yield
+    except asyncio.CancelledError as error:
+        if limit.expired():
+            raise TimeoutError from error
+        raise
+
+
 class OpcUaLink:
     """``on_reading(time_s, angles)`` is called with every reading: seconds since the server's start, by its clock, and angles in its own
-    units; ``on_error`` with what ended the conversation. Only read, browse and session services are used."""
+    units; ``on_error`` with what ended the conversation. Only read, browse and session services are used.
+
+    A connection that the server has closed is opened again, as long as it is the same robot of a server that was not started again, and
+    within the time after which it counts as lost.
+    """
 
     def __init__(self, name: str, options: OpcUaOptions, on_reading: Reading, on_error: Callable[[MbcacqError], None]) -> None:
         self._name, self._options, self._on_reading, self._on_error = name, options, on_reading, on_error
@@ -36,13 +55,15 @@ class OpcUaLink:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
         self._thread: threading.Thread | None = None
+        self._started: datetime | None = None
+        self._heard = 0.0  # when the last reading came, time.monotonic
         self.robot: RobotNodes | None = None
         self.states: dict[str, str] = {}
 
     def connect(self) -> None:
         """Returns once the robot was found, or ``on_error`` was called. Raises ConfigError where the password is missing."""
-        client = self._client()
-        self._thread = threading.Thread(target=self._work, args=(client,), name="opcua", daemon=True)
+        self._client()  # made once more where it is used; what the plan lacks is said here
+        self._thread = threading.Thread(target=self._work, name="opcua", daemon=True)
         self._thread.start()
         self._ready.wait()
 
@@ -58,7 +79,7 @@ class OpcUaLink:
 
     def _client(self) -> Client:
         o = self._options
-        client = Client(o.url, timeout=min(o.connect_timeout_s, o.silence_s))
+        client = Client(o.url, timeout=max(o.connect_timeout_s, o.silence_s))  # of a request; the narrower limits are ours
         if o.user is not None:
             client.set_user(o.user)
         if o.password_env is not None:
@@ -68,9 +89,9 @@ class OpcUaLink:
             client.set_password(password)
         return client
 
-    def _work(self, client: Client) -> None:
+    def _work(self) -> None:
         try:
-            asyncio.run(self._converse(client))
+            asyncio.run(self._converse())
         except asyncio.CancelledError:
             pass
         except Exception as error:
@@ -79,13 +100,23 @@ class OpcUaLink:
         finally:
             self._ready.set()
 
-    async def _converse(self, client: Client) -> None:
+    async def _converse(self) -> None:
         self._loop, self._task = asyncio.get_running_loop(), asyncio.current_task()
-        if self._quit.is_set():
-            return
+        within_s = self._options.connect_timeout_s
+        while not self._quit.is_set():
+            try:
+                await self._read_on(self._client(), within_s)
+            except ConnectionError:
+                within_s = self._heard + self._options.silence_s - time.monotonic()
+                if not self._ready.is_set() or within_s <= 0:
+                    raise
+                await asyncio.sleep(min(RETRY_S, within_s))
+
+    async def _read_on(self, client: Client, within_s: float) -> None:
+        """Connect, and read until that fails. within_s: until the first reading."""
         o = self._options
         try:
-            async with asyncio.timeout(o.connect_timeout_s):
+            async with _within(within_s):
                 if o.security is not None:
                     await client.set_security_string(o.security)
                 await client.connect()
@@ -94,11 +125,11 @@ class OpcUaLink:
             self._ready.set()
             while True:
                 await asyncio.sleep(1.0 / o.rate_hz)
-                async with asyncio.timeout(o.silence_s):
+                async with _within(o.silence_s):
                     await self._read(client)
         finally:
             with suppress(Exception):
-                async with asyncio.timeout(min(1.0, o.silence_s)):
+                async with _within(min(1.0, o.silence_s)):
                     await client.disconnect()
             client.disconnect_socket()
 
@@ -111,6 +142,10 @@ class OpcUaLink:
         started = await client.get_node(STARTED).read_value()
         if not isinstance(started, datetime):
             raise ProtocolError(f"{self._place} does not say when it was started; is the OPC UA server of this controller up to date?")
+        if (self._started or started) != started:
+            raise DeviceFault(f"{self._place}: the server was started again, and its clock with it; resume the run")
+        if self.robot is not None and self.robot.about != found.about:
+            raise IdentityError(f"{self._place}: another robot answers since the connection was lost; look at the cables, then resume")
         self._started = started
         for what, node in found.safety.items():
             value = await node.read_value()
@@ -146,6 +181,8 @@ class OpcUaLink:
         numbers = [float(a) for a in angles if isinstance(a, int | float)]
         if not isinstance(clock, datetime) or len(numbers) < len(angles):
             raise ProtocolError(f"{self._place} sends angles or a time that are none; is the OPC UA server of this controller up to date?")
+        assert self._started is not None, "it was found before it is read"
+        self._heard = time.monotonic()
         self._on_reading((clock - self._started).total_seconds(), numbers)
 
     @property

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from mbcacq.errors import SystemRefused
 
-RUN_BYTES = 1 << 30  # on two cores a dry run of plans/quick.yaml with one arena ends well with 1.0e9 bytes of addresses
+RUN_BYTES = 1280 << 20  # a dry run of plans/quick.yaml on two cores comes to 1.11e9 bytes of addresses, with little reserved
 _ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h
 
 
@@ -26,11 +26,14 @@ def refuse_small_address_space() -> None:
         raise SystemRefused(
             f"a process may use {limit >> 20} MiB of addresses here, and a run needs {RUN_BYTES >> 20} MiB; raise the limit (ulimit -v)"
         )
-    _one_arena()
+    _reserve_little()
 
 
-def _one_arena() -> None:
-    """glibc reserves 64 MiB of addresses for each thread that allocates, of which nearly all stay empty; here, and in processes to come."""
+def _reserve_little() -> None:
+    """Allocators reserve addresses of which nearly all stay empty, and what comes after them gets none: glibc 64 MiB for each thread that
+    allocates, mimalloc (of pyarrow, and of rerun) a GiB each. Here, where it is asked before they are loaded, and in processes to come.
+    """
     os.environ.setdefault("MALLOC_ARENA_MAX", "1")
+    os.environ.setdefault("MIMALLOC_ARENA_RESERVE", "64M")
     with suppress(AttributeError, OSError):  # another C library
         ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)

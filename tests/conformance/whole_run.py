@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.bus.serial_sensor import FakeSerialSensor
+from mbcacq_fakes.protocols.stall import STALL_S
 
 from mbcacq.conformance import Case, Channel, InjectionVerdict, Proxy, TcpProxy, UdpProxy, bounded, counted, ended
 from mbcacq.conformance.bounded import Hang, eventually, sentence
@@ -67,6 +68,7 @@ def small_plan(folder: Path, cell: str = "") -> Path:
         plan["steps"][0] |= {"stations": ["p1", "p2"], "views": plan["steps"][0]["views"][:2]}
     else:
         plan["steps"][0]["views"] = plan["steps"][0]["views"][:4]
+        plan["fake"] = {"robot": {"answer_wait_s": [STALL_S, 0.01]}}  # a lost answer is not one of a computer that hangs
     plan["robot"]["options"]["silence_s"] = 1.5
     path = folder / "small.yaml"
     path.write_text(yaml.safe_dump(plan, sort_keys=False))

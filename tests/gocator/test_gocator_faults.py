@@ -7,6 +7,7 @@ import threading
 
 import pytest
 from mbcacq_fakes.protocols.gocator import FAULTS, Faults, actions
+from mbcacq_gocator import wire
 from mbcacq_gocator.driver import Gocator
 
 from mbcacq.devices import Aborted, ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
@@ -138,6 +139,13 @@ def test_sensor_that_restarts_between_scans_is_found_again(fake, scanner):
     scanner.capture()
     fake.state.drop_connections()
     assert len(scanner.capture().points) == 228
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_KEEPIDLE"), reason="this system names it otherwise")
+def test_a_connection_that_nobody_uses_is_probed_before_a_firewall_forgets_it(fake):
+    with wire.connect("127.0.0.1", fake.ports.control, "control", 20.0) as sock:
+        assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+        assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) <= 60
 
 
 def test_sensor_that_stays_away_is_an_error_after_the_retries(fake, scanner):

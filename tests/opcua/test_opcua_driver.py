@@ -1,15 +1,19 @@
 """Joint angles by OPC UA: against asyncua's own server with the companion nodes for robots. Nothing is ever written."""
 
+import asyncio
 import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from asyncua.client.client import Client
+from asyncua.client.ua_client import UaClient
 from mbcacq_fakes.protocols.opcua import FakeOpcUaServer
 from mbcacq_fakes.protocols.opcua.address_space import ArmNodes, unit
 from mbcacq_opcua.driver import OpcUaRobot
 
-from mbcacq.devices import ConfigError, ConnectError, DeviceFault, IdentityError, MotionLimits, ProtocolError, SafetyStop
+from mbcacq.conformance import Channel, TcpProxy
+from mbcacq.devices import ConfigError, ConnectError, DeviceFault, DeviceTimeout, IdentityError, MotionLimits, ProtocolError, SafetyStop
 
 HOME_DEG = np.array([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
 LIMITS = MotionLimits(*(np.full(6, v) for v in (1.0, 3.0, 30.0)))
@@ -123,9 +127,56 @@ def test_an_angle_that_is_bad_or_none_ends_it(controller):
     assert "joint angles that cannot be" in str(caught.value)
 
 
-def test_nothing_is_written_and_nothing_called(controller, monkeypatch):
-    from asyncua.client.ua_client import UaClient
+def test_a_channel_that_lives_shorter_than_the_run_is_renewed(controller, monkeypatch):
+    """The hour that a channel is granted is a tenth of a second here."""
+    renewed, open_channel = [], Client.open_secure_channel
 
+    async def shorter(self, renew=False):
+        self.secure_channel_timeout = 100
+        await open_channel(self, renew)
+        renewed.append(renew)
+
+    monkeypatch.setattr(Client, "open_secure_channel", shorter)
+    with arm(controller, silence_s=60.0) as robot:
+        while renewed.count(True) < 5:
+            robot.state()
+            time.sleep(0.005)
+        before = robot.state().time_s
+        while robot.state().time_s == before:
+            time.sleep(0.005)
+    assert renewed.count(False) == 1
+
+
+def test_a_server_that_was_started_again_is_not_read_on(controller, on_a_track):
+    """Its clock counts from another start."""
+    with TcpProxy(Channel("opcua"), ("127.0.0.1", controller.port)) as proxy:
+        robot = arm(controller, port=proxy.port, angle_unit="deg", silence_s=60.0)
+        with robot:
+            proxy._device = ("127.0.0.1", on_a_track.port)
+            proxy.cut()
+            with pytest.raises(DeviceFault, match="the server was started again, and its clock with it"):
+                until_error(robot)
+
+
+def test_an_answer_that_comes_while_its_request_is_given_up_is_a_lost_server(controller, monkeypatch):
+    """asyncua ends such a request by a kind of cancellation of its own."""
+
+    class AnsweredMeanwhile(asyncio.CancelledError):
+        pass
+
+    async def too_late(*_):
+        try:
+            await asyncio.sleep(600.0)
+        except asyncio.CancelledError as error:
+            raise AnsweredMeanwhile from error
+
+    with arm(controller, silence_s=0.1) as robot:
+        monkeypatch.setattr(UaClient, "read_attributes", too_late)
+        with pytest.raises(DeviceTimeout, match="was lost"):
+            until_error(robot)
+
+
+def test_nothing_is_written_and_nothing_called(controller, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("it writes")
 

@@ -43,6 +43,17 @@ def test_it_arrives_within_speed_and_acceleration_and_settles(arm):
     assert np.sign(state.read().direction).tolist() == [1, -1, 1, 0, 1, -1, 1]
 
 
+def test_its_clock_does_not_run_by_looks_at_an_arm_that_rests(arm):
+    """A run looks after an arm that waits every so many milliseconds of the computer."""
+    robot, _ = arm
+    before = {robot.state().time_s for _ in range(10)}
+    robot.move_to(np.radians([20.0] * AXES), LIMITS)
+    arrived = settled(robot).time_s
+    assert len(before) == 1
+    assert arrived > max(before)
+    assert {robot.state().time_s for _ in range(10)} == {arrived}
+
+
 def test_stop_brings_it_to_rest_on_the_way(arm):
     robot, state = arm
     robot.move_to(np.radians([90.0] * AXES), LIMITS)

@@ -25,8 +25,23 @@ def test_too_small_an_address_space_is_said_before_anything_moves(tmp_path):
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (800_000_000, 800_000_000)),
     )
     assert done.returncode == 10
-    assert "762 MiB of addresses here, and a run needs 1024 MiB" in one_sentence(done)
+    assert "762 MiB of addresses here, and a run needs 1280 MiB" in one_sentence(done)
     assert not (tmp_path / "run").exists()
+
+
+def test_two_gigabytes_of_addresses_and_64_files_are_enough_for_a_run_to_its_report(tmp_path):
+    """Of the addresses a fifth is used; allocators would reserve more than there are."""
+
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+
+    plan = plan_file(tmp_path, lambda plan: plan.update(exposures=1))
+    done = subprocess.run(
+        [MBCACQ, "run", plan, "--dry-run", "--out", tmp_path / "run"], cwd=ROOT, capture_output=True, text=True, preexec_fn=little
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "report.html").read_text(encoding="utf-8").rstrip().endswith("</html>")
 
 
 def test_a_report_is_whole_or_refused_where_few_files_may_be_open(tmp_path):

@@ -11,18 +11,16 @@ from short_run import run_with
 from mbcacq.acquisition import events
 from mbcacq.recording import load_observations
 
-STALLED_S = 3.3
-
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows cannot stop a process")
-@pytest.mark.parametrize("part", ["mbcacq_kuka.rsi.cycle", "mbcacq_fakes.cell.process"])
-def test_a_process_of_a_dry_run_that_stands_still_ends_no_run(tmp_path, part):
+@pytest.mark.parametrize(("part", "seconds"), [("mbcacq_kuka.rsi.cycle", 8.0), ("mbcacq_fakes.cell.process", 3.3)])
+def test_a_process_of_a_dry_run_that_stands_still_ends_no_run(tmp_path, part, seconds):
     def stall(cell):
         found = [p for p in psutil.Process().children(recursive=True) if part in " ".join(p.cmdline())]
         assert found
         for process in found:
             os.kill(process.pid, signal.SIGSTOP)
-            threading.Timer(STALLED_S, os.kill, (process.pid, signal.SIGCONT)).start()
+            threading.Timer(seconds, os.kill, (process.pid, signal.SIGCONT)).start()
 
     def alone(plan):
         plan.pop("sensors")

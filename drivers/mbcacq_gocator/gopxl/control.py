@@ -54,6 +54,11 @@ class GoPxLControl:
     def is_open(self) -> bool:
         return self._sock is not None
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it is closed, by us or by the sensor."""
+        return wire.has_ended(self._sock)
+
     def close(self) -> None:
         """Idempotent; a request under way ends at once."""
         sock, self._sock = self._sock, None

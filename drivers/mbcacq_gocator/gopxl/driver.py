@@ -134,6 +134,8 @@ class GoPxL(ContextDevice):
             return replace(scan, warnings=self._guard.look(scan.health))
 
     def _connect(self) -> GoPxLSession:
+        if self._session is not None and self._session.has_ended:
+            self._drop()  # nothing is under way
         if self._session is not None:
             return self._session
         with named(self.name):

@@ -64,6 +64,11 @@ class GoPxLSession:
             self.close()
             raise
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the sensor has closed a connection since it was used, e.g. as idle."""
+        return self.control.has_ended or wire.has_ended(self._data)
+
     def close(self) -> None:
         self.control.close()
         wire.shut(self._data)

@@ -83,9 +83,12 @@ class EkiSession:
         return 0 if self.state is None else self.state.time
 
     def await_link(self) -> None:
-        """While the connection is being taken up again, wait. Raises what ended the session."""
+        """Wait until the controller is heard again, over a connection taken up again where the last one has ended: of a move sent into one
+        that ended, nobody knows whether it was begun. Raises what ended the session.
+        """
+        asked = time.monotonic()
         self._await(
-            lambda: self._link is not None,
+            lambda: self._link is not None and self._heard > asked,
             time.monotonic() + self._options.reconnect_s + self._options.silence_s + 10.0,
             f"robot '{self._name}': the connection is not there",
         )
@@ -232,8 +235,7 @@ class EkiSession:
             return False
         deadline = time.monotonic() + self._options.reconnect_s
         try:
-            self.hello = None
-            self._resume(self._dial(self._options.reconnect_s), deadline, before)
+            self._resume_in_time(deadline, before)
         except LinkLost as error:
             self.fail(DeviceTimeout(f"{robot}: {how}, and when connected again: {error}; the arm stands"))
         except IdentityError as error:
@@ -255,6 +257,16 @@ class EkiSession:
             return False
         self.hello = None
         return True
+
+    def _resume_in_time(self, deadline: float, before: State) -> None:
+        """A controller that still ends the former connection closes the new one, too. Raises MbcacqError, LinkLost."""
+        while True:
+            self.hello = None
+            try:
+                return self._resume(self._dial(max(0.0, deadline - time.monotonic())), deadline, before)
+            except LinkLost:
+                if time.monotonic() > deadline or self._quit.wait(RETRY_S):
+                    raise
 
     def _resume(self, link: Link, deadline: float, before: State) -> None:
         """Raises MbcacqError, LinkLost."""

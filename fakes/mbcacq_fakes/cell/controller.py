@@ -19,10 +19,9 @@ from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.eki_settings import EkiSettings
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
-from mbcacq_fakes.protocols.stall import STALL_S
+from mbcacq_fakes.protocols.stall import HANGING_S
 
 CLOCK_START_MS = 1_000_000
-HANGING_S = 30.0
 FASTEST_START_S = 0.05  # to full speed: no arm whose accelerations are not stated is faster
 RSI, EKI, OWN, SIMULATED = "kuka_rsi", "kuka_eki", "own", "simulated"
 MODES = {"T1": "#T1", "T2": "#T2", "AUT": "#AUT", "EXT": "#EX"}
@@ -97,7 +96,7 @@ def start_controller(
         settings["running"] = False  # a person jogs it, beside the link program
     given = {("clock_ms" if kind == EKI else "ipoc"): clock_ms, **given}
     if not realtime and ports == "free" and kind == RSI:
-        given = {"answer_wait_s": (STALL_S, KrcSettings.answer_wait_s[1]), **given}
+        given = {"answer_wait_s": (HANGING_S, KrcSettings.answer_wait_s[1]), **given}
     krc, address = (_eki if kind == EKI else _rsi)(loaded, state, settings, given, ports, seed)
     if not realtime and ports == "free" and "silence_s" not in use.options:
         address["silence_s"] = HANGING_S  # in lock-step a busy computer is slow, and no controller is silent

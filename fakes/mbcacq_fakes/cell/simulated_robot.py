@@ -1,7 +1,8 @@
 """A simulated arm of any number of axes behind the plain interface of a robot driver: what a dry run takes where a driver has no fake.
 
-It has no wire: it lives in the process of the run and publishes where it is to the fake cell. Its clock advances when it is asked for its
-state, so a run goes as fast as it asks. A real run cannot use it.
+It has no wire: it lives in the process of the run and publishes where it is to the fake cell. Its clock advances while it moves or settles,
+when it is asked for its state, so that a run goes as fast as it asks; and by what other devices take. At rest it stands: how often a run
+looks after an arm that waits depends on the computer, and nothing measured may. A real run cannot use it.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class SimulatedRobot:
             self._time, self._arrivals = self._clock_start, reading.arrivals
             self._qd, self._direction = np.zeros_like(self._q), np.zeros_like(self._q)
             self._target, self._motion, self._since = self._q.copy(), None, 0.0
-            self._still_s, self._wanted, self._rows = 0.0, None, []
+            self._still_s, self._wanted, self._under_way, self._rows = 0.0, None, False, []
             self._connected = True
             self._publish()
 
@@ -105,19 +106,18 @@ class SimulatedRobot:
             if not all(np.isfinite(b).all() and (b > 0).all() for b in bounds):
                 raise ConfigError(f"robot '{self._name}': speed, acceleration and jerk limits must be positive")
             self._begin(target, bounds)
-            self._wanted, self._still_s = limits, 0.0
+            self._wanted, self._under_way, self._still_s = limits, True, 0.0
             self._publish()
 
     def state(self) -> RobotState:
-        """The state a little later than at the last call. Raises ConfigError before ``connect``."""
+        """The state, a little later than at the last call where it is under way. Raises ConfigError before ``connect``."""
         with self._lock:
             self._check()
             if self._led is not None and (target := self._led.take()) is not None:
                 self._begin(target, [np.full(len(target), v) for v in LED])
             waited = 0.0 if self._clock is None else self._clock.take()
-            for _ in range(
-                round(waited / CYCLE_S) + (CYCLES_AT_ONCE if self._motion is not None or self._wanted is not None or self._follow else 1)
-            ):
+            under_way = self._motion is not None or self._under_way or self._follow
+            for _ in range(round(waited / CYCLE_S) + (CYCLES_AT_ONCE if under_way else 0)):
                 self._step()
             wanted = self._wanted
             arrived = (
@@ -126,6 +126,7 @@ class SimulatedRobot:
                 and bool(np.abs(self._q - self._target).max() <= wanted.tolerance)
                 and self._still_s >= wanted.settle_s - 1e-9
             )
+            self._under_way = self._under_way and not arrived
             return RobotState(self._time, self._q.copy(), self._motion is not None, arrived)
 
     def cycles(self) -> Cycles:
@@ -141,7 +142,7 @@ class SimulatedRobot:
         with self._lock:
             if not self._connected:
                 return
-            self._wanted = None
+            self._wanted, self._under_way = None, False
             if self._motion is not None:
                 self._brake()
             while self._motion is not None:

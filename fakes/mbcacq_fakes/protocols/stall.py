@@ -5,3 +5,4 @@ other work hold single processes for a second and more.
 """
 
 STALL_S = 3.0
+HANGING_S = 30.0  # a process that is silent for longer hangs: one of low priority on a busy computer may get no turn for many seconds

@@ -51,7 +51,6 @@ class RsiController:
         self._random = random.Random(settings.seed)
         self._ipoc, self._cycles, self._sessions, self._answers, self._late, self._rejected = settings.ipoc, 0, 0, 0, 0, 0
         self._fault_seq, self._fault_code, self._down_until, self._next, self._missed = -1, 0, 0.0, time.monotonic(), 0
-        self._unheard = False
         self._client = tuple(settings.client)
         self._body: tuple[object, str] = (None, "")
         self._pose: tuple[list[float], Sequence[float]] = ([], ())
@@ -218,6 +217,7 @@ class RsiController:
         self._planned_pose = self._kinematics.pose(self._arm.q)
         self._sessions += 1
         self._missed = self._empty_sent = 0
+        self._unheard = True  # whoever had the session before may be gone
 
     def _end_session(self) -> None:
         """The set point stays where it is, so the arm comes to rest; then telegrams are offered again, as if the program was restarted."""

@@ -14,12 +14,11 @@ import numpy as np
 
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
-from mbcacq_fakes.protocols.stall import STALL_S
+from mbcacq_fakes.protocols.stall import HANGING_S, STALL_S
 
 PROGRAM = 20261
 WATCHDOG_S = 0.4
 WAIT_S = 0.05  # for an answer at a time, in lock-step
-HANGING_S = 30.0  # in a dry run a busy computer is slow; a client that is silent for longer hangs
 CLOCK_START_S = 1000.0
 HURRIED = 10.0  # in a dry run, of an arm that is led: times faster than the clock
 NORMAL = 1  # bit 0 of safety_status_bits

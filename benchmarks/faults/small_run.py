@@ -1,6 +1,6 @@
 """Runs of a small plan in processes of their own, disturbed by ``system_call_faults.c``: how each ended, and what it left behind.
 
-Shared by ``disturbed_runs.py``, ``interrupted_runs.py`` and ``command_strikes.py``. The program under test is forked from one that has
+The program under test is forked from one that has
 everything imported; the fake cell is another process and is never disturbed.
 """
 
@@ -12,19 +12,16 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
+from bench import changed_plan
 
-HERE = Path(__file__).resolve().parent
-PLANS = HERE.parent / "plans"
+SAME_Q = 1e-12  # rad; the mean over another number of equal cycles differs in its last bits
 LIMIT_S, REST_S, NOISE_MM = 240.0, 60.0, 0.15  # on a machine that is busy with other work too
 CYCLE = "mbcacq_kuka.rsi.cycle"  # the command line of the process that answers the controller
 CELL = "the fake cell of seed 3"
@@ -56,33 +53,28 @@ class Ending:
     wrong: list[str] = field(default_factory=list)
 
 
-def preload() -> ctypes.CDLL:
-    """The shim of this process; starts the program again with it where it is not there yet."""
-    if "FAULT_LIBRARY" not in os.environ:
-        library = Path(tempfile.mkdtemp(prefix="faults-")) / "system_call_faults.so"
-        subprocess.run(["gcc", "-O2", "-shared", "-fPIC", "-o", library, HERE / "system_call_faults.c", "-ldl"], check=True)
-        os.environ |= {"FAULT_LIBRARY": str(library), "LD_PRELOAD": str(library)}
-        os.execv(sys.executable, [sys.executable, *sys.argv])
-    library = ctypes.CDLL(os.environ["FAULT_LIBRARY"])
-    library.fault_name.restype = ctypes.c_char_p
-    library.fault_count.restype = ctypes.c_long
-    library.fault_arm.argtypes = [ctypes.c_char_p, ctypes.c_long, ctypes.c_int]
-    library.fault_clock.argtypes = [ctypes.c_long]
-    library.fault_record.argtypes = [ctypes.c_char_p, ctypes.c_char_p]
-    return library
-
-
 def three_poses(folder: Path) -> Path:
     """Three poses of the quick plan, one exposure each."""
-    plan = yaml.safe_load((PLANS / "quick.yaml").read_text())
-    plan["robot"]["model"] = str(PLANS / plan["robot"]["model"])
-    plan["artefacts"] = [str(PLANS / name) for name in plan["artefacts"]]
-    plan["exposures"] = 1
-    plan["steps"] = plan["steps"][1:]
-    plan["steps"][0]["views"] = plan["steps"][0]["views"][:3]
-    path = folder / "three.yaml"
-    path.write_text(yaml.safe_dump(plan, sort_keys=False))
-    return path
+
+    def change(plan: dict[str, Any]) -> None:
+        plan["exposures"] = 1
+        plan["steps"] = plan["steps"][1:]
+        plan["steps"][0]["views"] = plan["steps"][0]["views"][:3]
+
+    return changed_plan("quick.yaml", folder / "three.yaml", change)
+
+
+def two_stations(folder: Path) -> Path:
+    """Sixteen poses: the quick plan with a second station, its noise drawn by pose, so that two runs can be compared number by number."""
+
+    def change(plan: dict[str, Any]) -> None:
+        plan["stations"].append({"id": "p2", "artefact": "mbc", "pose_in_base": {"translation_mm": [560, 160, 120], "abc_deg": [20, 0, 0]}})
+        plan["steps"][1]["stations"] = ["p1", "p2"]
+        plan["exposures"] = 3
+        still = {"encoder_noise_deg": 0.0, "encoder_step_deg": 0.0}  # a mean over another number of cycles is the same
+        plan["fake"] = {"draws": "pose", "robot": still}
+
+    return changed_plan("quick.yaml", folder / "plan.yaml", change)
 
 
 class DisturbedRuns:
@@ -262,6 +254,38 @@ def centres_of(folder: Path) -> dict[tuple[int, int], Any]:
     recorded = load_observations(folder)
     ids, balls = recorded.pose_id, recorded.cell.ball_ids
     return {(int(ids[p]), int(balls[b])): xyz for p, b, xyz in zip(recorded.pose, recorded.ball, recorded.xyz, strict=True)}
+
+
+def compare(folder: Path, whole) -> str:
+    """'' if the observations of a run folder are those of the undisturbed run, else the first thing that differs."""
+    return next(differences(folder, whole), "")
+
+
+def differences(folder: Path, whole) -> Iterator[str]:
+    """What differs between a run folder and the undisturbed run, in words; nothing more once poses or balls are others."""
+    import numpy as np
+
+    from mbcacq.recording import load_observations
+
+    found = load_observations(folder)
+    if sorted(found.pose_id.tolist()) != whole.pose_id.tolist():
+        yield f"poses {sorted(found.pose_id.tolist())}"
+        return
+    order = np.argsort(found.pose_id)
+    rank = np.argsort(order)
+    rows = np.lexsort((np.arange(found.n_centres), rank[found.pose]))
+    if not np.array_equal(found.ball[rows], whole.ball):
+        yield "other balls"
+        return
+    if not np.array_equal(found.xyz[rows], whole.xyz):
+        yield f"centres differ by up to {np.abs(found.xyz[rows] - whole.xyz).max():.2e} mm"
+    if (away := np.abs(found.q[order] - whole.q).max()) > SAME_Q:
+        yield f"joint angles differ by up to {away:.2e} rad"
+    if not np.array_equal(found.direction[order], whole.direction):
+        yield "the arm came from another side"
+    merged = load_observations(folder / "whole.rrd") if (folder / "whole.rrd").exists() else found
+    if not np.array_equal(merged.xyz, found.xyz) or not np.array_equal(merged.q, found.q):
+        yield "the merged recording differs from its parts"
 
 
 def _eventually(condition: Callable[[], bool], within_s: float) -> bool:
