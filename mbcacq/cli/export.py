@@ -115,7 +115,8 @@ def next_step(
         return "ask which effects the motion shows", command_line("diagnose", trajectory)
     if artefact is not None:
         what = "make a plan with it, here for an arm and a scanner of the tool's own"
-        return what, command_line("plan", "new", "--robot", "kr6_r900_2", "--scanner", "gocator-3210", "--artefact", artefact)
+        devices = ("--robot", "kr6_r900_2", "--scanner", "gocator-3210")
+        return what, command_line("plan", "new", *devices, "--artefact", artefact)
     return "see the whole run", command_line("report" if run.is_dir() else "view", run)
 
 

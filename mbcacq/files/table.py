@@ -18,14 +18,13 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.clock import ClockError, is_clock, seconds
 from mbcacq.files.csv_text import CsvText, Dialect, csv_text, read_csv_text
 from mbcacq.files.table_schema import Column, HeadingError, HeadingMatch, TableSchema, joint_columns, matched, score
-from mbcacq.files.units import AmbiguousUnit, converted, number_with_unit, same_dimension, unit_named
+from mbcacq.files.units import AmbiguousUnit, converted, number_with_unit, same_dimension, unit_in_cells, unit_named
 
 __all__ = ["Column", "Table", "TableSchema", "as_table", "joint_columns", "read_table"]
 
 MAX_BYTES = 1 << 30
 SHOWN = 24  # headings that an error lists
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
-_ZERO = re.compile(r"[+-]?0*[.,]?0*")
 _THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _WITH_POINT = re.compile(r"\s*[+-]?[\d.,]*\.[\d.,]*([eE][+-]?\d+)?\s*")
 
@@ -348,7 +347,7 @@ def _take_units(table: Table, schema: TableSchema) -> None:
     for column in silent:
         heading = table.found[column.name].heading
         stated = (below or {}).get(heading)
-        unit = stated or column.assumed or _unit_in_cells(column, table.columns[heading])
+        unit = stated or column.assumed or unit_in_cells(table.columns[heading], column.unit or "")
         if not unit and not column.required:  # another thing of that name, perhaps: it counts as unused
             table.found.pop(column.name)
             table.found.pop(column.preferred, None)
@@ -361,14 +360,6 @@ def _take_units(table: Table, schema: TableSchema) -> None:
         if not same_dimension(unit, column.unit or ""):
             raise ConfigError(f"{table.at_headings}: column {heading} cannot be given in {unit}; correct the unit")
         table.found[column.name] = table.found[column.preferred] = HeadingMatch(heading, unit, assumed=not stated)
-
-
-def _unit_in_cells(column: Column, cells: Sequence[str]) -> str:
-    """A unit for a column whose cells that are not zero all state their own ('-pi/2', '90°', '0.4 m'); '' where they do not."""
-    own = [pair for cell in cells if (pair := number_with_unit(cell))]
-    silent = [cell for cell in cells if number_with_unit(cell) is None and not _ZERO.fullmatch(cell.strip())]
-    stated = own and not silent and all(same_dimension(unit, column.unit or "") for _, unit in own)
-    return (column.unit or "") if stated else ""
 
 
 def _units_below(table: Table) -> dict[str, str] | None:

@@ -34,6 +34,7 @@ _UNIT = re.compile(rf"{_WORD}(?:[*/·.]{_WORD}){{0,3}}")  # nothing else goes to
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _WITH_UNIT = re.compile(rf"({_NUMBER})\s*([^\d\s.,+\-][^,]*)")
 _PI = re.compile(r"([-+]?)\s*(\d+(?:\.\d+)?)?\s*\*?\s*(?:pi|π)\s*(?:/\s*(\d+(?:\.\d+)?))?", re.IGNORECASE)
+_ZERO = re.compile(r"[+-]?0*[.,]?0*")
 AMBIGUOUS = {"grad": "degrees (deg) or gon", "grd": "degrees (deg) or gon"}
 
 
@@ -70,6 +71,14 @@ def number_with_unit(cell: str) -> tuple[float, str] | None:
     except AmbiguousUnit:
         return None
     return (float(match[1]), unit) if match and unit else None
+
+
+def unit_in_cells(cells: Sequence[str], wanted: str) -> str:
+    """The wanted unit, where all cells that are not zero state one of its kind ('-pi/2', '90°', '0.4 m'); '' where they do not."""
+    own = [number_with_unit(cell) for cell in cells]
+    stated = [pair[1] for pair in own if pair]
+    silent = any(pair is None and not _ZERO.fullmatch(cell.strip()) for pair, cell in zip(own, cells, strict=True))
+    return wanted if stated and not silent and all(same_dimension(unit, wanted) for unit in stated) else ""
 
 
 def suffix_unit(text: str) -> str | None:

@@ -224,8 +224,8 @@ def _pcd(path: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
         columns = _text_columns(path, rows, [(name, t) for name, t in fields])
     else:
         columns = _pcd_binary(path, data, fields, count, compressed=kind == "binary_compressed")
-    told = tuple(line for line in lines if line.startswith(("#", "VIEWPOINT")))
-    return _unpacked({name: values for name, values in columns.items() if not name.startswith("_")}), told
+    header_lines = tuple(line for line in lines if line.startswith(("#", "VIEWPOINT")))
+    return _unpacked({name: values for name, values in columns.items() if not name.startswith("_")}), header_lines
 
 
 def _moved(words: Sequence[str]) -> bool:
