@@ -125,7 +125,8 @@ def test_ctrl_c_leaves_the_wait_and_commands_nothing():
 
 
 @pytest.mark.parametrize("follow", [None, FollowUse()])
-def test_only_an_arm_that_is_driven_is_asked_about(follow):
+def test_only_an_arm_that_is_driven_is_asked_about(follow, monkeypatch):
+    monkeypatch.setattr("mbcacq.workflow.run.refuse_unattended", lambda loaded, assume_yes: None)  # no device that asks a person
     plan = SimpleNamespace(robot=SimpleNamespace(follow=follow))
     poses = [SimpleNamespace(number=k) for k in range(3)]
     acquisition = SimpleNamespace(loaded=SimpleNamespace(plan=plan), poses=poses, done=frozenset({0}), sweep=lambda: "swept")
