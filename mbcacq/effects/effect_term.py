@@ -211,8 +211,8 @@ class EffectTerm:
 
     @property
     def sigma_elsewhere(self) -> np.ndarray:
-        """(k,) standard deviation of the coefficients in another recording, of an effect that differs between recordings: as large as it was
-        found, in typical sizes; of an unmodelled one the size that was estimated. The prior of what machines have says nothing of this one.
+        """(k,) standard deviation of the coefficients in another recording, of an effect that differs between recordings: as large as it
+        was found, in typical sizes; of an unmodelled one the size that was estimated. The prior is of what any machine has.
         """
         if self.name == UNKNOWN:
             return self.sigma
