@@ -181,8 +181,9 @@ def coverage_page(kept: list[dict]) -> str:
     for row in kept:
         for key, yes in row["covered"].items():
             name, _, band, _ = key.split(":")
-            for what in ((row["plan"], name, band), (row["plan"], "all", row["verdict"]), ("all", "all", row["verdict"])):
-                cases[what].append(yes)
+            for plan in (row["plan"], "all plans"):
+                cases[plan, name, band].append(yes)
+                cases[plan, "all", row["verdict"]].append(yes)
 
     def rate(yes: list[bool]) -> list[str]:
         low, high = wilson(sum(yes), len(yes))
@@ -190,8 +191,10 @@ def coverage_page(kept: list[dict]) -> str:
 
     heads = ["cases", "covered, %", "95 % interval"]
     said = [[plan, verdict, *rate(yes)] for (plan, name, verdict), yes in cases.items() if name == "all"]
-    lines = [COVERAGE, "", *table(["plan", "verdict", *heads], sorted(said))]
-    for plan in NAMES:
+    seeds = sorted(row["seed"] for row in kept)
+    drawn = f"{len(kept)} pairs of recordings, seeds {seeds[0]} to {seeds[-1]}."
+    lines = [COVERAGE, "", drawn, "", *table(["plan", "verdict", *heads], sorted(said))]
+    for plan in ("all plans", *NAMES):
         each = [[name, band, *rate(yes)] for (one, name, band), yes in sorted(cases.items()) if one == plan and name != "all"]
         if each:
             lines += ["", f"## {plan}", "", *table(["effect", "band", *heads], each)]

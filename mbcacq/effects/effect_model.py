@@ -87,8 +87,8 @@ class EffectModel:
     def left_out_at(self, obs: Observations) -> tuple[Term, ...]:
         """The terms that differ between recordings, for another recording than the one learnt from, as functions of its own covariates.
 
-        ``at`` leaves them out, or takes them as they were at the end; there they are as large as ``sigma`` of the term says, with
-        coefficients of which nothing else is known. So are unmodelled effects beyond where they were learnt.
+        ``at`` leaves them out, or takes them as they were at the end; there they are as large as they were found, with coefficients of
+        which nothing else is known. So are unmodelled effects beyond where they were learnt.
         """
         if self.learnt.is_of(obs):
             return ()
@@ -96,7 +96,7 @@ class EffectModel:
         beyond = tuple(one for t in self.terms if (one := t.beyond_learnt(here, self.learnt)) is not None)
         bound = [t for t in self.terms if t.bound_to_recording and np.all(np.isfinite(t.sigma)) and not t.missing(here)]
         # Stations are fitted, or known.
-        return (*(t.term(here, own) for t in bound if "station" not in t.covariates), *beyond)
+        return (*(replace(t, sigma=t.sigma_elsewhere).term(here, own) for t in bound if "station" not in t.covariates), *beyond)
 
     def displacements(self, obs: Observations) -> Displacements | None:
         """What the effects displace at the poses and centres of a recording; None where there are none."""

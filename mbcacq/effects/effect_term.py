@@ -209,6 +209,16 @@ class EffectTerm:
         parts = [_times(p, one) for p, one in zip(self._going_on(here, learnt), left, strict=True)]
         return term(f"{self.key}:beyond", parts, tuple(f"beyond {name}" for name in self.names), self.units, self.sigma)
 
+    @property
+    def sigma_elsewhere(self) -> np.ndarray:
+        """(k,) standard deviation of the coefficients in another recording, of an effect that differs between recordings: as large as it
+        was found, in typical sizes; of an unmodelled one the size that was estimated. The prior is of what any machine has.
+        """
+        if self.name == UNKNOWN:
+            return self.sigma
+        size = float(np.sqrt(np.mean((self.coefficients**2 + self.std**2) / self.typical**2)))
+        return np.minimum(size * self.typical, self.sigma)
+
     def missing(self, here: Covariates) -> tuple[str, ...]:
         """Covariates that a recording lacks; they are taken as they were on average when the effect was learnt."""
         out = []
