@@ -106,11 +106,19 @@ class ModbusPositioner(_ModbusDevice):
 
     def go_to(self, station: str, prompt: str) -> None:
         """Raises ConfigError for an unknown station, DeviceTimeout, DeviceFault, Aborted after ``stop``."""
-        o = self._options
         if station not in self._targets:
             raise ConfigError(f"the plan gives no position for station {station}; add it to the positioner's stations")
         target = self._targets[station]
         self._stopped.clear()
+        try:
+            self._go_to(station, target)
+        except DeviceTimeout as error:
+            if not self._stopped.is_set():
+                raise
+            raise Aborted(f"stopped on the way to station {station}") from error  # a request gave way to the one that stops
+
+    def _go_to(self, station: str, target: float) -> None:
+        o = self._options
         self._refuse_unready(station)
         try:
             self._link.write(o.position, target)

@@ -97,6 +97,21 @@ def test_stop_from_another_thread_ends_the_wait_and_writes_halt():
         assert server.memory["coil"][5] == 1
 
 
+def test_a_request_that_gives_way_to_a_stop_is_an_end_by_that_stop(monkeypatch):
+    """The stop comes between two looks at the position: the next request is not sent, since the one that halts goes first."""
+    with fake(stuck=True) as server, ModbusPositioner("p", "", options(server)) as positioner:
+        link, read = positioner._link, positioner._link.read
+
+        def stopped_meanwhile(register):
+            positioner.stop()
+            link._hurry.set()
+            return read(register)
+
+        monkeypatch.setattr(link, "read", stopped_meanwhile)
+        with pytest.raises(Aborted, match="station 1"):
+            positioner.go_to("1", "")
+
+
 def test_silent_device_and_absent_device_are_different_errors():
     with fake() as server:
         positioner = ModbusPositioner("p", "", options(server, timeout_s=0.4))
