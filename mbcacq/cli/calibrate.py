@@ -153,11 +153,14 @@ def command(
     else:
         print_result(result)
     if not as_json:
-        say_next(*next_step(data, effects, out))
+        say_next(*next_step(data, effects, out, joints=not result.get("robot", {}).get("flange_poses", False)))
 
 
-def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None) -> tuple[str, str]:
-    """What to do after a calibration, and the command for it: ask for what the model lacks, unless that was done."""
+def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None, joints: bool = True) -> tuple[str, str]:
+    """What to do after a calibration, and the command for it: ask for what the model lacks, unless that was done. joints: their angles
+    are known; of poses of the flange no effect can be asked for."""
+    if not joints:
+        return "hold the usual methods for the hand-eye transformation against it", command_line("compare", data[0])
     if not effects:
         return "ask whether the model lacks an effect", command_line("diagnose", *data)
     if out is None:

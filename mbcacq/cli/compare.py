@@ -69,7 +69,8 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
     for why in dict.fromkeys(row.why_not_held_out for row in rows if row.why_not_held_out):
         names = ", ".join(row.method for row in rows if row.why_not_held_out == why)
         echo(f"Nothing held out: {names}: without some poses, {why}")
-    say_next("calibrate by maximum likelihood", command_line("calibrate", data))
+    alone = () if any(row.method == "maximum likelihood" and row.fit_mm is not None for row in rows) else ("--hand-eye-only",)
+    say_next("calibrate by maximum likelihood", command_line("calibrate", data, *alone))
 
 
 def _print_changes(first: Path, second: Path, report: Path | None, as_json: bool) -> None:

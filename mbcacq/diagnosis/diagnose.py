@@ -22,7 +22,7 @@ from mbcacq.diagnosis.validation.cross_validation import cross_validate
 from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.diagnosis.verdict import conclude, judge
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import CalibrationError, ContradictionError
+from mbcacq.errors import CalibrationError, ConfigError, ContradictionError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
@@ -48,9 +48,14 @@ def diagnose(
     formulas are proposed for unmodelled effects. refit: makes of the effects that are kept those of the diagnosis' ``model``, and says
     what is to be noted of it. minutes: when they are over the search ends, and what was compared by then is concluded from: the verdict is
     then ``cannot_tell``, with a note (None: it takes the time that it needs).
-    Raises CalibrationError where the data do not even determine the geometry.
+    Raises CalibrationError where the data do not even determine the geometry, ConfigError where there are no joint angles.
     """
     first = recordings if isinstance(recordings, Observations) else recordings[0]
+    if first.cell.robot.of_flange_poses:
+        raise ConfigError(
+            "the recording has poses of the flange and no joint angles, so what a joint does cannot be asked; give q1_deg .. for a "
+            "diagnosis, or compare the methods for the hand-eye transformation with mbcacq compare"
+        )
     poses = first.n_poses if isinstance(recordings, Observations) else sum(r.n_poses for r in recordings)
     if poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")

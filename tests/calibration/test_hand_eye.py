@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from mbcacq.calibration.compare_methods import compare
 from mbcacq.calibration.hand_eye_equations import MOTION_METHODS, POSE_METHODS, motions
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.cli.calibrate import command as calibrate_command
-from mbcacq.errors import CalibrationError
+from mbcacq.cli.calibrate import next_step
+from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.flange_poses import flange_coordinates, flange_transforms
 from mbcacq.geometry.orientations import to_matrices, to_numbers
@@ -209,3 +211,11 @@ def test_the_command_says_what_it_took_the_poses_for(tmp_path):
     content = json.loads(done.stdout)
     assert "by the flange and not by joint angles" in content["scope"]
     assert content["robot"]["flange_poses"] is True
+
+
+def test_of_poses_of_the_flange_no_effect_of_a_joint_is_asked_for():
+    """There are no joint angles: an effect named at a joint would be an invention."""
+    found = recording(np.random.default_rng(3), "sphere")
+    with pytest.raises(ConfigError, match="no joint angles.*mbcacq compare"):
+        mbcacq.diagnose(found.observations)
+    assert next_step((Path("poses.csv"),), (), None, joints=False)[1] == "mbcacq compare poses.csv"
