@@ -31,7 +31,7 @@ def kept(text: str) -> str:
     if content.get("model"):
         content["model"]["terms"] = sorted(content["model"]["terms"], key=lambda term: len(json.dumps(term)))[:1]
         content["model"]["learnt"] = {**content["model"]["learnt"], "anchors": []}
-    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(content, ensure_ascii=False) + "\n"
 
 
 def printed(name: str) -> str:
