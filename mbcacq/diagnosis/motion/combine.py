@@ -35,6 +35,13 @@ from mbcacq.effects.in_words import effect_in_words
 from mbcacq.model.json_text import plain
 from mbcacq.quantities import K, measured, split_unit
 
+VERDICT_OF_BOTH = {
+    "none": "no effect.",
+    "explained": "what both show is explained by effects.",
+    "partly_explained": "effects explain a part of what both show; structure remains.",
+    "unexplained": "there is a mismatch that no effect of the catalogue describes.",
+    "cannot_tell": "cannot tell what is behind what they show.",
+}
 MOST_TOGETHER = 6  # joint sets that are reported
 FARTHEST = 38.0  # standard deviations: beyond, the probability of a normal distribution is no floating point number
 
@@ -229,7 +236,8 @@ def _sets_of(evidence: Mapping[str, Any], every: Estimates) -> EvidenceSets:
 def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> str:
     """poses, text: the pose diagnosis as JSON and in words."""
     front, both = contradictions(agreement(poses, motion)), in_both(poses, motion)
-    lines = [*front, *([""] if front else []), "Poses, at standstill", "====================", text, ""]
+    said = VERDICT_OF_BOTH[verdict_of_both(poses, motion, together(poses, motion))]
+    lines = [*front, f"Poses and motion together: {said}", "", "Poses, at standstill", "====================", text, ""]
     lines += ["Motion, between the poses", "=========================", motion_text(motion)]
     for heading, said in both:
         lines += ["", f"{heading}:", *(f"  {line}" for line in said)]
