@@ -113,9 +113,14 @@ def test_only_line_ends_of_krl_end_a_line(read):
     assert targets(program) == [("line 2", 2), ("line 3", 3)]
 
 
-def test_a_line_of_one_endless_word_is_read(read):
-    """A pattern that looks for a name in front of braces from every start would take an hour for it."""
-    assert targets(read("a.src", f"{'a' * 600_000} {{B}}\nPTP {{{ANGLES}}}\n")) == [("line 2", 2)]
+@pytest.mark.parametrize(
+    "line",
+    [f"{'a' * 600_000} {{B}}", f"PTP {{A1 {'1' * 300_000}x}}", f"{' ' * 300_000}x", f"PTP{' ' * 300_000}{{"],
+    ids=["a word", "a number", "spaces", "spaces behind a motion"],
+)
+def test_an_endless_line_is_read(read, line):
+    """A pattern that begins again at every character, or tries every division of the digits, would take half an hour and more for it."""
+    assert targets(read("a.src", f"{line}\nPTP {{{ANGLES}}}\n")) == [("line 2", 2)]
 
 
 UR = """def prog():
