@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,12 @@ def _make(work: Work) -> None:
         raise SystemExit(f"exit code {code} while the inputs are made")
 
 
+def _alter(step: int, plan: dict[str, Any]) -> None:
+    """Another speed, which programs of poses state, and another port, which files of the controller state."""
+    plan["robot"]["speed"] = 0.1 * (1 + step)
+    plan["robot"]["options"]["port"] += step
+
+
 def make_inputs(work: Path) -> None:
     """Observation sets a and b, their results, a finished run, a torn one, and what else the commands take."""
     from mbcacq.calibration.sealed_json import sealed_text
@@ -63,7 +70,7 @@ def make_inputs(work: Path) -> None:
         other["robot"]["calibrated"]["theta"][angle] += 1e-4
     (work / "b.json").write_text(sealed_text(other))
     for place, name in enumerate("ab"):
-        changed_plan("quick.yaml", work / f"plan-{name}.yaml", lambda plan, share=0.1 + 0.1 * place: plan["robot"].update(speed=share))
+        changed_plan("quick.yaml", work / f"plan-{name}.yaml", partial(_alter, place))
         (work / f"rows-{name}.csv").write_text(f"{DH_ROWS}0,{80 + place},0,0\n")
     (work / "points.csv").write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n" + f"{JOINTS}\n" * 20)
     (work / "scan.ply").write_text(
@@ -82,10 +89,8 @@ def measure_checks(work: Path) -> None:
 
     cell = changed_plan("quick.yaml", work / "check.yaml", simulate)
     for seed, name in enumerate("ab"):
-        check = command(
-            "check", work / "a.json", cell, "--dry-run", "--seed", seed, "--history", work / "h", "--out", work / f"check-{name}"
-        )
-        _make(finding_changes(check))
+        files = ("--history", work / "checks.json", "--out", work / f"check-{name}")
+        _make(finding_changes(command("check", work / "a.json", cell, "--dry-run", "--seed", seed, *files)))
 
 
 def finding_changes(check: Work) -> Work:
