@@ -71,6 +71,7 @@ def make_inputs(work: Path) -> None:
     (work / "b.json").write_text(sealed_text(other))
     for place, name in enumerate("ab"):
         changed_plan("quick.yaml", work / f"plan-{name}.yaml", partial(_alter, place))
+        (work / f"hand-eye-{name}.csv").write_text(hand_eye_table(place))
         (work / f"rows-{name}.csv").write_text(f"{DH_ROWS}0,{80 + place},0,0\n")
     (work / "points.csv").write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n" + f"{JOINTS}\n" * 20)
     (work / "scan.ply").write_text(
@@ -116,6 +117,24 @@ def copied_and_edited(plan: str, folder: Path) -> Work:
             file.write_text(file.read_text() + "# mine\n")
 
     return work
+
+
+def hand_eye_table(seed: int) -> str:
+    """Twenty poses of the flange as a KUKA shows them (mm, deg), and of a target as the camera on it sees it (mm, quaternion)."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from mbcacq.geometry import se3
+
+    rng = np.random.default_rng(seed)
+    xyz, abc = rng.uniform(-100, 100, (20, 3)) + [600, 0, 500], rng.uniform(-40, 40, (20, 3)) + [0, 90, 0]
+    T_flange_camera, T_base_target = (
+        se3.from_abc(np.array(at), np.radians(by)) for at, by in (([10, 20, 80], [5, 3, 90]), ([900, 0, 0], [0, 0, 0]))
+    )
+    target = se3.inverse(se3.from_abc(xyz, np.radians(abc)) @ T_flange_camera) @ T_base_target
+    rows = np.column_stack([xyz, abc, target[:, :3, 3], Rotation.from_matrix(target[:, :3, :3]).as_quat()])
+    head = "X,Y,Z,A,B,C,target_x_mm,target_y_mm,target_z_mm,target_qx,target_qy,target_qz,target_qw"
+    return "\n".join([head, *(",".join(f"{value:.6f}" for value in row) for row in rows)]) + "\n"
 
 
 def make_run(work: Path) -> None:
@@ -195,11 +214,17 @@ def cases(work: Path) -> dict[str, Case]:
             make=lambda of, f: command("plan", "program", work / f"plan-{of}.yaml", "--for", "rapid", "--out", f, "--replace")
         ),
         "controller-files": Case(make=lambda of, f: command("controller-files", work / f"plan-{of}.yaml", "--out", f, "--replace")),
+        "data new": Case(
+            make=lambda of, f: command(
+                "data", "new", work / f"hand-eye-{of}.csv", "--flange", "kuka", "--eye-in-hand", "--out", f, "--force"
+            )
+        ),
         "check --from": Case(
             make=lambda of, f: finding_changes(
                 command("check", work / "a.json", work / "check.yaml", "--from", work / f"check-{of}", "--history", f / "history.json")
             ),
             prepare=lambda folder: measure_checks(work),
+            sets={".run.lock": ""},
             strikes=3,
         ),
         "recover": Case(

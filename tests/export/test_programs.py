@@ -300,6 +300,12 @@ def test_fanuc_untaught_positions_offsets_by_any_word_and_numbers_with_zeros(rea
     assert reasons["P[4]"] == "is not taught, or has axes in mm"
 
 
+def test_an_endless_gap_in_a_statement_of_fanuc_is_read(read):
+    """A pattern with white space twice, and nothing needed between, would take a quarter of an hour for it."""
+    program = read("a.ls", LS_FORMS.replace("   1:", f"{' ' * 1_000_000}1:") + position(1) + "/END\n")
+    assert [name for name, _ in targets(program)] == ["P[1]"]
+
+
 def test_fanuc_ls(read):
     program = read("test.ls", LS)
     assert [name for name, _ in targets(program)] == ["P[1]", "P[5]", "P[6]", "P[8]"]
