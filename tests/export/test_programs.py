@@ -113,9 +113,14 @@ def test_only_line_ends_of_krl_end_a_line(read):
     assert targets(program) == [("line 2", 2), ("line 3", 3)]
 
 
-def test_a_line_of_one_endless_word_is_read(read):
-    """A pattern that looks for a name in front of braces from every start would take an hour for it."""
-    assert targets(read("a.src", f"{'a' * 600_000} {{B}}\nPTP {{{ANGLES}}}\n")) == [("line 2", 2)]
+@pytest.mark.parametrize(
+    "line",
+    [f"{'a' * 600_000} {{B}}", f"PTP {{A1 {'1' * 300_000}x}}", f"{' ' * 300_000}x", f"PTP{' ' * 300_000}{{"],
+    ids=["a word", "a number", "spaces", "spaces behind a motion"],
+)
+def test_an_endless_line_is_read(read, line):
+    """A pattern that begins again at every character, or tries every division of the digits, would take half an hour and more for it."""
+    assert targets(read("a.src", f"{line}\nPTP {{{ANGLES}}}\n")) == [("line 2", 2)]
 
 
 UR = """def prog():
@@ -293,6 +298,12 @@ def test_fanuc_untaught_positions_offsets_by_any_word_and_numbers_with_zeros(rea
     assert "relative motion (line 4)" in reasons["P[2]"]
     assert "used otherwise (line 5)" in reasons["P[3]"]
     assert reasons["P[4]"] == "is not taught, or has axes in mm"
+
+
+def test_an_endless_gap_in_a_statement_of_fanuc_is_read(read):
+    """A pattern with white space twice, and nothing needed between, would take a quarter of an hour for it."""
+    program = read("a.ls", LS_FORMS.replace("   1:", f"{' ' * 1_000_000}1:") + position(1) + "/END\n")
+    assert [name for name, _ in targets(program)] == ["P[1]"]
 
 
 def test_fanuc_ls(read):

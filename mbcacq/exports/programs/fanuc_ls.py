@@ -43,7 +43,7 @@ STARS: /\*+/
 MOTIONS = ("J", "L", "C", "A", "S")
 MOVED = re.compile(r"offset|^lock|^pallet", re.IGNORECASE)
 _SECTION = re.compile(r"^/(MN|POS|END|PROG|ATTR|APPL)\b.*$", re.MULTILINE)
-_REMARK = re.compile(r"\s*\d*\s*:\s*(!|//)")
+_REMARK = re.compile(r"\s*(\d+\s*)?:\s*(!|//)")
 DEGREES = float(np.pi / 180)
 
 

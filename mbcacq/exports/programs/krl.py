@@ -28,7 +28,7 @@ type: NAME ":"
 field: NUMBERED | NAME index? value
 value: (aggregate | SIGNED | STRING | ENUM | variable | call | OPERATOR)+
 
-NUMBERED.3: /[A-Za-z]\w*[ \t]+[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(?![\w.'])/
+NUMBERED.3: /[A-Za-z]\w*[ \t]+[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?(?![\w.'])/
 MOTION.2: /(S?PTP|S?LIN|S?CIRC|SPL|ASYPTP)(_REL)?(?![\w$])/i
 WITH.2: /WITH(?![\w$])/i
 NAME: /[$A-Za-z_][\w$]*/
@@ -45,7 +45,7 @@ FRAME = {"x", "y", "z"}  # of a base or a tool too, unless a motion uses it
 DECLARING = ("decl", "global", "const")
 POSE_REASON = "is a pose, whose joints are the controller's choice"
 OTHER = "is no place"
-_DATA = re.compile(r"\s*(?:GLOBAL\s+)?DEFDAT\s+([\w$]+)(\s+PUBLIC)?", re.IGNORECASE)
+_DATA = re.compile(r"\s*(?:GLOBAL\s+)?DEFDAT\s+[\w$]", re.IGNORECASE)
 _MOVES = re.compile(r"\bS?(?:PTP|LIN|CIRC)(?:_REL)?\b", re.IGNORECASE)
 _WORD = re.compile(r"[$A-Za-z_][\w$]*")
 _INLINE_FORM = re.compile(r"x", re.IGNORECASE)  # the controller's forms call the coordinates of point P1 XP1
@@ -198,14 +198,14 @@ def read(text: str, n: int, programs: Iterable[str] = ()) -> RobotProgram:
     found = _KrlStatements(n)
     for number, at, line in lines(text):
         found.line(number, at, line)
-    data = re.search(_DATA.pattern, text, re.IGNORECASE | re.MULTILINE)
+    data = any(_DATA.match(line) for _, _, line in lines(text))
     users = [program for program in programs if data]
     for program in users:
         there = _KrlStatements(n)
         for number, at, line in lines(program):
             there.line(number, at, line)
         found.uses.add(there.uses)
-    by_name = data is not None and not users and not _MOVES.search(text)
+    by_name = data and not users and not _MOVES.search(text)
     points, left = [], list(found.left)
     for variable, known, point in found.points:
         reason = known or _reason(variable, found, by_name)

@@ -65,25 +65,26 @@ class _RapidStatements:
         names = [str(child).lower() for child in tree.children if getattr(child, "type", "") == "NAME"]
         if "jointtarget" in names:
             self.jointtargets |= set(names[names.index("jointtarget") + 1 :])
+        types = {"jointtarget", "robtarget"} & set(names)
         for child in tree.children:
             kind = getattr(child, "data", "")
-            if "jointtarget" in names and getattr(child, "type", "") == "NAME":
+            if "jointtarget" in types and getattr(child, "type", "") == "NAME":
                 continue  # a declaration says what there is and uses nothing
             if kind == "motion":
                 self._motion(child, begin, line_of)
             elif kind == "assignment":
-                self._assignment(child, names, begin, line_of)
+                self._assignment(child, types, begin, line_of)
             else:
                 self._other(child, begin, line_of)
 
-    def _assignment(self, assignment: Any, names: list[str], begin: int, line_of: LineNumbers) -> None:
+    def _assignment(self, assignment: Any, types: set[str], begin: int, line_of: LineNumbers) -> None:
         name, value = assignment.children
         number, label = line_of(begin + name.start_pos), str(name)
-        if "jointtarget" in names:
+        if "jointtarget" in types:
             self.jointtargets.add(label.lower())
-        if getattr(value, "data", "") == "list" and ("jointtarget" in names or label.lower() in self.jointtargets):
+        if getattr(value, "data", "") == "list" and ("jointtarget" in types or label.lower() in self.jointtargets):
             self._jointtarget(label.lower(), label, "", value, begin, number)
-        elif getattr(value, "data", "") == "list" and "robtarget" in names:
+        elif getattr(value, "data", "") == "list" and "robtarget" in types:
             self.left.append((label, number, "is a pose, whose joints the controller's own kinematics finds"))
         else:
             self.uses[label.lower().split(".")[0]].otherwise.append(number)
