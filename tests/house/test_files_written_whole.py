@@ -13,6 +13,7 @@ ALLOWED = {
     "recording/run_folder/journal.py": "a journal: lines are added, each with its checksum and synced",
     "recording/run_folder/recovery.py": "a temporary copy that is merged and removed",
     "recording/rrd/checksums.py": "lines are added, each with its own checksum",
+    "recording/rrd/new_stream.py": "the temporary path that the atomic writer gave, and publishes",
     "recording/rrd/quiet_environment.py": "settings in a temporary folder of the process",
 }
 

@@ -17,8 +17,7 @@ from mbcacq.quantities import symbol
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.blueprint import curves_over_time
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
-from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
-from mbcacq.recording.rrd.rerun_path import rerun_path
+from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE
 
 MEASURED = (190, 198, 210)
@@ -45,19 +44,17 @@ def write_motion(path: Path | str, motion: MotionDrawn) -> Path:
     with replacing(path) as partial:
         stream = new_stream(layout.APPLICATION)
         try:
-            stream.save(rerun_path(partial))
-            send_default_blueprint(
-                stream,
-                rrb.Blueprint(
-                    rrb.Tabs(*motion_tabs(motion), active_tab=0),
-                    rrb.TimePanel(state="collapsed", timeline=layout.ROBOT_TIME),
-                    rrb.SelectionPanel(state="collapsed"),
-                    rrb.BlueprintPanel(state="collapsed"),
-                ),
-            )
-            log_motion(stream, motion)
-            stream.flush(timeout_sec=60.0)
-            stream.disconnect()
+            with into_file(stream, partial):
+                send_default_blueprint(
+                    stream,
+                    rrb.Blueprint(
+                        rrb.Tabs(*motion_tabs(motion), active_tab=0),
+                        rrb.TimePanel(state="collapsed", timeline=layout.ROBOT_TIME),
+                        rrb.SelectionPanel(state="collapsed"),
+                        rrb.BlueprintPanel(state="collapsed"),
+                    ),
+                )
+                log_motion(stream, motion)
         except (RuntimeError, OSError) as error:
             raise RecordingError(f"{partial} cannot be written: {error}; choose another place") from error
     return Path(path)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 import rerun_bindings
+
+from mbcacq.recording.rrd.rerun_path import rerun_path
 
 
 def new_stream(application: str, recording_id: str | None = None, **options: Any) -> rr.RecordingStream:
@@ -17,6 +22,22 @@ def new_stream(application: str, recording_id: str | None = None, **options: Any
     """
     rerun_bindings.flush_and_cleanup_orphaned_recordings()
     return rr.RecordingStream(application, recording_id=recording_id, **options)
+
+
+@contextmanager
+def into_file(stream: rr.RecordingStream, path: Path) -> Iterator[None]:
+    """What is logged in the block is in the file at its end, and the stream is closed.
+
+    It is kept in memory until then: the library's own writer waits for ever where the disk takes not even the first bytes of a file.
+    Raises OSError where the file cannot be written, ConfigError where its name cannot be read by the library.
+    """
+    rerun_path(path)
+    memory = stream.memory_recording()
+    try:
+        yield
+        path.write_bytes(memory.drain_as_bytes())
+    finally:
+        stream.disconnect()
 
 
 def send_default_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import replacing
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Station
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
-from mbcacq.recording.rrd.rerun_path import rerun_path
 
 FRAMES_A_MOTION = 16
 OBSTACLE = (120, 96, 80, 90)
@@ -23,19 +21,17 @@ def write_plan_recording(
 ) -> None:
     """Write ``file`` (.rrd). starts: (P,) s, when each pose's first motion begins. Raises RecordingError where it cannot be written."""
     with replacing(file) as partial:
-        _write(loaded, poses, transits, starts, partial, file)
+        _write(loaded, poses, transits, starts, partial)
 
 
-def _write(
-    loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit], starts: Sequence[float], partial: Path, file: Path
-) -> None:
+def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit], starts: Sequence[float], partial: Path) -> None:
     import rerun as rr
     import rerun.blueprint as rrb
 
     from mbcacq.recording.rrd import layout, scene
     from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, NIGHT, place_camera
     from mbcacq.recording.rrd.drawable import drawable
-    from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
+    from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
 
     cell = loaded.cell
     rec = new_stream("mbcacq_plan")
@@ -47,8 +43,7 @@ def _write(
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(position=viewpoint.position, look_target=viewpoint.target, eye_up=(0.0, 0.0, 1.0)),
     )
-    try:
-        rec.save(rerun_path(partial))
+    with into_file(rec, partial):
         log = rrb.TextLogView(name="Poses and when they begin", origin=layout.LOG, columns=LOG_COLUMNS)
         panels = (
             rrb.TimePanel(state="collapsed", timeline=layout.TIME),
@@ -56,40 +51,38 @@ def _write(
             rrb.BlueprintPanel(state="collapsed"),
         )
         send_default_blueprint(rec, rrb.Blueprint(rrb.Horizontal(view, log, column_shares=[3, 1]), *panels))
-    except (OSError, RuntimeError) as error:
-        raise RecordingError(f"{file} cannot be written ({error}); give another --rrd") from None
-    scene.log_static(rec, cell, loaded.text)
-    rec.set_time(layout.TIME, duration=0.0)
-    for station in cell.stations:
-        artefact = cell.artefact(station.artefact)
-        centres = se3.apply(_planned_pose(station), artefact.centres)
-        scene.log_balls(rec, station.id, artefact, dict(zip(artefact.ball_ids, centres, strict=True)))
-    low, high = (np.array([getattr(o, k) for o in loaded.plan.obstacles], dtype=float).reshape(-1, 3) for k in ("min_mm", "max_mm"))
-    rec.log(
-        f"{layout.WORLD}/obstacles",
-        rr.Boxes3D(
-            centers=(low + high) / 2,
-            half_sizes=(high - low) / 2,
-            colors=[OBSTACLE],
-            labels=[drawable(o.name) for o in loaded.plan.obstacles],
-            show_labels=False,
-        ),
-        static=True,
-    )
-    last = np.radians(loaded.plan.robot.home_deg)
-    for pose, transit, start, end in zip(poses, transits, starts, [*starts[1:], starts[-1] + 5.0], strict=True):
-        stops = np.array([last, *transit, pose.q])
-        # The arm moves in the first half of a pose's time, and stands in the second.
-        share = np.linspace(0, len(stops) - 1, FRAMES_A_MOTION * (len(stops) - 1) + 1)
-        path = np.stack([np.interp(share, np.arange(len(stops)), joint) for joint in stops.T], axis=1)
-        for k, q in enumerate(path):
-            rec.set_time(layout.TIME, duration=start + 0.5 * (end - start) * k / (len(path) - 1))
-            scene.log_arm(rec, cell, q)
-        seen = f"{len(pose.balls)} ball{'' if len(pose.balls) == 1 else 's'}"
-        rec.log(layout.LOG, rr.TextLog(drawable(f"{start:.0f} s  pose {pose.number}: {pose.step_name}, station {pose.station}, {seen}")))
-        last = pose.q
-    rec.flush(timeout_sec=60.0)
-    rec.disconnect()
+        scene.log_static(rec, cell, loaded.text)
+        rec.set_time(layout.TIME, duration=0.0)
+        for station in cell.stations:
+            artefact = cell.artefact(station.artefact)
+            centres = se3.apply(_planned_pose(station), artefact.centres)
+            scene.log_balls(rec, station.id, artefact, dict(zip(artefact.ball_ids, centres, strict=True)))
+        low, high = (np.array([getattr(o, k) for o in loaded.plan.obstacles], dtype=float).reshape(-1, 3) for k in ("min_mm", "max_mm"))
+        rec.log(
+            f"{layout.WORLD}/obstacles",
+            rr.Boxes3D(
+                centers=(low + high) / 2,
+                half_sizes=(high - low) / 2,
+                colors=[OBSTACLE],
+                labels=[drawable(o.name) for o in loaded.plan.obstacles],
+                show_labels=False,
+            ),
+            static=True,
+        )
+        last = np.radians(loaded.plan.robot.home_deg)
+        for pose, transit, start, end in zip(poses, transits, starts, [*starts[1:], starts[-1] + 5.0], strict=True):
+            stops = np.array([last, *transit, pose.q])
+            # The arm moves in the first half of a pose's time, and stands in the second.
+            share = np.linspace(0, len(stops) - 1, FRAMES_A_MOTION * (len(stops) - 1) + 1)
+            path = np.stack([np.interp(share, np.arange(len(stops)), joint) for joint in stops.T], axis=1)
+            for k, q in enumerate(path):
+                rec.set_time(layout.TIME, duration=start + 0.5 * (end - start) * k / (len(path) - 1))
+                scene.log_arm(rec, cell, q)
+            seen = f"{len(pose.balls)} ball{'' if len(pose.balls) == 1 else 's'}"
+            rec.log(
+                layout.LOG, rr.TextLog(drawable(f"{start:.0f} s  pose {pose.number}: {pose.step_name}, station {pose.station}, {seen}"))
+            )
+            last = pose.q
 
 
 def _planned_pose(station: Station) -> np.ndarray:

@@ -20,9 +20,8 @@ from mbcacq.recording.rrd.blueprint import Enlarged, for_cell
 from mbcacq.recording.rrd.chart import Chart
 from mbcacq.recording.rrd.checksums import note_made
 from mbcacq.recording.rrd.drawable import drawn_text
-from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
+from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
 from mbcacq.recording.rrd.reader import open_recordings
-from mbcacq.recording.rrd.rerun_path import rerun_path
 
 BALL_ARROW_MM, SPACE_ARROW = 60.0, 0.12  # length of a large error (95 %): of a pose, in mm; of all poses, as a share of their extent
 BEFORE, AFTER = (230, 159, 0), (86, 180, 233)
@@ -76,24 +75,22 @@ def log_result(
         investigated = (run / layout.INVESTIGATION_FILE).exists()
         panels = {"lengths": verified, "compared": before is not None, "investigated": investigated}
         scale = replace(_scales(observations, after, errors, shown), **panels)
-        stream.save(rerun_path(partial))
-        send_default_blueprint(stream, for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
-        _log_static(stream, scale)
-        for k, number in enumerate(observations.pose_id.tolist()):
-            if number not in times or not known[observations.station[k]]:
-                continue
-            stream.set_time(layout.TIME, duration=times[number])
-            stream.set_time(layout.POSE, sequence=number)
-            _log_pose(stream, observations, k, after, errors, scale.pose)
-        stream.reset_time()
-        _log_all(stream, observations, after, errors, shown, scale.all)
-        _log_stations(stream, observations, after, known)
-        if judgement is not None:
-            _log_judgement(stream, judgement)
-        summary = _summary(observations, errors, shown, scale)
-        stream.log(layout.SUMMARY, drawn_text(summary), static=True)
-        stream.flush(timeout_sec=60.0)
-        stream.disconnect()
+        with into_file(stream, partial):
+            send_default_blueprint(stream, for_cell(observations.cell, recordings[0].text(layout.PLAN), scale))
+            _log_static(stream, scale)
+            for k, number in enumerate(observations.pose_id.tolist()):
+                if number not in times or not known[observations.station[k]]:
+                    continue
+                stream.set_time(layout.TIME, duration=times[number])
+                stream.set_time(layout.POSE, sequence=number)
+                _log_pose(stream, observations, k, after, errors, scale.pose)
+            stream.reset_time()
+            _log_all(stream, observations, after, errors, shown, scale.all)
+            _log_stations(stream, observations, after, known)
+            if judgement is not None:
+                _log_judgement(stream, judgement)
+            summary = _summary(observations, errors, shown, scale)
+            stream.log(layout.SUMMARY, drawn_text(summary), static=True)
         note_made(partial, path)
         publish(partial, path)
     except (RuntimeError, OSError) as error:
