@@ -62,7 +62,7 @@ class Cells:
             self.there.append((loaded, list(expand(loaded))))
 
     def recordings(self, scenario: Scenario) -> tuple[Observations, Observations]:
-        """Of one arm with one effect: that to learn from, and that to try it on."""
+        """Two recordings of one arm with one effect: that to learn from, and that to try it on."""
         injected = self.gauge.inject(scenario)
         here, _ = observe(self.gauge.loaded, self.gauge.poses, scenario, injected)
         loaded, poses = self.there[scenario.number % len(self.there)]

@@ -22,7 +22,7 @@ NOT_SHOWN = re.compile(r"Note: .* was not considered: |  \S+ phase ")  # what th
 
 
 def kept(text: str) -> str:
-    """The JSON of a diagnosis without what its words do not need. Of its model they say only that there is one: its
+    """The JSON of a diagnosis without what its words do not need. They say of its model only that there is one: its
     shortest term is kept."""
     whole = json.loads(text)
     content = {key: value for key, value in whole.items() if key not in NOT_IN_WORDS}

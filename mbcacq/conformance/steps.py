@@ -14,7 +14,7 @@ def fault(bench: DriverBench, stand: Stand, action: str, must_fail: bool = False
     """From the next message on, whatever the device sends is changed: on connecting, and in the middle of the work."""
     need_proxies(stand)
     for moment in ("connect", "use"):
-        # Of a device that answers, a busy computer may make the connection a slow one.
+        # A busy computer may make the connection to a device that answers a slow one.
         limits = {name: limit for name, limit in stand.short_limits.items() if moment == "connect" or name != "connect_timeout_s"}
         driver = stand.make(**limits)
         if moment == "use":

@@ -77,7 +77,7 @@ def test_a_limit_beside_what_it_is_confused_with_is_larger(projected, few):
 
 @pytest.mark.parametrize("order", [SLOW, FAST])
 def test_nineteen_of_twenty_errors_of_a_gear_are_below_the_limit_of_their_band(projected, few, order):
-    """Of any phase and any order of the band, with an elasticity of usual size that is not known; neither fewer, nor nearly all."""
+    """Errors of any phase and any order of the band, with an elasticity of usual size that is not known; neither fewer, nor nearly all."""
     gear, soft = one(few, "gear_transmission_error", "A2"), one(few, "joint_compliance", "A2")
     band, rng, below, trials = band_of(gear, order), np.random.default_rng(5), 0, 150
     blocks = {v: np.concatenate([projected.block(gear, v), projected.block(soft, None)], axis=1) for v in band.values}

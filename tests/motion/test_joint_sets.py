@@ -58,7 +58,7 @@ def test_an_effect_that_one_has_in_every_set_and_the_other_in_none_that_knows_it
 
 
 def log_evidence(X, y, prior_std):
-    """Of rows y = X c + noise of unit variance, about a coefficient c ~ N(0, prior_std^2), computed from the rows themselves."""
+    """Log density of rows y = X c + noise of unit variance, about a coefficient c ~ N(0, prior_std^2), computed from the rows themselves."""
     return multivariate_normal.logpdf(y, np.zeros(len(y)), np.eye(len(y)) + prior_std**2 * np.outer(X, X))
 
 

@@ -30,7 +30,7 @@ def test_too_small_an_address_space_is_said_before_anything_moves(tmp_path):
 
 
 def test_two_gigabytes_of_addresses_and_64_files_are_enough_for_a_run_to_its_report(tmp_path):
-    """Of the addresses a fifth is used; allocators would reserve more than there are."""
+    """A fifth of the addresses is used; allocators would reserve more than there are."""
 
     def little() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))

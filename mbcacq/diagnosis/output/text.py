@@ -104,7 +104,7 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     excess = held.before_rms_mm**2 - floor.floor_mm**2
     removed = min(max((held.before_rms_mm**2 - held.after_rms_mm**2) / excess, 0.0), 1.0) if excess > 0 else 0.0
     before, after = micrometres(held.before_rms_mm), micrometres(held.after_rms_mm)
-    # Of an excess that is within the uncertainty of the noise there is no share.
+    # An excess that is within the uncertainty of the noise has no shares.
     share = f"{removed:.0%} of the misfit beyond noise, " if held.before_rms_mm - floor.floor_mm > floor.expanded_mm else ""
     much = f"{share}{before} before, {after} after" if d.effects else before
     much += f", on held-out data; noise alone leaves {floor.noise} (k = 2)"
