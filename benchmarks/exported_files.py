@@ -9,6 +9,7 @@ table: program, commands, seconds, what was found and how far it is from the tru
 
 from __future__ import annotations
 
+import argparse
 import json
 import shutil
 import subprocess
@@ -57,7 +58,9 @@ class Walk:
 
 
 def main() -> int:
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="exported-"))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="of the files [default: a temporary one]")
+    folder = parser.parse_args().folder or Path(tempfile.mkdtemp(prefix="exported-"))
     print("| program | commands | s | found |\n|---|---|--:|---|")
     for make in (easy_handeye2, moveit, rtde_and_spatialanalyzer, trace_and_leica, scope_and_api, ur_driver, lbr_driver):
         here = folder / make.__name__

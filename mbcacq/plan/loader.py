@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mbcacq.files.atomic_write import finish_set
 from mbcacq.model import cell, shipped
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
 from mbcacq.model.formats import newer_format
@@ -26,6 +27,7 @@ def load(path: str | Path, text: str | None = None) -> LoadedPlan:
     path: also the name of one of the tool's own plans, where there is no file of that name. text: the plan's YAML, where it is not written
     to ``path`` yet.
     """
+    finish_set(Path(path).parent)  # of a copied plan and its robot
     file = read(shipped.plan_file(Path(path)), "plan") if text is None else parse(text, Path(path))
     if "format" not in file.data:
         raise file.error((), "this is no plan, which begins with 'format: mbcacq-plan/1'; give a plan, or add that line")

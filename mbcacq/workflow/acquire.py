@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -39,12 +40,18 @@ def versions() -> dict[str, str]:
     return {"mbcacq": __version__, "python": platform.python_version(), **named}
 
 
-def new_run_folder(out: Path | None, name: str) -> Path:
-    """Create the folder of a run: ``out`` if given (must not hold a run yet), else runs/TIME_NAME."""
+def named_run_folder(out: Path | None, name: str) -> Path:
+    """The folder of a new run: ``out`` if given (must not hold a run yet), else runs/TIME_NAME. It is not made yet."""
     folder = out or Path("runs") / f"{datetime.now():%Y-%m-%dT%H-%M-%S}_{re.sub(r'[^A-Za-z0-9_-]+', '-', name)}"
+    if os.path.exists(folder / "run.rrd"):  # False where that cannot be known: making it says why
+        raise ConfigError(f"{folder} already holds a run; give another --out, or go on with it by --resume {folder}")
+    return folder
+
+
+def new_run_folder(out: Path | None, name: str) -> Path:
+    """Create the folder of a run, which ``named_run_folder`` names."""
+    folder = named_run_folder(out, name)
     try:
-        if (folder / "run.rrd").exists():
-            raise ConfigError(f"{folder} already holds a run; give another --out, or go on with it by --resume {folder}")
         folder.mkdir(parents=True, exist_ok=True)
         sync_folder(folder.parent)
     except OSError as error:

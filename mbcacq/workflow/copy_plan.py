@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbcacq.errors import ConfigError
-from mbcacq.files.atomic_write import write_file
+from mbcacq.files.atomic_write import finish_set, write_files
 from mbcacq.model import shipped
 from mbcacq.plan import load
 
 
 def copy_plan(name: str, folder: Path | str = ".", *, force: bool = False) -> list[Path]:
-    """Copy a plan that came with the tool; the files written, the plan first.
+    """Copy a plan that came with the tool; its files, the plan first. Where it is interrupted, none of them is replaced or all are.
 
     Parameters
     ----------
@@ -34,10 +34,11 @@ def copy_plan(name: str, folder: Path | str = ".", *, force: bool = False) -> li
         raise ConfigError(f"there is no plan '{name}' among those of the tool ({', '.join(shipped.plans())}); name one of these")
     plan = load(own).plan
     named = [own.name, plan.robot.model, *plan.artefacts, *([plan.robot.urdf] if plan.robot.urdf else [])]
-    content = {Path(folder) / one: (own.parent / one).read_bytes() for one in named}
-    for path, data in content.items():
-        if not force and path.exists() and (not path.is_file() or path.read_bytes() != data):
-            raise ConfigError(f"{path} exists and differs from the tool's; give another folder, or --force to replace it")
-    for path, data in content.items():
-        write_file(path, data)
-    return list(content)
+    folder = Path(folder)
+    finish_set(folder)
+    content = {one: (own.parent / one).read_bytes() for one in named}
+    changed = {one: data for one, data in content.items() if not (folder / one).is_file() or (folder / one).read_bytes() != data}
+    if not force and (there := next((folder / one for one in changed if (folder / one).exists()), None)):
+        raise ConfigError(f"{there} exists and differs from the tool's; give another folder, or --force to replace it")
+    write_files(folder, changed)
+    return [folder / one for one in content]

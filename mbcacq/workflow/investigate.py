@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose, expand, load, refuse_errors
 from mbcacq.plan.growth import with_steps
 from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
 from mbcacq.workflow import resume as resuming
-from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
+from mbcacq.workflow.acquire import named_run_folder, new_run_folder, plan_acquisition
 from mbcacq.workflow.address_space import refuse_small_address_space
 from mbcacq.workflow.dry_run import MeasuredBefore, device_overrides, name_of
 from mbcacq.workflow.evaluate import RunResult, evaluate
@@ -63,11 +64,23 @@ class CellInvestigation:
         from mbcacq.recording.run_folder.lock import write_lock
 
         before = tuple(self.decisions)
-        with write_lock(self.folder, "investigate"):
-            self._keep()
+        with ExitStack() as held:
+
+            def hold() -> None:
+                held.enter_context(write_lock(self.folder, "investigate"))
+                self._keep()
+
+            def begin() -> None:
+                new_run_folder(self.folder, self.loaded.path.stem)
+                hold()
+
+            goes_on = self.begun_from_run or (self.folder / INVESTIGATION_FILE).exists()
+            if goes_on:
+                hold()
             self._settled = self._poses_settled(before)
             measured = load_observations(self.folder) if self.begun_from_run else None
-            for decision in decisions_of(self.loaded, self._measure, self.budget, before, measured, self.seed):
+            measure = self._measure if goes_on else partial(self._measure, begin=begin)
+            for decision in decisions_of(self.loaded, measure, self.budget, before, measured, self.seed):
                 if decision.number >= len(self.decisions):
                     self.decisions.append(decision)
                     self._keep()
@@ -93,8 +106,8 @@ class CellInvestigation:
         """The page on how it was found, once it is finished."""
         return self.folder / PAGE
 
-    def _measure(self, grown: LoadedPlan) -> Observations:
-        """Everything that is measured, after the poses that the plan has grown by."""
+    def _measure(self, grown: LoadedPlan, begin: Callable[[], None] = lambda: None) -> Observations:
+        """Everything that is measured, after the poses that the plan has grown by. begin: called before the first, once nothing refuses."""
         operator, cell = self.operator, name_of(self.dry_run, self.seed)
         poses = expand(grown)
         refuse_errors(grown, poses)
@@ -114,14 +127,15 @@ class CellInvestigation:
             operator.progress("")
             if not self.dry_run:
                 operator.allow(acquisition)
-            if not self._begun:
-                operator.began(self.folder)
-                self._begun = True
             acquisition.folder = self.folder
             acquisition.weighed = self._weighed([p for p in poses if p.number not in done])
             operator.progress("starting the fake cell" if self.dry_run else "")
             known = MeasuredBefore.of(load_observations(self.folder), done) if self.dry_run and done else None
             with device_overrides(grown, poses, self.dry_run, self.seed, operator.assume_yes, known) as overrides:
+                if not self._begun:
+                    begin()
+                    operator.began(self.folder)
+                    self._begun = True
                 acquisition.execute(overrides, operator.subscribers, live=self.live, message=operator.message, pause=operator.pause)
         self._settled = len(poses)
         operator.progress("weighing all explanations")
@@ -204,7 +218,7 @@ def investigate(  # noqa: PLR0913 -- one argument an option of its command
     loaded = as_plan(plan)
     if not dry_run:
         refuse_impossible_devices(loaded)
-    return begin(loaded=loaded, folder=new_run_folder(None if out is None else Path(out), loaded.path.stem), budget=budget)
+    return begin(loaded=loaded, folder=named_run_folder(None if out is None else Path(out), loaded.path.stem), budget=budget)
 
 
 def _from_run(folder: Path) -> LoadedPlan:

@@ -46,3 +46,10 @@ def test_killed_in_a_visit_and_resumed_it_decides_and_measures_the_same(tmp_path
 def test_a_folder_without_an_investigation_is_not_resumed(tmp_path: Path):
     with pytest.raises(ConfigError, match="holds no investigation to resume"):
         mbcacq.investigate(None, resume=tmp_path, dry_run=True)
+
+
+def test_an_investigation_that_is_refused_leaves_no_folder_behind(tmp_path: Path):
+    """Nobody allows the arm to move: nothing is measured, so there is nothing to go on with."""
+    with pytest.raises(ConfigError, match="give an operator"):
+        next(iter(mbcacq.investigate(simulated_plan(tmp_path, "concealed.yaml"), BUDGET, out=tmp_path / "run")))
+    assert not (tmp_path / "run").exists()

@@ -1,10 +1,13 @@
 """The tool's own plans are found by their names in an empty folder, and copied with all that they name."""
 
+import os
+
 import pytest
 from click.testing import CliRunner
 
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
+from mbcacq.files import atomic_write
 from mbcacq.model import shipped
 from mbcacq.plan import load
 from mbcacq.workflow.copy_plan import copy_plan
@@ -42,6 +45,27 @@ def test_a_copy_loads_as_the_shipped_plan_does(name, tmp_path):
     assert first.read_text() == "changed"
     copy_plan(name, tmp_path / "mine", force=True)
     assert load(first).text == load(name).text
+
+
+@pytest.mark.parametrize("stop", range(4))
+def test_a_copy_that_is_stopped_anywhere_has_plan_and_robot_of_one_version(tmp_path, monkeypatch, stop):
+    """Killed before one of its renamings: whoever loads the plan finds every file of mine, or every file of the tool."""
+    copied = copy_plan("kuka", tmp_path)
+    for path in copied:
+        path.write_text(path.read_text() + "# mine\n")
+    replace, left = os.replace, [stop]
+
+    def killed(old, new):
+        if not left[0]:
+            raise KeyboardInterrupt
+        left[0] -= 1
+        replace(old, new)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(atomic_write.os, "replace", killed)
+        copy_plan("kuka", tmp_path, force=True)
+    load(copied[0])
+    assert len({path.read_text().endswith("# mine\n") for path in copied}) == 1
 
 
 def test_an_unknown_plan_is_named_with_the_choices():
