@@ -17,7 +17,7 @@ from mbcacq.challenge.score import Score, score
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.effects.catalogue import declaration
-from mbcacq.files.atomic_write import write_file
+from mbcacq.files.atomic_write import write_files
 from mbcacq.model.json_text import plain
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 
@@ -92,11 +92,10 @@ class Challenger:
 
         assert self.folder is not None, "only called where a folder is given"
         place = self.folder / f"{outcome.scenario.number:03d}"
-        place.mkdir(parents=True, exist_ok=True)
         if not self.protocols:
             write_observation_set(observations, place / "observations")
-        write_file(place / "diagnosis.json", json.dumps(outcome.diagnosis, indent=1))
-        write_file(place / "scenario.json", json.dumps(outcome.to_dict(full=True), indent=1))
+        contents = {"diagnosis": outcome.diagnosis, "scenario": outcome.to_dict(full=True)}
+        write_files(place, {f"{name}.json": json.dumps(content, indent=1) for name, content in contents.items()})
 
 
 def with_observable_locations(effect: dict[str, Any]) -> dict[str, Any]:

@@ -173,6 +173,19 @@ def test_a_full_disk_ends_the_run_by_name_and_keeps_what_was_written(tmp_path):
     assert finished <= set(load_observations(tmp_path).pose_id.tolist())
 
 
+@on_posix
+def test_a_disk_that_takes_not_the_first_bytes_is_named_before_the_run(tmp_path):
+    """The library's own writer ends there, and whoever hands it a stream waits for ever."""
+    child = writing(tmp_path, "1000")
+    try:
+        out, _ = child.communicate(timeout=100)
+    finally:
+        child.kill()
+    assert child.returncode == 6
+    assert "run.rrd cannot be written" in out.splitlines()[-1]
+    assert not (tmp_path / "run.rrd").exists()
+
+
 def test_a_run_ends_before_the_disk_is_full(tmp_path, monkeypatch):
     stream = list(synthetic.run())
     cut = next(i for i, e in enumerate(stream) if isinstance(e, events.PoseReached) and e.pose == 2)

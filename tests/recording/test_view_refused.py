@@ -1,10 +1,22 @@
 """No screen and a broken recording are two things: each has its words and its exit code."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import rerun as rr
 from click.testing import CliRunner
 
 from mbcacq.cli.app import app
+
+LAID_OUT = """
+import resource, sys
+from pathlib import Path
+from mbcacq.recording.viewer.open_viewer import layout_first
+resource.setrlimit(resource.RLIMIT_FSIZE, (50, resource.RLIM_INFINITY))
+layout_first([Path(sys.argv[1])], Path(sys.argv[2]))
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -33,3 +45,12 @@ def test_a_broken_recording_is_named_before_the_screen(tmp_path):
     assert done.exit_code == 6
     assert "broken.rrd" in done.stderr
     assert "screen" not in done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of file sizes are of POSIX")
+def test_no_room_for_the_layout_is_named(tmp_path):
+    """The limit stands for a full temporary folder; the library's own writer waits for ever there."""
+    recording = Path(__file__).with_name("three_poses.rrd")
+    done = subprocess.run([sys.executable, "-c", LAID_OUT, recording, tmp_path], capture_output=True, text=True, timeout=100, check=False)
+    assert "RecordingError" in done.stderr
+    assert "layout.rrd cannot be written" in done.stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.plan.controller_joints import from_controller, to_controller
+from mbcacq.files.atomic_write import write_file
 from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.cell.program_steps import Step, steps_of
@@ -70,11 +70,8 @@ def rehearse(loaded: Any, poses: list[Any], program: Path, out: Path, *, seed: i
         files.append(path)
         if not rows or rows[-1][0] != cloud.pose:
             rows.append([cloud.pose, *(f"{angle:.6f}" for angle in to_controller(loaded, cloud.q))])
-    log = out / "joints.csv"
-    with log.open("w", encoding="ascii", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["pose", *(f"q{k}_deg" for k in range(1, loaded.cell.robot.n + 1))])
-        writer.writerows(rows)
+    heads = ["pose", *(f"q{k}_deg" for k in range(1, loaded.cell.robot.n + 1))]
+    log = write_file(out / "joints.csv", "".join(f"{','.join(map(str, row))}\n" for row in (heads, *rows)))
     return [*files, log]
 
 

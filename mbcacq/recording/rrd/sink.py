@@ -7,6 +7,7 @@ import ctypes
 import os
 import shutil
 import socket
+import tempfile
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -23,6 +24,7 @@ from mbcacq.recording.rrd.rerun_path import rerun_path
 
 STALLED_S = 5  # without one byte more in the file, while there is something to write
 MARGIN_BYTES = 48 << 20
+FIRST_BYTES = 1 << 20  # more than what a recording begins with: blueprint, plan, scene
 TICK_S = 0.04
 
 
@@ -31,6 +33,7 @@ class Sink:
 
     def __init__(self, path: Path, recording_id: str, *, live: bool, port: int, blueprint: rrb.Blueprint) -> None:
         rerun_path(path)  # what is written could not be read
+        _refuse_full_disk(path)
         self.path = path
         self._alive = True
         self._sync = _Syncer(path)
@@ -133,6 +136,16 @@ class Sink:
         rr.unregister_shutdown()
         for kept in (self.stream, self.stream.to_native()):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+
+
+def _refuse_full_disk(path: Path) -> None:
+    """Raises RecordingError where the disk takes not the first bytes: the library's writer ends at once there, and a stream that is told to
+    write to it waits for ever. Free space does not show it all: there are quotas and limits of a process."""
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as file:
+            file.write(bytes(FIRST_BYTES))
+    except OSError as error:
+        raise RecordingError(f"the recording {path} cannot be written: {error.strerror}; free the disk or choose another folder") from error
 
 
 def _free_port(preferred: int) -> int:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError, SystemRefused
+from mbcacq.files.atomic_write import replacing, write_files
 from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.quiet_environment import quiet_environment
 from mbcacq.recording.rrd.rerun_path import rerun_path
@@ -93,19 +94,15 @@ def screenshots(
     pose: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
-    """Write a PNG of each tab at the end of a pose (number in the plan; default: the last) into a folder, made where it is missing.
+    """Write a PNG of each tab at the end of a pose (number in the plan; default: the last) into a folder, made where it is missing. The
+    pictures are one set: those of before stay where they cannot all be made.
 
     progress: gets a sentence a step. Raises RecordingError where there is no Vulkan driver (a software one will do), ConfigError where
     there is no such pose.
     """
     progress("reading the recording")
-    folder = Path(folder).absolute()
     moment = _moment(sources, pose)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{folder} cannot be made: {error.strerror}; choose another folder for the pictures") from error
-    written: list[Path] = []
+    pictures: dict[str, bytes] = {}
     progress("starting the viewer")
     with tempfile.TemporaryDirectory(prefix="mbcacq-view-") as made, _headless(size) as client:
         progress("loading the recording")
@@ -115,13 +112,13 @@ def screenshots(
             progress(f"picture of {tab}: {number} of {len(tabs)}")
             _turn_to(client, tab)
             _go_to(client, tab, moment)
-            time.sleep(TAB_SETTLE_S if written else SETTLE_S)
-            written.append(_picture(client, folder / f"{tab.lower()}.png"))
-    return written
+            time.sleep(TAB_SETTLE_S if pictures else SETTLE_S)
+            pictures[f"{tab.lower()}.png"] = _picture(client, Path(made) / "picture.png")
+    return write_files(Path(folder).absolute(), pictures)
 
 
-def _picture(client: Any, path: Path) -> Path:
-    """The window as it looks once nothing in it changes any more."""
+def _picture(client: Any, path: Path) -> bytes:
+    """The window as it looks once nothing in it changes any more. path: to which the viewer writes it."""
     path.unlink(missing_ok=True)
     deadline, before = time.monotonic() + DRAWN_TIMEOUT_S, b""
     while True:
@@ -133,7 +130,7 @@ def _picture(client: Any, path: Path) -> Path:
                 raise
             continue
         if (now := path.read_bytes()) == before or late:
-            return path
+            return now
         before = now
         time.sleep(STILL_S)
 
@@ -145,7 +142,7 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
 
     from mbcacq.recording.datasets.cell_yaml import parse_cell
     from mbcacq.recording.rrd.blueprint import for_cell
-    from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
+    from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
     from mbcacq.recording.rrd.reader import Recording
     from mbcacq.recording.rrd.scene import log_axes_key, log_texts
 
@@ -157,13 +154,11 @@ def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str
         return list(sources)
     path = folder / "layout.rrd"
     stream = new_stream(layout.APPLICATION, recording_id=first.recording_id, send_properties=False)
-    stream.save(rerun_path(path))
-    send_default_blueprint(stream, for_cell(cell, plan, enlarged(sources)))
-    stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
-    log_axes_key(stream, cell.robot.n)  # an older recording has none,
-    log_texts(stream, plan, cell_yaml)  # nor these
-    stream.flush(timeout_sec=10.0)
-    stream.disconnect()
+    with replacing(path) as partial, into_file(stream, partial):
+        send_default_blueprint(stream, for_cell(cell, plan, enlarged(sources)))
+        stream.log(layout.VIEW, rr.TextDocument("laid out by mbcacq view"), static=True)
+        log_axes_key(stream, cell.robot.n)  # an older recording has none,
+        log_texts(stream, plan, cell_yaml)  # nor these
     return [path, *sources]
 
 
