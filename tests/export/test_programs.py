@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from test_correct import arm, goals_of, result
 from mbcacq.calibration import CalibratedCell
 from mbcacq.cli.app import app
 from mbcacq.errors import ConfigError
-from mbcacq.exports.programs import read_program
+from mbcacq.exports.programs import rapid, read_program
 from mbcacq.workflow.correct import correct
 
 
@@ -227,6 +228,37 @@ RAPID_FORMS = f"""MODULE forms
   ENDPROC
 ENDMODULE
 """
+
+
+class Compared(str):
+    """A name as the grammar finds it, which counts how often it is compared."""
+
+    count = 0
+    type, start_pos = "NAME", 0
+    __hash__ = str.__hash__
+
+    def __eq__(self, other):
+        Compared.count += 1
+        return str.__eq__(self, other)
+
+    def __str__(self):
+        return self
+
+    def lower(self):
+        return self
+
+
+def test_names_of_a_rapid_statement_are_compared_once_each(monkeypatch):
+    """A statement of 100,000 names took minutes where all of them were searched for every name."""
+
+    def comparisons(names):
+        tree = SimpleNamespace(children=[Compared(f"n{k}") for k in range(names)])
+        monkeypatch.setattr(rapid, "_parser", lambda: SimpleNamespace(parse=lambda code: tree))
+        Compared.count = 0
+        rapid._RapidStatements().statement(0, "", lambda place: 1)
+        return Compared.count
+
+    assert 0 < comparisons(400) <= 2 * comparisons(200)
 
 
 def test_rapid_sets_a_target_before_it_moves_and_moves_by_other_words(read):
