@@ -23,8 +23,12 @@ from collections import Counter
 from pathlib import Path
 
 from bench import Kept, put, table
+from faults.command_inputs import make_inputs, make_run
+from faults.measured_checks import NAME as CHECK
+from faults.measured_checks import MeasuredCheck
 from faults.preloaded import preload
-from faults.replaced_outputs import ReplacedOutputs, cases, make_inputs, make_run
+from faults.replaced_outputs import ReplacedOutputs
+from faults.replacing_commands import cases
 from faults.resumed_sessions import ResumedSession, sessions
 from faults.strikes import Struck
 
@@ -41,7 +45,7 @@ def strike(struck: Struck, seed: int, kept: Kept) -> None:
             continue
         code, found = struck.strike(kind, number, random.Random(f"{seed} {struck.name} {kind} {number}"))
         kept.add({"command": struck.name, "seed": seed, "strike": kind, "number": number, "exit": code, "found": found})
-        if isinstance(struck, ResumedSession) or found.startswith("neither"):
+        if not isinstance(struck, ReplacedOutputs) or found.startswith("neither"):
             print(f"  {struck.name}: {kind} at {number}, exit {code}: {found}", flush=True)
 
 
@@ -74,14 +78,16 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="strikes-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as place:
         work = Path(place)
         replacing, growing = cases(work), sessions(work)
-        wanted = given.only or [*replacing, *growing]
-        if any(name in replacing for name in wanted):
+        wanted = given.only or [*replacing, *growing, CHECK]
+        if any(name not in growing for name in wanted):
             make_inputs(work)
-        if any(name in replacing and (replacing[name].run_folder or "diagnose" in name) for name in wanted):
+        if any(name in replacing and (replacing[name].run_folder or replacing[name].runs) for name in wanted):
             make_run(work)
         for name in wanted:
             if name in growing:
                 struck: Struck = ResumedSession(name, growing[name], work, library)
+            elif name == CHECK:
+                struck = MeasuredCheck(work, library)
             else:
                 struck = ReplacedOutputs(name, replacing[name], work, library, given.moments)
             strike(struck, given.seed, kept)

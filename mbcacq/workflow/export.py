@@ -110,13 +110,16 @@ def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, A
         measured = source.fit.observations
     else:
         measured = source if isinstance(source, Observations) else load_observations(source)
-    write_observation_set(measured, folder)
+    clouds = {}
+    if scans:
+        from mbcacq.recording.rrd.scan_export import scans_to_write
+
+        clouds = scans_to_write(_path(source, "its scans"))
+    write_observation_set(measured, folder, clouds)
     marks = {"simulated": True} if measured.cell.simulated else {}
     written: list[dict[str, Any]] = [marks | {"file": str(folder), "poses": measured.n_poses, "centres": measured.n_centres}]
     if scans:
-        from mbcacq.recording.rrd.scan_export import write_scans
-
-        written.append({"file": str(folder / "scans"), "clouds": write_scans(_path(source, "its scans"), folder)})
+        written.append({"file": str(folder / "scans"), "clouds": len(clouds)})
     return written
 
 

@@ -15,6 +15,7 @@ ALLOWED = {
     "recording/run_folder/recovery.py": "a temporary copy that is merged and removed",
     "recording/rrd/checksums.py": "lines are added, each with its own checksum",
     "recording/rrd/new_stream.py": "the temporary path that the atomic writer gave, and publishes",
+    "recording/rrd/scan_export.py": "temporary paths that the atomic writer gave, and publishes",
     "recording/rrd/sink.py": "the recording of a run, which grows; a disk that takes nothing is refused before",
     "recording/rrd/quiet_environment.py": "settings in a temporary folder of the process",
 }

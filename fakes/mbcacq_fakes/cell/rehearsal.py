@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.plan.controller_joints import from_controller, to_controller
 from mbcacq.files.atomic_write import write_file
+from mbcacq.plan.controller_joints import from_controller, to_controller
 from mbcacq.recording.datasets.scan_folder import write_ply
 from mbcacq_fakes.cell.build_world import make_camera, make_world
 from mbcacq_fakes.cell.program_steps import Step, steps_of

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.files import angles
-from mbcacq.files.atomic_write import write_files
+from mbcacq.files.atomic_write import Content, write_files
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances, quaternions
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
@@ -19,11 +19,13 @@ from mbcacq.recording.datasets.csv_columns import QUATERNION, XYZ, numbered, num
 FLANGE_COLUMNS = ("flange_x_mm", "flange_y_mm", "flange_z_mm", "flange_rotvec_x_rad", "flange_rotvec_y_rad", "flange_rotvec_z_rad")
 
 
-def write_observation_set(observations: Observations, folder: Path | str) -> None:
-    """Write the folder (made if absent; its three files are replaced). Raises RecordingError if that is impossible."""
+def write_observation_set(observations: Observations, folder: Path | str, scans: Mapping[str, Content] | None = None) -> None:
+    """Write the folder (made if absent; its three files are replaced) as one set. Raises RecordingError if that is impossible.
+
+    scans: clouds that belong to it, by their names in the folder."""
     obs, folder = observations, Path(folder)
     tables = {"poses.csv": table_text(_pose_columns(obs)), "centres.csv": table_text(_centre_columns(obs))}
-    write_files(folder, {"cell.yaml": _cell_text(obs), **tables})
+    write_files(folder, {"cell.yaml": _cell_text(obs), **tables, **(scans or {})})
 
 
 def _cell_text(obs: Observations) -> str:

@@ -71,6 +71,11 @@ def _refuse_other_unit(path: Path, artefact: Artefact) -> None:
 
 
 def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = None, simulated: bool = False) -> None:
+    """Write ``ply_content`` whole. Raises RecordingError."""
+    write_file(path, ply_content(points, intensity, simulated))
+
+
+def ply_content(points: np.ndarray, intensity: np.ndarray | None = None, simulated: bool = False) -> bytes:
     """Binary PLY: points (N, 3) as float32 or float64, mm; intensity (N,) uint8 as a property of its own. simulated: a comment
     says so."""
     kind, name = ("<f8", "double") if points.dtype == np.float64 else ("<f4", "float")
@@ -83,4 +88,4 @@ def write_ply(path: Path, points: np.ndarray, intensity: np.ndarray | None = Non
         properties += "property uchar intensity\n"
     mark = "comment simulated: true\n" if simulated else ""
     header = f"ply\nformat binary_little_endian 1.0\ncomment unit mm\n{mark}element vertex {len(points)}\n{properties}end_header\n"
-    write_file(path, header.encode("ascii") + cloud.tobytes())
+    return header.encode("ascii") + cloud.tobytes()

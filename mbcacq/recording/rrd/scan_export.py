@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from mbcacq.errors import RecordingError
-from mbcacq.recording.datasets.scan_folder import write_ply
-from mbcacq.recording.rrd.reader import open_recordings
+from mbcacq.recording.datasets.scan_folder import ply_content
+from mbcacq.recording.rrd.reader import RecordedScan, open_recordings
 
 
-def write_scans(run: Path | str, folder: Path | str) -> int:
-    """Write the first exposure of every pose of a run as ``scans/POSE.ply``. Returns the number of clouds."""
-    target = Path(folder) / "scans"
-    written: set[int] = set()
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        for recording in open_recordings(run):
-            simulated = bool(recording.about().get("simulated"))
-            for taken in recording.scans():
-                if taken.exposure == 0:
-                    write_ply(target / f"{taken.pose}.ply", taken.scan.points, taken.scan.intensity, simulated)
-                    written.add(taken.pose)
-    except OSError as error:
-        if isinstance(error, RecordingError):
-            raise
-        raise RecordingError(f"{target} cannot be written: {error.strerror}; choose another folder or free the disk") from error
-    return len(written)
+def scans_to_write(run: Path | str) -> dict[str, Callable[[Path], object]]:
+    """``scans/POSE.ply`` of the first exposure of every pose of a run, for ``write_files``: each cloud is read when its turn comes."""
+    last = {scan.pose: k for k, (scan, _) in enumerate(_first_exposures(run))}  # a pose may be scanned again in a later part
+    chosen = set(last.values())
+    scans = (found for k, found in enumerate(_first_exposures(run)) if k in chosen)
+
+    def write_next(path: Path) -> None:
+        taken, simulated = next(scans)
+        path.write_bytes(ply_content(taken.scan.points, taken.scan.intensity, simulated))
+
+    return {f"scans/{pose}.ply": write_next for pose in sorted(last, key=last.__getitem__)}
+
+
+def _first_exposures(run: Path | str) -> Iterator[tuple[RecordedScan, bool]]:
+    """Scans one at a time, and whether they are simulated."""
+    for recording in open_recordings(run):
+        simulated = bool(recording.about().get("simulated"))
+        for taken in recording.scans():
+            if taken.exposure == 0:
+                yield taken, simulated
