@@ -98,13 +98,13 @@ def briefly_designed(design: Work) -> Work:
     return work
 
 
-def rehearsal(plan: Path, folder: Path) -> Work:
-    """A robot program of the plan, written and played by the fake cell."""
+def rehearsal(plan: Path, folder: Path, seed: int) -> Work:
+    """A robot program of the plan, written and played by the fake cell of this seed."""
 
     def work() -> None:
         for words in (
             ("plan", "program", plan, "--for", "csv", "--out", folder / "program", "--replace"),
-            ("fakes", plan, "--program", folder / "program", "--clouds", folder / "clouds"),
+            ("fakes", plan, "--program", folder / "program", "--clouds", folder / "clouds", "--seed", seed),
         ):
             try:
                 command(*words)()

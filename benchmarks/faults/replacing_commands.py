@@ -125,7 +125,9 @@ def cases(work: Path) -> dict[str, Case]:
         ),
         "doctor --protocol": Case(make=lambda of, f: command("doctor", "--protocol", work / f"plan-{of}.yaml", "--out", f / "first.md")),
         "doctor --evidence": Case(
-            make=lambda of, f: command("doctor", "--evidence", work / MEASURED[of], "--out", f / "evidence.json"), runs=True, strikes=4
+            make=lambda of, f: command("doctor", "--evidence", work / "run", *["--anonymous"] * (of == "b"), "--out", f / "evidence.json"),
+            runs=True,
+            strikes=4,
         ),
         "export --artefact": Case(
             make=lambda of, f: command("export", work / f"spheres-{of}.csv", "--artefact", "mbc", "--output", f / "mbc.yaml", "--force")
@@ -151,7 +153,9 @@ def cases(work: Path) -> dict[str, Case]:
             runs=True,
             strikes=2,
         ),
-        "fakes --program": Case(make=lambda of, f: rehearsal(work / f"plan-{of}.yaml", f), sets={"clouds/": EACH, "": ""}, strikes=4),
+        "fakes --program": Case(
+            make=lambda of, f: rehearsal(work / "plan-a.yaml", f, "ab".index(of)), sets={"clouds/": EACH, "": ""}, strikes=4
+        ),
         "challenge --out": Case(
             make=lambda of, f: command("challenge", "--fast", "--count", 1, "--effects", "none", "--seed", "ab".index(of), "--out", f),
             sets={"000/observations": "observations", "000/": "diagnosis"},

@@ -17,8 +17,9 @@ from mbcacq_fakes.cell.ports import free_port
 from mbcacq.acquisition import events
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.recording import Journal, Recorder, Recording, load_observations, poses_done, write_observation_set
-from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd import layout, scan_export
 from mbcacq.recording.run_folder.journal import read_journal
+from mbcacq.workflow.export import export
 
 
 def of(kind, stream):
@@ -367,6 +368,27 @@ def test_the_command_line_exports_and_recovers(a_run, tmp_path):
         "cycles": 40,
         "complete": True,
     }
+
+
+def test_exported_clouds_are_of_the_set_that_they_lie_in(a_run, tmp_path, monkeypatch):
+    """The third cloud cannot be read: the set of before stays, its tables and every cloud."""
+    export(a_run, observations=tmp_path / "set", scans=True)
+    marked = sorted(path for path in (tmp_path / "set").rglob("*.*") if path.is_file())
+    for path in marked:
+        path.write_bytes(path.read_bytes() + b"old")
+    left = [2]
+
+    def content(*cloud):
+        left[0] -= 1
+        if left[0] < 0:
+            raise RecordingError("the cloud is damaged")
+        return b"new"
+
+    monkeypatch.setattr(scan_export, "ply_content", content)
+    with pytest.raises(RecordingError, match="damaged"):
+        export(a_run, observations=tmp_path / "set", scans=True, force=True)
+    assert sorted(path for path in (tmp_path / "set").rglob("*.*") if path.is_file()) == marked
+    assert all(path.read_bytes().endswith(b"old") for path in marked)
 
 
 def test_a_recording_is_opened_once_inside_and_anew_when_it_changed(a_run):
