@@ -8,9 +8,11 @@ from pathlib import Path
 
 from bench import PLANS
 
+import mbcacq
 from faults.command_inputs import JOINTS, briefly_designed, copied_and_edited, finding_changes, make_torques, measure_checks, rehearsal
 from faults.preloaded import command
 from faults.replaced_outputs import EACH, Case
+from mbcacq.simulation.model_match import ModelMatch
 
 NEW_PLAN = ("plan", "new", "--robot", "kr6_r900_2", "--scanner", "gocator-3210", "--artefact", "mbc-8", "--poses", 6, "--stations", 2)
 TRACKED, MOTION = ("--eye-to-hand", "--force"), ("--seconds", 5)
@@ -26,6 +28,11 @@ def designed(*how: object, plan: str = "plan-a.yaml") -> Case:
         sets={"chosen": "plan", "": ""},
         strikes=4,
     )
+
+
+def matched_model(of: str) -> ModelMatch:
+    """What ``diagnose --simulation`` found in a model file."""
+    return ModelMatch(model="arm.xml", xml=f"<mujoco model='{of}'/>\n" * 1000, parameters=(), compared="poses", errors=())
 
 
 def cases(work: Path) -> dict[str, Case]:
@@ -74,6 +81,8 @@ def cases(work: Path) -> dict[str, Case]:
             strikes=2,
             runs=True,
         ),
+        "diagnose --next": Case(make=lambda of, f: lambda: mbcacq.next_plan(work / MEASURED[of], f / "next.yaml"), runs=True, strikes=2),
+        "diagnose --write-model": Case(make=lambda of, f: lambda: matched_model(of).write(f / "found.xml")),
         "compare --report": Case(
             make=lambda of, f: command("compare", work / f"{of}.json", work / f"{other(of)}.json", "--report", f / "changes.html")
         ),

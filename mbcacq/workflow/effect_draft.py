@@ -10,7 +10,7 @@ from mbcacq.diagnosis.result import Proposal
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product
 from mbcacq.errors import ConfigError
-from mbcacq.files.atomic_write import write_files
+from mbcacq.files.atomic_write import finish_set, write_files
 
 PROJECT = """[build-system]
 requires = ["setuptools"]
@@ -75,6 +75,7 @@ def write_draft(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
     modules = {name: f"mbcacq_effect_{name}" for name in best if best[name].odds == 1.0}
     if not modules:
         raise ConfigError("there is no formula to write a draft of")
+    finish_set(folder)  # a draft that was stopped
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ConfigError(f"{folder} exists already and is not empty; give another folder to --propose")
     points = "\n".join(f'{name} = "{module}"' for name, module in modules.items())

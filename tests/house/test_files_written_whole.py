@@ -5,6 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2] / "mbcacq"
 WRITERS = {"write_text", "write_bytes", "savez", "savetxt", "savefig", "NamedTemporaryFile", "mkstemp"}
+WRITERS |= {"write_html", "write_image", "write_table", "imsave", "tofile"}  # of plotly, pyarrow, matplotlib, numpy
 WRITERS |= {"save", "FileSink"}  # of rerun: its writer ends at the first error, and a stream that is told to write to it may wait for ever
 # Streams that grow, locks and marks: what is not a file that leaves whole.
 ALLOWED = {
@@ -15,6 +16,8 @@ ALLOWED = {
     "recording/run_folder/recovery.py": "a temporary copy that is merged and removed",
     "recording/rrd/checksums.py": "lines are added, each with its own checksum",
     "recording/rrd/new_stream.py": "the temporary path that the atomic writer gave, and publishes",
+    "cli/diagnose.py": "the page of a diagnosis, whose own method hands it to the atomic writer",
+    "fleet/store.py": "the temporary path that the atomic writer gave, and publishes",
     "recording/rrd/scan_export.py": "temporary paths that the atomic writer gave, and publishes",
     "recording/rrd/sink.py": "the recording of a run, which grows; a disk that takes nothing is refused before",
     "recording/rrd/quiet_environment.py": "settings in a temporary folder of the process",

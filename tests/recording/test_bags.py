@@ -1,5 +1,7 @@
 """Recordings of ROS: what was written into a bag message by message comes back as poses and as a motion."""
 
+import struct
+
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -90,6 +92,22 @@ def test_damaged_bags_are_refused_in_words(bag):
         except ConfigError:
             refused += 1
     assert refused > 15
+
+
+def test_a_chunk_that_is_not_what_its_checksum_says_is_damaged(tmp_path):
+    """The ordinary damage of an MCAP file whose writer adds checksums."""
+    write_bag(tmp_path, StoragePlugin.MCAP)
+    (tmp_path / "cell.yaml").write_text(MOTION)
+    file = next(p for p in (tmp_path / "run").iterdir() if p.suffix == ".mcap")
+    data, at = bytearray(file.read_bytes()), 8
+    while at < len(data) - 8:
+        kind, length = struct.unpack_from("<BQ", data, at)
+        if kind == 6:  # a chunk: two times and a size of 8 bytes each, then the CRC, 0 where there is none
+            struct.pack_into("<I", data, at + 9 + 24, 0xDEADBEEF)
+        at += 9 + length
+    file.write_bytes(data)
+    with pytest.raises(ConfigError, match="the bag cannot be read, it is damaged .*hecksum mismatch"):
+        load_trajectories(tmp_path)
 
 
 def test_a_flipped_bit_in_an_angle_is_seen_by_the_speed_it_would_need(tmp_path):

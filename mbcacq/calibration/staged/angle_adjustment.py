@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mbcacq.files.atomic_write import write_file
+
 
 @dataclass(frozen=True)
 class LCurve:
@@ -24,7 +26,7 @@ class LCurve:
     corner: int
 
     def plot(self, path: Path | str) -> None:
-        """Write the curve as an HTML page."""
+        """Write the curve as an HTML page. Raises RecordingError."""
         import plotly.graph_objects as go
 
         label = [f"{value:.3g}" for value in self.ridge]
@@ -32,7 +34,7 @@ class LCurve:
         figure.add_scatter(x=self.misfit[[self.corner]], y=self.size[[self.corner]], mode="markers", marker_size=12, name="taken")
         figure.update_xaxes(type="log", title="misfit of the angles (rad)")
         figure.update_yaxes(type="log", title="size of the corrections (mm)")
-        figure.write_html(path, include_plotlyjs=True)
+        write_file(path, figure.to_html(include_plotlyjs=True))
 
 
 def triples(n_balls: int) -> np.ndarray:
