@@ -25,6 +25,7 @@ from mbcacq.diagnosis.result import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.declaration import Estimates
 from mbcacq.effects.effect import Candidate
+from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.terms import Term, term
 from mbcacq.model.observations import Observations
@@ -70,18 +71,23 @@ def evidence_given(
     CalibrationError
         The poses do not determine the cell.
     """
-    with threadpool_limits(1):
-        chosen = options_for(obs, options or CalibrationOptions())
-        given = given_effects(prepare(obs, chosen), stated)
-        if not given:
-            return None
-        problem = with_given(prepare(obs, replace(chosen, displaced=tuple(map(as_displaced, given)))), given)
-        if is_long(problem.linear.obs):
-            problem = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
-        fit = with_untried_rivals(problem, fit_evidence(problem))
-        found = summarized(problem, fit)
-        sets = [with_those_given(one, given, h) for one, h in zip(found.sets, shown(fit), strict=True)]
-        return GivenEvidence(tuple(label_of(g.candidate) for g in given), replace(found, sets=tuple(sets)))
+    chosen = options_for(obs, options or CalibrationOptions())
+    try:
+        with threadpool_limits(1):
+            given = given_effects(prepare(obs, chosen), stated)
+            return _searched(obs, given, chosen) if given else None
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"the poses do not determine the cell with what is given ({error})") from error
+
+
+def _searched(obs: Observations, given: Sequence[GivenEffect], options: CalibrationOptions) -> GivenEvidence:
+    problem = with_given(prepare(obs, replace(options, displaced=tuple(map(as_displaced, given)))), given)
+    if is_long(problem.linear.obs):
+        problem = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
+    fit = with_untried_rivals(problem, fit_evidence(problem))
+    found = summarized(problem, fit)
+    sets = [with_those_given(one, given, h) for one, h in zip(found.sets, shown(fit), strict=True)]
+    return GivenEvidence(tuple(label_of(g.candidate) for g in given), replace(found, sets=tuple(sets)))
 
 
 def label_of(candidate: Candidate) -> str:
