@@ -83,8 +83,8 @@ def groups(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound],
 
 def kept_group(here: Covariates, at: str, depends_on: str) -> EffectTerm | None:
     """The group of an unmodelled effect; None where it depends on what no other recording states (the place in the field), or on the
-    artefact's tilt: eight functions of it along three axes are more than one recording teaches (13.5 instead of 9.9 um elsewhere, in the one
-    cell of benchmarks/elsewhere.md that has it).
+    artefact's tilt: eight functions of it along three axes are more than one recording teaches (13.5 instead of 9.9 um elsewhere, in
+    cell 9138 of benchmarks/elsewhere.md).
     """
     if depends_on == TILT:
         return None
