@@ -45,6 +45,20 @@ def command(*arguments: object) -> Work:
     return work
 
 
+def called(function: Work) -> Work:
+    """A function of the library, which ends as its command would where it fails."""
+
+    def work() -> object:
+        from mbcacq.errors import MbcacqError
+
+        try:
+            return function()
+        except MbcacqError as error:
+            raise SystemExit(int(error.exit_code)) from error
+
+    return work
+
+
 def in_child(work: Work) -> int:
     """Exit code of the work in a process of its own, negative for a signal."""
     sys.stdout.flush()

@@ -10,7 +10,7 @@ from bench import PLANS
 
 import mbcacq
 from faults.command_inputs import JOINTS, briefly_designed, copied_and_edited, finding_changes, make_torques, measure_checks, rehearsal
-from faults.preloaded import command
+from faults.preloaded import called, command
 from faults.replaced_outputs import EACH, Case
 from mbcacq.simulation.model_match import ModelMatch
 
@@ -81,8 +81,10 @@ def cases(work: Path) -> dict[str, Case]:
             strikes=2,
             runs=True,
         ),
-        "diagnose --next": Case(make=lambda of, f: lambda: mbcacq.next_plan(work / MEASURED[of], f / "next.yaml"), runs=True, strikes=2),
-        "diagnose --write-model": Case(make=lambda of, f: lambda: matched_model(of).write(f / "found.xml")),
+        "diagnose --next": Case(
+            make=lambda of, f: called(lambda: mbcacq.next_plan(work / MEASURED[of], f / "next.yaml")), runs=True, strikes=2
+        ),
+        "diagnose --write-model": Case(make=lambda of, f: called(lambda: matched_model(of).write(f / "found.xml"))),
         "compare --report": Case(
             make=lambda of, f: command("compare", work / f"{of}.json", work / f"{other(of)}.json", "--report", f / "changes.html")
         ),
