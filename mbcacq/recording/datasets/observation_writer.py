@@ -22,7 +22,8 @@ FLANGE_COLUMNS = ("flange_x_mm", "flange_y_mm", "flange_z_mm", "flange_rotvec_x_
 def write_observation_set(observations: Observations, folder: Path | str, scans: Mapping[str, Content] | None = None) -> None:
     """Write the folder (made if absent; its three files are replaced) as one set. Raises RecordingError if that is impossible.
 
-    scans: clouds that belong to it, by their names in the folder."""
+    scans: clouds that belong to it, by their names in the folder.
+    """
     obs, folder = observations, Path(folder)
     tables = {"poses.csv": table_text(_pose_columns(obs)), "centres.csv": table_text(_centre_columns(obs))}
     write_files(folder, {"cell.yaml": _cell_text(obs), **tables, **(scans or {})})
