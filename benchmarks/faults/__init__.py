@@ -2,5 +2,6 @@
 
 ``preloaded``: that library, and work in a child process. ``replayed_disk``: what a disk may hold after a power cut. ``small_run``: runs of
 a small plan in processes of their own. ``strikes``: a command that is killed, finds the disk full, or loses what was not synchronised;
-``replaced_outputs`` and ``resumed_sessions`` are the two kinds of such commands.
+``replaced_outputs``, ``resumed_sessions`` and ``measured_checks`` are the kinds of such commands; ``replacing_commands`` are those of the
+first kind, ``command_inputs`` what they read.
 """

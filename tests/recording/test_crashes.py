@@ -178,7 +178,7 @@ def test_a_disk_that_takes_not_the_first_bytes_is_named_before_the_run(tmp_path)
     """The library's own writer ends there, and whoever hands it a stream waits for ever."""
     child = writing(tmp_path, "1000")
     try:
-        out, _ = child.communicate(timeout=100)
+        out, _ = child.communicate(timeout=900)
     finally:
         child.kill()
     assert child.returncode == 6

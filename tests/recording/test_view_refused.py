@@ -51,6 +51,6 @@ def test_a_broken_recording_is_named_before_the_screen(tmp_path):
 def test_no_room_for_the_layout_is_named(tmp_path):
     """The limit stands for a full temporary folder; the library's own writer waits for ever there."""
     recording = Path(__file__).with_name("three_poses.rrd")
-    done = subprocess.run([sys.executable, "-c", LAID_OUT, recording, tmp_path], capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run([sys.executable, "-c", LAID_OUT, recording, tmp_path], capture_output=True, text=True, timeout=900, check=False)
     assert "RecordingError" in done.stderr
     assert "layout.rrd cannot be written" in done.stderr
