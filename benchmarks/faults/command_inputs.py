@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench import PLANS, TESTS, changed_plan
+from bench import PLANS, changed_plan
 
 from faults.preloaded import Work, command, in_child
 from faults.small_run import two_stations
@@ -156,11 +155,7 @@ def make_run(work: Path) -> None:
 
 
 def make_files(work: Path) -> None:
-    """Certificates, a controller's data, a robot's URDF, logs of an arm and of a tracker, plans to be mended, designed and ordered."""
-    sys.path.append(str(TESTS / "export"))
-    from test_urdf import URDF
-
-    (work / "arm.urdf").write_text(URDF)
+    """Certificates, a controller's data, logs of an arm and of a tracker, plans to be mended, designed and ordered."""
     (work / "config.dat").write_bytes(b"DEFDAT\r\nTOOL_DATA[1]={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\r\nENDDAT\r\n")
     for place, name in enumerate("ab"):
         (work / f"spheres-{name}.csv").write_text(f"{SPHERES}S4,1,2,{33 + place},12,0.002,2\n")

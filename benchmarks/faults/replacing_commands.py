@@ -143,10 +143,8 @@ def cases(work: Path) -> dict[str, Case]:
         "export --artefact": Case(
             make=lambda of, f: command("export", work / f"spheres-{of}.csv", "--artefact", "mbc", "--output", f / "mbc.yaml", "--force")
         ),
-        "export --results --urdf --config-dat": Case(
-            make=lambda of, f: command(
-                "export", work / f"{of}.json", "--results", f, "--urdf", work / "arm.urdf", "--config-dat", work / "config.dat", *force
-            ),
+        "export --results --config-dat": Case(
+            make=lambda of, f: command("export", work / f"{of}.json", "--results", f, "--config-dat", work / "config.dat", *force),
             strikes=4,
         ),
         "export --observations --scans": Case(
