@@ -15,7 +15,7 @@ from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
-from mbcacq.errors import ConfigError, ExitCode, RecordingError
+from mbcacq.errors import ExitCode
 from mbcacq.files.atomic_write import write_file
 
 if TYPE_CHECKING:
@@ -97,15 +97,11 @@ def json_of(run: Path, anonymous: bool) -> str:
 
 
 def write(text: str, out: Path | None) -> None:
-    """To a file, or to standard output. Raises ConfigError where the file cannot be written."""
-
+    """To a file, or to standard output. Raises RecordingError where the file cannot be written."""
     if out is None:
         echo(text.rstrip("\n"))
         return
-    try:
-        write_file(out, text)
-    except RecordingError as error:
-        raise ConfigError(f"{error}; give another --out") from error
+    write_file(out, text)
     echo(f"written: {out}", err=True)
 
 

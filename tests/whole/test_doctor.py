@@ -105,3 +105,10 @@ def test_the_libraries_that_it_looks_for_are_those_that_are_installed_with_it():
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
     installed = {re.split(r"[<>=;\[ ]", dependency)[0] for dependency in project["dependencies"]}
     assert set(LIBRARIES) <= installed
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="/dev/full is of Linux")
+def test_a_full_disk_is_no_mistake_of_the_command():
+    done = mbcacq("doctor", "--protocol", "plans/quick.yaml", "--out", "/dev/full")
+    assert done.returncode == 6
+    assert "/dev/full cannot be written: No space left on device" in done.stderr
