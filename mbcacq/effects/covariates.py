@@ -22,6 +22,7 @@ from mbcacq.model.observations import Observations
 
 RECORDING = "recording"  # number of the recording, of several of one arm
 LEAN = ("lean_x", "lean_y", "lean_z")
+TILT = "tilt"  # of the artefact against the scanner's axis, by which what depends on LEAN is reported
 OF_RECORDING = ("time", "pose", "station", RECORDING)  # they have no meaning in another recording
 _INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|gravity_torque_)([1-9][0-9]*)$")
 _MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")

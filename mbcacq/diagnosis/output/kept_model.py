@@ -82,7 +82,7 @@ def groups(setup: DiagnosisProblem, full: ModelFit, reported: list[EffectFound],
 
 
 def kept_group(here: Covariates, at: str, depends_on: str) -> EffectTerm | None:
-    """The group of an unmodelled effect; None where it depends on what no other recording states (tilt, place in the field)."""
+    """The group of an unmodelled effect; None where it depends on what no other recording states (the place in the field)."""
     try:
         return unmodelled.group(here, at, depends_on)
     except Missing:
