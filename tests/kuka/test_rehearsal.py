@@ -4,8 +4,10 @@ import random
 import socket
 import threading
 
+import pytest
 from mbcacq_kuka.rsi.cycle import run
 from mbcacq_kuka.rsi.options import RsiOptions
+from mbcacq_kuka.rsi.punctuality import Punctuality
 from mbcacq_kuka.rsi.realtime import open_socket
 from mbcacq_kuka.rsi.session import RsiSession
 from mbcacq_kuka.rsi.shared import Shared
@@ -46,6 +48,13 @@ def test_answers_and_ring_are_the_same_with_rehearsals_and_without():
     never, often = played(lambda: 0), played(lambda: count.randrange(4))
     assert len(set(never[0])) > 100  # it moved
     assert often == never
+
+
+def test_a_telegram_that_was_late_does_not_delay_the_next_rehearsal():
+    clock = Punctuality(0.004)
+    for now in (1.0, 1.004, 1.0085, 1.012):  # the third one is late by 0.5 ms
+        clock.take(now, 1)
+        assert clock.due == pytest.approx(1.004 + 0.004 * round((now - 1.0) / 0.004), abs=1e-9)
 
 
 class Controller:

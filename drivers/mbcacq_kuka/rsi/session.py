@@ -113,7 +113,7 @@ class RsiSession:
     @property
     def due(self) -> float | None:
         """When the next telegram is expected, on the clock of ``now``; None where no answer to it is ready."""
-        return None if self._ready is None else self.last_heard + self.cycle_s
+        return None if self._ready is None else self._punctuality.due
 
     def rehearse(self, now: float) -> None:
         """Go the way of the next answer with the last telegram, whose IPOC is not the one that is waited for. Changes nothing."""
