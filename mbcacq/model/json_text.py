@@ -23,6 +23,8 @@ WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a re
     "missing": "the key is missing",
     "model_type": "it is no object of keys and values",
     "dict_type": "it is no object of keys and values",
+    "mapping_type": "it is no object of keys and values",
+    "dataclass_type": "it is no object of keys and values",
     "list_type": "it is no list",
     "tuple_type": "it is no list",
     "string_type": "it is no text",
@@ -30,6 +32,8 @@ WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a re
     "float_parsing": "it is no number",
     "int_type": "it is no whole number",
     "int_parsing": "it is no whole number",
+    "bool_type": "it is neither true nor false",
+    "bool_parsing": "it is neither true nor false",
     "int_from_float": "it is no whole number",
     "finite_number": "it is not finite",
     "greater_than_equal": "it is negative",
@@ -63,6 +67,34 @@ class InJson:
         return core_schema.no_info_after_validator_function(self.read, handler.generate_schema(self.kind), serialization=writes)
 
 
+class EveryKey:
+    """Base of a dataclass of which a file holds every field, also one that has a default in Python: none may be missing there."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        schema = handler(source)
+        found: Any = handler.resolve_ref_schema(schema)
+        for field in found["schema"]["fields"]:
+            if field["schema"]["type"] == "default":
+                field["schema"] = field["schema"]["schema"]
+        return schema
+
+
+class LeavesOutDefaults:
+    """Base of a dataclass of which a field is not written where it has its default, which says nothing."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def write(value: Any, by_fields: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+            saying_nothing = {f.name for f in fields(value) if getattr(value, f.name) == f.default}
+            return {key: content for key, content in by_fields(value).items() if key not in saying_nothing}
+
+        schema = handler(source)
+        found: Any = handler.resolve_ref_schema(schema)
+        found["serialization"] = core_schema.wrap_serializer_function_ser_schema(write)
+        return schema
+
+
 def _as_array(values: Any) -> np.ndarray:
     try:
         return np.array(values)
@@ -71,7 +103,7 @@ def _as_array(values: Any) -> np.ndarray:
 
 
 def as_list(kind: Any) -> InJson:
-    """Of an array, which stands in JSON as (nested) lists of this type."""
+    """For the annotation of an array, which stands in JSON as (nested) lists of this type."""
     return InJson(kind, _as_array, np.ndarray.tolist)
 
 
