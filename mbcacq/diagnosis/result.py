@@ -22,7 +22,7 @@ from mbcacq.effects.trend import TREND, is_trend
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import InJson, LeavesOutDefaults, Number, damage, fields_as_json, from_fields
+from mbcacq.model.json_text import EveryKey, InJson, Number, damage, fields_as_json, from_fields
 from mbcacq.quantities import micrometres
 
 FORMAT = "mbcacq-diagnosis/3"
@@ -42,9 +42,11 @@ Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_e
 
 
 @dataclass(frozen=True)
-class EstimatedNoise(LeavesOutDefaults):
+class EstimatedNoise(EveryKey):
     """Standard deviations. scanner_mm: (3,) of a centre along the instrument's axes; joint_rad: (n,) repeatability of each axis; turn_rad:
     of a measured orientation about each axis, None where none was measured."""
+
+    left_out = ("turn_rad",)
 
     scanner_mm: tuple[float, ...]
     joint_rad: tuple[float, ...]
@@ -319,6 +321,16 @@ class EvidenceSummary:
     def significant(self) -> bool:
         """Whether there is an effect."""
         return self.log_e_value > self.least_log_e_value
+
+
+@dataclass(frozen=True)
+class GivenEvidence:
+    """The evidence of poses with what the motion of the same run is sure of as their prior. given: labels (``name:where``) of the effects
+    that were given, which are in all sets of ``evidence``, with the parameters that the poses alone state of them there.
+    """
+
+    given: tuple[str, ...]
+    evidence: EvidenceSummary
 
 
 @dataclass(frozen=True, kw_only=True)

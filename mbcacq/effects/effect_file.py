@@ -25,7 +25,7 @@ FORMAT = "mbcacq-effect-model/1"
 
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(r"^(?:q|qd|tau|direction_|movement_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$")
-_OF_FRAME = re.compile(r"^gravity_moment_([0-9]+)_[xyz]$")
+_OF_FRAME = re.compile(r"^gravity_(?:moment|direction)_([0-9]+)_[xyz]$")
 Three = tuple[Number, Number, Number]
 End = float | None  # of an axis, rad; None where it turns without one
 

@@ -139,8 +139,10 @@ class EffectTerm(EveryKey):
     names, units: of the k coefficients. coefficients (k,), std (k,), typical size (k,); sigma (k,): prior standard deviation about zero,
     inf for none.
     ranges: covariate -> where it was in the recording learnt from. clamped: covariates that are held at the end of their learnt range
-    beyond it.
+    beyond it. held: whether something else than the poses determines the coefficients, which stay then where others are fitted.
     """
+
+    left_out = ("held",)
 
     name: Annotated[str, Field(min_length=1)]
     where: tuple[str, ...]
@@ -156,6 +158,7 @@ class EffectTerm(EveryKey):
     typical: Known
     ranges: Mapping[str, LearntRange] = field(default_factory=dict)
     clamped: tuple[str, ...] = ()
+    held: bool = False
 
     @property
     def k(self) -> int:

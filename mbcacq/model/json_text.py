@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, FiniteFloat, GetCoreSchemaHandler, TypeAdapter, ValidationError
@@ -68,30 +68,25 @@ class InJson:
 
 
 class EveryKey:
-    """Base of a dataclass of which a file holds every field, also one that has a default in Python: none may be missing there."""
+    """Base of a dataclass of which a file holds every field, also one that has a default in Python: none may be missing there, but those
+    in ``left_out``, which are not written where they have their default.
+    """
 
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        schema = handler(source)
-        found: Any = handler.resolve_ref_schema(schema)
-        for field in found["schema"]["fields"]:
-            if field["schema"]["type"] == "default":
-                field["schema"] = field["schema"]["schema"]
-        return schema
-
-
-class LeavesOutDefaults:
-    """Base of a dataclass of which a field is not written where it has its default, which says nothing."""
+    left_out: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         def write(value: Any, by_fields: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-            saying_nothing = {f.name for f in fields(value) if getattr(value, f.name) == f.default}
+            saying_nothing = {f.name for f in fields(value) if f.name in cls.left_out and getattr(value, f.name) == f.default}
             return {key: content for key, content in by_fields(value).items() if key not in saying_nothing}
 
         schema = handler(source)
         found: Any = handler.resolve_ref_schema(schema)
-        found["serialization"] = core_schema.wrap_serializer_function_ser_schema(write)
+        for field in found["schema"]["fields"]:
+            if field["name"] not in cls.left_out and field["schema"]["type"] == "default":
+                field["schema"] = field["schema"]["schema"]
+        if cls.left_out:
+            found["serialization"] = core_schema.wrap_serializer_function_ser_schema(write)
         return schema
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 from acme_probe import AcmeProbe
 from acme_probe.fake import FakeProbe
-
 from mbcacq.conformance import Channel, DriverBench, Stand, TcpProxy, ended, run
 
 
