@@ -26,7 +26,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, measured, signed, uncertainty
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
+    from mbcacq.figure import Figure as Drawing
 
 End = tuple[np.ndarray, np.ndarray, int]  # of a length: q (1, n) rad, xyz (1, 3) mm in the scanner frame, number of poses averaged over
 
@@ -130,8 +130,8 @@ class Verification:
         header = ("station", "balls", "certified mm", "before mm", "after mm", "U of judging mm", "U expected mm")
         return notebook.table("Sphere spacing error, U with k = 2", header, rows) + notebook.paragraph(repr(self))
 
-    def plot(self) -> go.Figure:
-        """The sphere spacing errors before and after calibration, as a Plotly figure."""
+    def plot(self) -> Drawing:
+        """The sphere spacing errors before and after calibration, as a figure."""
         labels = [f"{p.station}: {p.balls[0]}-{p.balls[1]}" for p in self.places]
         U = [K * (p.judging_mm or 0.0) for p in self.places]
         errors = {which: list(self.errors(which)) for which in ("before", "after")}

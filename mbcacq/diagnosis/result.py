@@ -18,7 +18,7 @@ from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_file import EffectModelFile, TermInFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
-from mbcacq.effects.trend import TREND, is_trend
+from mbcacq.effects.trend import trend
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
@@ -120,10 +120,12 @@ class EffectFound:
     """One effect that the diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
 
     parameters: by name, with the unit as its suffix. p_value: as in version 1 of the format: p_local of a parametric effect, exp(-log Bayes
-    factor) of an unmodelled one. held_out_gain: share of the held-out excess over the noise floor that the effect removes, 0 to 1.
+    factor) of an unmodelled one. held_out_gain: share of the held-out excess over the noise floor that the effect removes, 0 to 1;
+    held_out_gain_std: its standard deviation, 0 where it is not known.
     p_local: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect. p_corrected: by anything
     that was tried (all candidates and values of their hyper-parameters, or all locations). log_bayes_factor: natural logarithm, of an
-    unmodelled effect against none. equivalent: other locations that act alike on these data.
+    unmodelled effect against none. equivalent: other locations that act alike on these data. trend: why it is a trend, of which no figure
+    may be relied on; empty for a finding, by default by its parameters and held_out_gain.
     """
 
     name: str
@@ -137,11 +139,13 @@ class EffectFound:
     p_corrected: float | None = None
     log_bayes_factor: float | None = None
     equivalent: tuple[str, ...] = ()
+    held_out_gain_std: Number = 0.0
+    trend: str | None = None
 
-    @property
-    def is_trend(self) -> bool:
-        """Whether no size of it reaches its expanded uncertainty: it helps, but no figure of it may be relied on."""
-        return is_trend({name: estimate.components for name, estimate in self.parameters.items()})
+    def __post_init__(self) -> None:
+        if self.trend is None:
+            sizes = {name: estimate.components for name, estimate in self.parameters.items()}
+            object.__setattr__(self, "trend", trend(sizes, self.held_out_gain, self.held_out_gain_std))
 
 
 @dataclass(frozen=True)
@@ -383,7 +387,7 @@ class Diagnosis:
             (
                 e.name,
                 ", ".join(e.where),
-                TREND if e.is_trend else "<br>".join(escape(parameter_in_words(k, v)) for k, v in list(e.parameters.items())[:8]),
+                f"a trend: {e.trend}" if e.trend else "<br>".join(escape(parameter_in_words(*p)) for p in list(e.parameters.items())[:8]),
                 f"{e.held_out_gain:.0%}",
             )
             for e in self.effects

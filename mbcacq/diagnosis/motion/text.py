@@ -47,7 +47,7 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
             lines.append(f"  {m.at:<8} depends on {m.depends_on:<14} share {m.share:.0%} ({CHANNELS[m.channel]})")
         lines.append("")
     for heading, trend in ((FINDINGS, False), (TRENDS, True)):
-        effects = [e for e in diagnosis.effects if e.is_trend is trend]
+        effects = [e for e in diagnosis.effects if bool(e.trend) is trend]
         lines += [heading] if effects else []
         for effect in effects:
             lines += _describe(effect)
@@ -74,7 +74,7 @@ def _describe(effect: MotionEffect | UnmodelledMotionEffect) -> list[str]:
     if isinstance(effect, UnmodelledMotionEffect):
         gain, rest = effect.held_out_gain, [size_of_shape(effect)]
     else:
-        values = [] if effect.is_trend else [_values(name, p) for name, p in effect.parameters.items()]
+        values = [effect.trend] if effect.trend else [_values(name, p) for name, p in effect.parameters.items()]
         gain, rest = effect.held_out_gain_here, [*values, *effect.notes]
     head = f"{effect_in_words(effect.name)} at {where} (removes {gain:.1%} of the excess there, on held-out data)"
     return [head, *(f"  {line}" for line in rest)]

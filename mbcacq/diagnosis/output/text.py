@@ -31,7 +31,7 @@ NOT_DETERMINED = "is not determined"
 LARGEST_PHASE_STD_DEG = 90.0
 STANDS_IN = "A smooth model stands in its place."
 FINDINGS = "Effects, ± U (k = 2):"
-TRENDS = "Trends, of which no figure is beyond its expanded uncertainty (k = 2):"
+TRENDS = "Trends, of which no figure may be relied on:"
 SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
 
 
@@ -79,7 +79,7 @@ def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
 
 def findings_and_trends(effects: Sequence[EffectFound]) -> tuple[list[EffectFound], list[EffectFound]]:
     """The effects with a figure that may be relied on, and those without one, each in their order."""
-    return [e for e in effects if not e.is_trend], [e for e in effects if e.is_trend]
+    return [e for e in effects if not e.trend], [e for e in effects if e.trend]
 
 
 def _named(effects: Sequence[EffectFound]) -> str:
@@ -98,7 +98,7 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     """What it is and where, how much of the misfit it explains, how sure that is, and what to do next."""
     held = d.fit.held_out
     findings, trends = findings_and_trends(d.effects)
-    what = _named(findings) or ("no effect of a size that is beyond its uncertainty" if trends else "no effect")
+    what = _named(findings) or ("no effect of which a figure may be relied on" if trends else "no effect")
     if d.verdict == "unexplained":
         what += f". {STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED}"
     excess = held.before_rms_mm**2 - floor.floor_mm**2
@@ -256,7 +256,7 @@ def describe(effect: EffectFound) -> list[str]:
         f"{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
         f"removes {effect.held_out_gain:.0%} of the excess over noise)"
     ]
-    out += [] if effect.is_trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
+    out += [f"  {effect.trend}"] if effect.trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
     excluded = [a for a in effect.alternatives if a not in possible]
     for heading, some in (("could also be", possible), ("excluded in its place", excluded)):

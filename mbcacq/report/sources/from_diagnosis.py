@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.effects.trend import components, is_trend_in_json
+from mbcacq.effects.trend import components, trend_in_json
 from mbcacq.quantities import K, micrometres, p_value, pair, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable
@@ -47,7 +47,7 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
         level=level,
         headline=headline,
         reason=reason.format(distance=floor.distance),
-        effects=sorted((effect_content(e) for e in diagnosis["effects"]), key=lambda e: e.trend),
+        effects=sorted((effect_content(e) for e in diagnosis["effects"]), key=lambda e: bool(e.trend)),
         mismatch=[(m["at"], axis_of(m["depends_on"])[0], share(m["share"])) for m in diagnosis["mismatch"]],
         validation=validation,
         noise_floor=floor.noise,
@@ -91,7 +91,7 @@ def effect_content(effect: Mapping[str, Any]) -> EffectContent:
 
     name = _effect_name(effect["name"])
     alternatives = [f"{_effect_name(a['name'])} at {', '.join(a['where'])} ({_likelihood(a)})" for a in effect["alternatives"]]
-    trend = is_trend_in_json(effect)
+    trend = trend_in_json(effect)
     shown = {} if trend else effect["parameters"]
     return EffectContent(
         title=f"{'Trend: ' if trend else ''}{name if trend else name[0].upper() + name[1:]} at {', '.join(effect['where'])}",

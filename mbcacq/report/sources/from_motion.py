@@ -93,7 +93,7 @@ def _content(found: MotionDiagnosis, series: MotionSeries, poses: Mapping[str, A
         split=diagnosis["fit"]["held_out"]["split"],
         recordings=[name or "the recording" for name in series.recordings],
         effects=sorted(
-            (_effect(e, content) for e, content in zip(found.effects, diagnosis["effects"], strict=True)), key=lambda e: e.trend
+            (_effect(e, content) for e, content in zip(found.effects, diagnosis["effects"], strict=True)), key=lambda e: bool(e.trend)
         ),
         mismatch=[
             (NAMES.get(m.at, m.at), CHANNELS[m.channel], _covariate(m.depends_on), share(m.share)) for m in found.mismatch if _listed(m)
