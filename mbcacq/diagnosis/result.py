@@ -23,7 +23,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.json_text import Number, damage, from_fields, plain
-from mbcacq.quantities import micrometres
+from mbcacq.quantities import micrometres, percent
 
 FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
@@ -388,7 +388,7 @@ class Diagnosis:
                 e.name,
                 ", ".join(e.where),
                 f"a trend: {e.trend}" if e.trend else "<br>".join(escape(parameter_in_words(*p)) for p in list(e.parameters.items())[:8]),
-                f"{e.held_out_gain:.0%}",
+                percent(e.held_out_gain),
             )
             for e in self.effects
         ]

@@ -13,7 +13,7 @@ from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.estimation.meta_analysis import BetweenRecordings
-from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, significant, split_unit, uncertainty, with_unit
+from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 
 VERDICTS = {
     "none": "No effect: the simulation explains the recording {distance}.",
@@ -43,7 +43,7 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
     lines.append("")
     if d.mismatch:
         lines.append("Where model and data disagree:")
-        lines += [f"  {m.at:<10} depends on {m.depends_on:<18} share {m.share:.0%}" for m in d.mismatch]
+        lines += [f"  {m.at:<10} depends on {m.depends_on:<18} share {percent(m.share)}" for m in d.mismatch]
         lines.append("")
     findings, trends = findings_and_trends(d.effects)
     for heading, effects in ((FINDINGS, findings), (TRENDS, trends)):
@@ -254,7 +254,7 @@ def describe(effect: EffectFound) -> list[str]:
     """The lines of one effect, with an empty one at the end; of a trend no figure."""
     out = [
         f"{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
-        f"removes {effect.held_out_gain:.0%} of the excess over noise)"
+        f"removes {percent(effect.held_out_gain)} of the excess over noise)"
     ]
     out += [f"  {effect.trend}"] if effect.trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
@@ -280,7 +280,7 @@ def _reported(name: str, estimate: ParameterEstimate) -> str:
 def likelihood(a: Alternative) -> str:
     """How probable an alternative is."""
     if a.odds is None:
-        return f"{a.held_out_gain:.0%}"
+        return percent(a.held_out_gain)
     return odds_in_words(a.odds)
 
 
