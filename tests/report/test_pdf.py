@@ -83,3 +83,15 @@ def test_names_of_horizontal_bars_stand_at_the_bars_and_numbers_below_them():
     said = re.findall(r"<!-- ([^ ]+) -->", svg)
     assert "run" in said
     assert "10" in said
+
+
+def test_the_band_of_a_curve_is_filled_on_paper_too():
+    """Between 1 and 3 over the whole width, in the colour and with the opacity of the screen."""
+    band = {"x": [0.0, 1.0, 1.0, 0.0], "y": [1.0, 1.0, 3.0, 3.0], "fill": "toself", "fillcolor": "rgba(255,0,0,0.25)", "line": {"width": 0}}
+    figure = Figure().add_scatter(x=[0.0, 1.0], y=[0.0, 4.0], mode="lines").add_scatter(mode="lines", **band)
+    (path,) = re.findall(r'<path d="([^"]+)"[^>]*style="fill: #ff0000; fill-opacity: 0.25', static_svg(figure, 400))
+    height = np.ptp([float(y) for y in re.findall(r"[ML] [-\d.]+ ([-\d.]+)", path)])
+    whole = static_svg(Figure().add_bar(x=["a"], y=[4.0], marker={"color": "#123456"}), 400)
+    assert height > 0.3 * np.ptp(
+        [float(y) for y in re.findall(r"[ML] [-\d.]+ ([-\d.]+)", re.findall(r'd="([^"]+)"[^>]*style="fill: #123456', whole)[0])]
+    )

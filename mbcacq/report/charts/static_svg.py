@@ -83,6 +83,9 @@ def _scatter(axes: Any, trace: Any, place: _Place) -> None:
     if trace.get("x") is None or trace.get("y") is None:
         return
     x, y = place.categories.numbers(trace.get("x")), place.categories.numbers(trace.get("y"))
+    if trace.get("fill") == "toself":
+        axes.fill(x, y, color=_rgba(trace["fillcolor"]), linewidth=0, label=_label(trace))
+        return
     mode = trace.get("mode") or "lines"
     line, marker = trace.get("line", {}), trace.get("marker", {})
     colours = [line.get("color"), _one(marker.get("color"))]
@@ -241,6 +244,12 @@ def _one(value: Any) -> Any:
     if isinstance(value, str) or value is None or np.isscalar(value):
         return value
     return value[0] if len(value) else None
+
+
+def _rgba(colour: str) -> tuple[float, ...]:
+    """'rgba(r, g, b, a)' of plotly.js, r to b up to 255, as Matplotlib takes it."""
+    *shades, opacity = (float(part) for part in colour[colour.index("(") + 1 : -1].split(","))
+    return (*(shade / 255 for shade in shades), opacity)
 
 
 def _numeric(values: Any) -> bool:
