@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from mbcacq.figure import Figure
 from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, MotionContent, Residuals
 
@@ -59,11 +61,9 @@ def fleet_figures(fleet: FleetContent) -> dict[str, Figure]:
     figures: dict[str, Figure] = {}
     for k, kind in enumerate(fleet.types):
         if kind.charts:
-            figures |= {
-                f"overview_{k}": fleet_charts.overview(kind),
-                f"drift_{k}": fleet_charts.drift(kind),
-                f"arms_{k}": fleet_charts.side_by_side(kind),
-            }
+            figures |= {f"drift_{k}": fleet_charts.drift(kind), f"arms_{k}": fleet_charts.side_by_side(kind)}
+            if any(np.isfinite(chart.limit).any() for chart in kind.charts):
+                figures[f"overview_{k}"] = fleet_charts.overview(kind)
     return figures
 
 

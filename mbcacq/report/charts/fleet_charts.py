@@ -180,8 +180,11 @@ def _named_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int])
 
 
 def _axis(times: list) -> dict[str, Any]:
-    """The axis of dates, or of numbers."""
-    return {"type": "date", "tickformat": "%Y-%m-%d", "nticks": 6} if times and isinstance(times[0], str) else {"rangemode": "tozero"}
+    """The axis of dates, with the time of day where there are few days, or of numbers."""
+    if not times or not isinstance(times[0], str):
+        return {"rangemode": "tozero"}
+    few = len({time[:10] for time in times}) < 3
+    return {"type": "date", "tickformat": "%H:%M<br>%Y-%m-%d" if few else "%Y-%m-%d", "nticks": 6}
 
 
 def _times(kind: ArmTypeContent) -> tuple[list, str]:
