@@ -59,7 +59,8 @@ def followed_by(loaded: LoadedPlan, look: InterimEvidence, folder: Path) -> tupl
 
 def measured(loaded: LoadedPlan, scenario: Scenario, injected: list, first: int, planned: int) -> Observations:
     """The first poses of the plan as it was, and all by which it has grown."""
-    obs, _ = observe(loaded, expand(loaded), scenario, injected)
+    poses = expand(loaded)
+    obs, _ = observe(loaded, poses, scenario, injected, planned=poses[:planned])
     number = np.arange(obs.n_poses)
     return obs.select((number < first) | (number >= planned))
 

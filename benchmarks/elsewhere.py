@@ -66,7 +66,7 @@ class Cells:
         injected = self.gauge.inject(scenario)
         here, _ = observe(self.gauge.loaded, self.gauge.poses, scenario, injected)
         loaded, poses = self.there[scenario.number % len(self.there)]
-        there, _ = observe(loaded, poses, scenario, injected, noise_seed=scenario.number + 700_000)
+        there, _ = observe(loaded, poses, scenario, injected, noise_seed=scenario.number + 700_000, planned=self.gauge.poses)
         return here, there
 
 

@@ -70,10 +70,10 @@ COMPARED = 4  # one cell of so many is compared at new places as well: two diagn
 
 
 class RecordedCell:
-    """A concealed cell that remembers what was measured of it."""
+    """A concealed cell that remembers what was measured of it, and stays the same: the first block is what its effects choose by."""
 
     def __init__(self, scenario: Scenario, injected: list):
-        self.scenario, self.injected, self.measured = scenario, injected, None
+        self.scenario, self.injected, self.measured, self.planned = scenario, injected, None, None
 
     @property
     def information(self) -> float:
@@ -81,8 +81,9 @@ class RecordedCell:
         return Gauge(self.plan, expand(self.plan)).gain(self.scenario, self.injected)
 
     def measure(self, grown: LoadedPlan) -> Observations:
-        self.plan = grown
-        new, truth = observe(grown, expand(grown), self.scenario, self.injected)
+        self.plan, poses = grown, expand(grown)
+        self.planned = self.planned or poses
+        new, truth = observe(grown, poses, self.scenario, self.injected, planned=self.planned)
         self.truth, old = truth, self.measured
         if old is not None:
             P, M = old.n_poses, old.n_centres
@@ -119,13 +120,13 @@ class NewPlaces:
         self.loaded = load(PLAN, yaml12.dump(plan))
         self.poses = expand_reachable(self.loaded)[0]
 
-    def error_mm(self, measured: Observations, scenario: Scenario, injected: list) -> float:
+    def error_mm(self, measured: Observations, cell: RecordedCell) -> float:
         """Root mean square of the distances of centres there from where the cell that was diagnosed and calibrated from a recording
         has them, stations at their best places. Noise of the measurement is in it."""
-        there, _ = observe(self.loaded, self.poses, scenario, injected)
+        there, _ = observe(self.loaded, self.poses, cell.scenario, cell.injected, planned=cell.planned)
         geometry, found = mbcacq.calibrate(measured), diagnose(measured, folds=2)
-        cell = geometry.with_effects(found) if found.model else geometry
-        return float(np.sqrt(np.mean(about_best_station(there, cell)[0] ** 2)))
+        calibrated = geometry.with_effects(found) if found.model else geometry
+        return float(np.sqrt(np.mean(about_best_station(there, calibrated)[0] ** 2)))
 
 
 def names_of(labels: str) -> set[str]:
@@ -150,8 +151,8 @@ def outcome(verdict: str, found: set[str], true: set[str]) -> str:
     return "right" if true <= found else "in part"
 
 
-def investigated(loaded: LoadedPlan, scenario: Scenario, injected: list) -> tuple[dict, Observations]:
-    """The row of a cell that investigates itself, and what it measured."""
+def investigated(loaded: LoadedPlan, scenario: Scenario, injected: list) -> tuple[dict, RecordedCell]:
+    """The row of a cell that investigates itself, and the cell with what it measured."""
     cell = RecordedCell(scenario, injected)
     made = list(decisions(loaded, cell.measure, Budget(poses=96)))
     last, true = made[-1], [with_observable_locations(plain(e)) for e in cell.truth["effects"]]
@@ -167,7 +168,7 @@ def investigated(loaded: LoadedPlan, scenario: Scenario, injected: list) -> tupl
         "information": cell.information if true else 0.0,
         "at_poses": [d.poses for d in made],
     }
-    return row, cell.measured
+    return row, cell
 
 
 def fixed(loaded: LoadedPlan, obs: Observations, true: set[str], seed: int) -> dict:
@@ -201,14 +202,14 @@ def cells(loaded: LoadedPlan, count: int, seed: int, first: int = 0) -> None:
         if scenario.number in table.done:
             continue
         began, injected = time.process_time(), gauge.inject(scenario)
-        row, measured = investigated(loaded, scenario, injected)
-        whole, _ = observe(loaded, expand(loaded), scenario, injected)
+        row, cell = investigated(loaded, scenario, injected)
+        whole, _ = observe(loaded, expand(loaded), scenario, injected, planned=cell.planned)
         row |= {"kind": scenario.kind, "excess": scenario.excess}
         row |= fixed(loaded, whole, set(scenario.names), scenario.seed) if scenario.names else {}
         if scenario.number % COMPARED == 0:
             subset = first_of(np.random.default_rng(scenario.seed).permutation(whole.n_poses), min(row["poses"], whole.n_poses))
-            row["error_mm"] = places.error_mm(measured, scenario, injected)
-            row["fixed_error_mm"] = places.error_mm(whole.select(subset), scenario, injected)
+            row["error_mm"] = places.error_mm(cell.measured, cell)
+            row["fixed_error_mm"] = places.error_mm(whole.select(subset), cell)
         table.add(scenario.number, row | {"processor_s": time.process_time() - began})
 
 
@@ -377,6 +378,8 @@ def page(seed: int) -> None:
 def looks_page(seed: int) -> None:
     """Table of the clean sequences."""
     rows = Table(f"looks-{seed}").rows
+    if not rows:
+        return
     heads = ("instrument", "sequences", "looks", "alarms", "sequences with E above 2", "mean of the last E", "largest E of any look")
     lines = []
     for title in (*dict.fromkeys(r["instrument"] for r in rows), "all"):
@@ -384,8 +387,7 @@ def looks_page(seed: int) -> None:
         largest = log_e.max(axis=1)
         counts = [int((largest > level).sum()) for level in (ALARM, np.log(2))]
         lines.append([title, len(log_e), log_e.size, *counts, f"{np.exp(log_e[:, -1]).mean():.2f}", f"{np.exp(largest.max()):.2g}"])
-    if lines:
-        print("\n" + "\n".join(bench.table(heads, lines)))
+    print("\n" + "\n".join(bench.table(heads, lines)))
 
 
 def main() -> None:

@@ -211,7 +211,8 @@ def panels(folders: list[Path]) -> dict[str, list[list[tuple[str, np.ndarray, np
                 if e.group.refit:
                     before, after = before - before.mean(), after - after.mean()
                 time = trajectories[held].time_s[used]
-                rows[k].append((f"A{joint + 1}, {folders[held].name}: {significant(before.std())} -> {significant(after.std())} rms", time, before, after))
+                rms = " -> ".join(significant(float(values.std())) for values in (before, after))
+                rows[k].append((f"A{joint + 1}, {folders[held].name}: {rms} rms", time, before, after))
     return out
 
 

@@ -24,14 +24,17 @@ def observe(
     injected: Injected,
     climate: Mapping[str, float] | None = None,
     noise_seed: int | None = None,
+    planned: Sequence[PlannedPose] | None = None,
 ) -> tuple[Observations, dict[str, Any]]:
     """What the run would record, as observations, and the truth. injected, climate, noise_seed: as ``hidden`` and the like of a plan's
-    ``fake``.
+    ``fake``. planned: the poses by which injected effects choose where and when they act, where the same cell was measured before.
     """
     from mbcacq.workflow.acquire import solver_cell
 
     fake = {"climate": dict(climate or {}), "noise_seed": noise_seed}
-    recorded = load_driver("fakes", "recorded")(loaded.cell, poses, injected, scenario.seed, outliers=scenario.outliers, fake=fake)
+    planned_q = None if planned is None else np.array([p.q for p in planned])
+    made = load_driver("fakes", "recorded")
+    recorded = made(loaded.cell, poses, injected, scenario.seed, outliers=scenario.outliers, fake=fake, planned_q=planned_q)
     observations = Observations(
         cell=solver_cell(loaded),
         pose_id=np.array([p.number for p in poses]),

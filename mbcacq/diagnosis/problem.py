@@ -26,10 +26,21 @@ from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.several_recordings import adjust_together
+from mbcacq.estimation.terms import Part
 from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
 
 EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenEffect:
+    """An effect of which something is known before the recording. parts: what it displaces; mean, std: (k,) of its coefficients."""
+
+    candidate: Candidate
+    parts: tuple[Part, ...]
+    mean: np.ndarray
+    std: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +50,7 @@ class DiagnosisProblem:
     dropped: effect -> what the recording lacks for it. noise: with geometry alone, as calibration estimates it. prior_noise: prior of the
     variance components. undetermined: what the poses leave open of the geometry. design_blocks: of unmodelled effects; they depend on the
     poses alone. geometry_alone: the cell of each recording as calibration has it; whatever is thinned or readmitted later, it stays.
-    budget: of the time for the search.
+    budget: of the time for the search. given: effects that are no candidates, since they are in the problem from the beginning.
     """
 
     linear: LinearProblem
@@ -52,6 +63,7 @@ class DiagnosisProblem:
     undetermined: tuple[Undetermined, ...] = ()
     geometry_alone: tuple[GeometryAlone, ...] = ()
     budget: TimeBudget = UNLIMITED
+    given: tuple[GivenEffect, ...] = ()
 
     def with_observations(self, obs: Observations, options: CalibrationOptions) -> DiagnosisProblem:
         """The same poses under another noise, adjusted anew; what is stated of geometry alone stays."""
@@ -90,7 +102,7 @@ def prepared(obs: Observations, options: CalibrationOptions) -> tuple[DiagnosisP
 def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustment) -> DiagnosisProblem:
     """The problem of adjusted observations, without the cells of geometry alone."""
     keep = adjusted.used | not_grossly_off(adjusted.solution.linear.residual)
-    linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options))
+    linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options), given=options.displaced)
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
     return DiagnosisProblem(
@@ -161,7 +173,8 @@ def thinned(problem: DiagnosisProblem, keep: np.ndarray, most: int) -> Diagnosis
     chosen = np.zeros(obs.n_poses, bool)
     chosen[[rng.choice(part) for part in np.array_split(has[np.argsort(problem.context.order[has])], min(most, len(has)))]] = True
     small = obs.select(chosen)
-    linear = LinearProblem.of(small, problem.linear.state, keep[chosen[obs.pose]], layout=problem.linear.layout)
+    given = [(one.at_poses(chosen, obs.pose), mean) for one, mean in problem.linear.given]
+    linear = LinearProblem.of(small, problem.linear.state, keep[chosen[obs.pose]], layout=problem.linear.layout, given=given)
     context = Context(small, problem.linear.state, linear.prediction)
     candidates = catalogue.candidates(context)[0]
     return replace(problem, linear=linear, context=context, candidates=candidates, design_blocks=DesignBlocks(context))

@@ -324,6 +324,16 @@ class EvidenceSummary:
         return self.log_e_value > self.least_log_e_value
 
 
+@dataclass(frozen=True)
+class GivenEvidence:
+    """The evidence of poses with what the motion of the same run is sure of as their prior. given: labels (``name:where``) of the effects
+    that were given, which are in all sets of ``evidence``, with the parameters that the poses alone state of them there.
+    """
+
+    given: tuple[str, ...]
+    evidence: EvidenceSummary
+
+
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """The result of ``diagnose``.

@@ -22,9 +22,11 @@ from mbcacq.model.observations import Observations
 
 RECORDING = "recording"  # number of the recording, of several of one arm
 LEAN = ("lean_x", "lean_y", "lean_z")
+TILT = "tilt"  # of the artefact against the scanner's axis, by which what depends on LEAN is reported
 OF_RECORDING = ("time", "pose", "station", RECORDING)  # they have no meaning in another recording
 _INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|gravity_torque_)([1-9][0-9]*)$")
 _MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
+_DIRECTION = re.compile(r"^gravity_direction_([0-9]+)_([xyz])$")
 _PAYLOAD_TORQUE = re.compile(r"^payload_torque_([1-9][0-9]*)_(mass|x|y|z)$")
 
 
@@ -104,10 +106,14 @@ class Covariates:
             moment = moment + mass[i] * (centre - origin)
         return np.einsum("pji,pj->pi", frames[:, frame, :3, :3], np.cross(moment, weight)) * 1e-3
 
+    def gravity_direction(self, frame: int) -> np.ndarray:
+        """(P, 3) direction of gravity in the axes of ``frame`` (0 base .. n flange)."""
+        return np.einsum("pji,j->pi", self.nominal_frames[:, frame, :3, :3], self.obs.cell.robot.gravity)
+
     @cached_property
     def flange_gravity(self) -> np.ndarray:
         """(P, 3) direction of gravity in flange axes."""
-        return np.einsum("pji,j->pi", self.nominal_frames[:, -1, :3, :3], self.obs.cell.robot.gravity)
+        return self.gravity_direction(self.n)
 
     @cached_property
     def payload_force(self) -> np.ndarray:
@@ -215,6 +221,8 @@ class Covariates:
         """Components of weight and moments; None for another name."""
         if match := _MOMENT.match(name):
             return self.gravity_moment(int(match[1]))[:, "xyz".index(match[2])] if int(match[1]) <= self.n else None
+        if match := _DIRECTION.match(name):
+            return self.gravity_direction(int(match[1]))[:, "xyz".index(match[2])] if int(match[1]) <= self.n else None
         if match := _PAYLOAD_TORQUE.match(name):
             column = ("mass", "x", "y", "z").index(match[2])
             return self.payload_torque[:, int(match[1]) - 1, column] if int(match[1]) <= self.n else None

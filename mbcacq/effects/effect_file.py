@@ -19,7 +19,7 @@ from mbcacq.model.json_text import first_fault
 COMPONENTS = {"joint": 1, "frame": 6, "station": 6, "point": 3, "orientation": 3, "ball": 3}  # of each place
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(r"^(?:q|qd|tau|direction_|movement_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$")
-_OF_FRAME = re.compile(r"^gravity_moment_([0-9]+)_[xyz]$")
+_OF_FRAME = re.compile(r"^gravity_(?:moment|direction)_([0-9]+)_[xyz]$")
 PLACE = (
     "what is displaced: joint (rad), frame (local twist mm, rad; 0 behind the base, i behind link i), point (mm in the scanner frame), "
     "ball (mm in the artefact frame), station (local twist), orientation (rad about the target's own axes)"

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.covariates import LEAN, TILT, Covariates
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import COMMON_PATTERN, UNKNOWN, EffectTerm, is_angle, learnt_ranges
 from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Function, Product, cosine, linear, of, of_second_degree, sine
@@ -43,6 +43,11 @@ class UnmodelledOptions:
 
 
 OPTIONS = UnmodelledOptions()
+# Covariates that are a direction: its components, the prior sigma of each function of them in mm or mrad, and which are clamped.
+DIRECTIONS: dict[str, tuple[tuple[str, str, str], float, tuple[str, ...]]] = {
+    "incidence": (INCIDENCE, 1e3 * OPTIONS.orientation_rad, ()),
+    TILT: (LEAN, 1.0, LEAN),
+}
 
 
 def order_weight(order: np.ndarray) -> np.ndarray:
@@ -165,9 +170,10 @@ def keys_of(here: Covariates, location: str) -> list[tuple[str, int, int]]:
 
 def _functions(here: Covariates, location: str, covariate: str) -> tuple[list[Column], np.ndarray, tuple[str, ...]]:
     """Columns by a covariate, their relative prior sigma, and which covariates are clamped."""
-    if covariate == "incidence":
-        functions = list(of_second_degree(INCIDENCE))
-        return functions, np.full(len(functions), 1e3 * OPTIONS.orientation_rad), ()  # in mrad, as turns are taken below
+    if covariate in DIRECTIONS:
+        names, size, clamped = DIRECTIONS[covariate]
+        functions = list(of_second_degree(names))
+        return functions, np.full(len(functions), size), clamped
     values = np.asarray(here.value(covariate), dtype=float)
     if np.ptp(values) < 1e-9 * max(float(np.abs(values).max()), 1e-30):
         return [], np.zeros(0), ()

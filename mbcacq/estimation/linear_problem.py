@@ -35,7 +35,9 @@ class LinearProblem:
 
     keep: (M,) bool of the centres that take part. residual: (M, R), R = 3, or 6 with a measured orientation: of the arm and the
     artefacts as stated, since priors are about these. columns_by_pose: of the g free parameters of ``layout``, of the pose's own station
-    and of the joints. shared: what depends on the linearisation alone, computed once for all its restrictions.
+    and of the joints. given: effects whose coefficients are known beforehand, each with their means (k,) and, as sigma of the term, their
+    standard deviations; they are free parameters, the last ones of ``layout``, as deviations from the means. shared: what depends on the
+    linearisation alone, computed once for all its restrictions.
     """
 
     obs: Observations
@@ -46,6 +48,7 @@ class LinearProblem:
     prediction: Prediction
     residual: np.ndarray
     columns_by_pose: PoseColumns
+    given: tuple[tuple[Term, np.ndarray], ...] = ()
     shared: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -57,14 +60,17 @@ class LinearProblem:
         effects: Sequence[Term] = (),
         coefficients: Sequence[np.ndarray] = (),
         layout: ParameterLayout | None = None,
+        given: Sequence[tuple[Term, np.ndarray]] = (),
     ) -> LinearProblem:
         """Linearised at the state, displaced by effects with these coefficients; without keep all centres take part.
 
         layout: which parameters are free (default: all of the arm, the hand-eye and the certified balls, without those that act alike).
+        given: further effects, at the means of their coefficients.
         """
-        options = CalibrationOptions()
-        layout = parameters.build(obs, options) if layout is None else layout
-        displaced = terms.accumulate(obs, effects, coefficients) if effects else None
+        options = CalibrationOptions(terms=tuple(one for one, _ in given))
+        layout = parameters.build(obs, options) if layout is None else with_terms(layout, options.terms)
+        every = [*zip(effects, coefficients, strict=True), *given]
+        displaced = terms.accumulate(obs, *zip(*every, strict=True)) if every else None
         prediction = forward_model.predict(obs, state, displaced)
         lineariser = Lineariser(obs, layout, options)
         residual = forward_model.residual(obs, prediction)
@@ -78,6 +84,7 @@ class LinearProblem:
             prediction=prediction,
             residual=residual,
             columns_by_pose=linear.columns,
+            given=tuple(given),
         )
         # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
         # holds of it already is added back.
@@ -96,7 +103,7 @@ class LinearProblem:
 
     def __reduce__(self) -> tuple:
         fixed = self.obs, self.state, self.keep, self.layout, self.rows, self.prediction
-        return LinearProblem, (*fixed, self.residual, self.columns_by_pose)
+        return LinearProblem, (*fixed, self.residual, self.columns_by_pose, self.given)
 
     def restricted(self, keep: np.ndarray) -> LinearProblem:
         """The same linearisation with only the centres in keep (M,) bool."""
@@ -243,16 +250,18 @@ class LinearProblem:
 
     def adjusted(self, effects: Sequence[Term], noise: Noise) -> LinearProblem:
         """The cell adjusted anew with effects in place (the engine's own damped solution), and linearised there."""
-        layout = self._with_priors(effects)
-        options = CalibrationOptions(terms=tuple(effects))
+        every = (*(one for one, _ in self.given), *effects)
+        options = CalibrationOptions(terms=every, displaced=self.given)
         weights = Weights(self.keep.astype(float), np.ones(self.obs.n_poses))
-        start = Estimate(self.state, tuple(np.zeros(e.size) for e in effects))
-        found = solve(Lineariser(self.obs, layout, options), start, noise, weights, tolerance=0.1, limit=10).estimate
-        return LinearProblem.of(self.obs, found.state, self.keep, effects, found.coefficients, self.layout)
+        start = Estimate(self.state, tuple(np.zeros(e.size) for e in every))
+        lineariser = Lineariser(self.obs, self._with_priors(every), options)
+        found = solve(lineariser, start, noise, weights, tolerance=0.1, limit=10).estimate
+        of_effects = found.coefficients[len(self.given) :]
+        return LinearProblem.of(self.obs, found.state, self.keep, effects, of_effects, self.layout, self.given)
 
     def _with_priors(self, effects: Sequence[Term]) -> ParameterLayout:
-        blocks = [replace(b, sigma=np.where(np.isfinite(b.sigma), b.sigma, b.scale)) for b in self.layout.blocks[:3]]
-        return ParameterLayout((*blocks, *(parameters.term_block(e) for e in effects)))
+        blocks = tuple(replace(b, sigma=np.where(np.isfinite(b.sigma), b.sigma, b.scale)) for b in self.layout.blocks[:3])
+        return with_terms(ParameterLayout(blocks), effects)
 
 
 @dataclass(frozen=True)
@@ -269,13 +278,21 @@ class ExtendedProblem:
         return PoseSystem(poses, Normal(self.weighted.rows, poses.normal_equations(), self.prior))
 
 
+def with_terms(layout: ParameterLayout, effects: Sequence[Term]) -> ParameterLayout:
+    """The parameters of arm, hand-eye and balls of a layout, and the coefficients of these effects."""
+    return ParameterLayout((*layout.blocks[:3], *(parameters.term_block(e) for e in effects)))
+
+
 def _deviation(obs: Observations, state: CellState, layout: ParameterLayout) -> np.ndarray:
-    """(g,) of the free parameters: arm from nominal (from the centre of its prior), balls from their certificates, hand-eye none."""
+    """(g,) of the free parameters: arm from nominal (from the centre of its prior), balls from their certificates, hand-eye and given
+    effects none.
+    """
     arm = (state.chain.rows - obs.cell.robot.chain.rows).reshape(-1)
     if (centre := layout.blocks[0].centre) is not None:
         arm = arm - centre
     full = [arm, np.zeros(len(layout.blocks[1].names)), (state.balls - obs.cell.ball_centres).reshape(-1)]
-    return np.concatenate([values[b.free] for values, b in zip(full, layout.blocks[:3], strict=True)])
+    full += [np.zeros(len(b.names)) for b in layout.blocks[3:]]
+    return np.concatenate([values[b.free] for values, b in zip(full, layout.blocks, strict=True)])
 
 
 def _given(obs: Observations, state: CellState, s: int) -> tuple[np.ndarray, np.ndarray]:

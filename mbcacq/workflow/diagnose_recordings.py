@@ -10,9 +10,10 @@ from typing import Any
 
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
+from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.errors import ConfigError, MbcacqError
+from mbcacq.errors import CalibrationError, ConfigError, MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.observations import Observations
@@ -51,8 +52,23 @@ def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
         found = DiagnosisResult(poses=poses)
     if motions:
         how.progress("comparing the motion")
-        found = replace(found, motion=diagnose_motion(motions, how).motion)
+        found = with_motion(found, diagnose_motion(motions, how).motion, how)
     return found
+
+
+def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Question) -> DiagnosisResult:
+    """The diagnosis of poses with that of a motion, and the poses searched again with what the motion is sure of."""
+    from mbcacq.diagnosis.given_effects import evidence_given
+    from mbcacq.diagnosis.motion.combine import given_by_motion
+
+    if found.poses is None or found.observations is None or motion is None:
+        return replace(found, motion=motion)
+    how.progress("searching the poses again, with what the motion shows")
+    stated = given_by_motion(found.poses.to_json(), motion)
+    try:
+        return replace(found, motion=motion, given_motion=evidence_given(found.observations, stated, how.options))
+    except CalibrationError:  # poses that do not determine the cell with it say nothing more
+        return replace(found, motion=motion)
 
 
 def refuse_motion_of_other_arm(poses: RobotModel, motion: RobotModel) -> None:
@@ -219,7 +235,7 @@ def combined_with_motion(found: DiagnosisResult, recording: Path, how: Question)
     from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories  # here, for it imports scipy.signal, which is slow
 
     how.progress("comparing the motion between the poses")
-    return replace(found, motion=diagnose_trajectories(stretches, minutes=how.minutes))
+    return with_motion(found, diagnose_trajectories(stretches, minutes=how.minutes), how)
 
 
 def is_trajectory(data: Data) -> bool:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound, Proposal
+from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound, GivenEvidence, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.model.formats import newer_format
-from mbcacq.model.json_text import damage, read_json
+from mbcacq.model.json_text import damage, from_fields, plain, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 
@@ -27,6 +27,7 @@ HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class DiagnosisResult:
     """What was found. poses: the diagnosis of the poses at standstill; motion: that of the motion; at least one of them is there.
+    given_motion: the evidence of the poses with what the motion is sure of as their prior.
 
     observations: what the diagnosis of the poses is of, None for one that was read from JSON. checks: what was learnt, tried on other
     recordings. provenance: the files (name, bytes, SHA-256), the versions of the programs, the options. simulation: the MuJoCo model that
@@ -36,6 +37,7 @@ class DiagnosisResult:
     poses: Diagnosis | None = None
     motion: MotionDiagnosis | None = None
     observations: Observations | None = None
+    given_motion: GivenEvidence | None = None
     checks: tuple[Transfer, ...] = ()
     provenance: Mapping[str, Any] | None = None
     simulation: ModelMatch | None = None
@@ -60,8 +62,13 @@ class DiagnosisResult:
 
         if self.poses is None or self.motion is None:
             return self.main.verdict
-        poses = self.poses.to_json()
+        poses = self._poses_as_json()
         return verdict_of_both(poses, self.motion, together(poses, self.motion))
+
+    def _poses_as_json(self) -> dict[str, Any]:
+        """The poses' part of the JSON, with their evidence beside the motion."""
+        content = {} if self.poses is None else self.poses.to_json()
+        return content if self.given_motion is None else content | {"given_motion": plain(self.given_motion)}
 
     @property
     def effects(self) -> Sequence[EffectFound | MotionEffect | UnmodelledMotionEffect]:
@@ -97,7 +104,7 @@ class DiagnosisResult:
         if self.poses is None:
             return "\n".join([motion_text(self.motion), *written]) if self.motion else ""
         text = words(self.poses, calibrated)
-        text = text if self.motion is None else combined_text(self.poses.to_json(), text, self.motion)
+        text = text if self.motion is None else combined_text(self._poses_as_json(), text, self.motion)
         return "\n".join([text, *(check.text for check in self.checks), *written])
 
     def pictures(self) -> dict[str, Any]:
@@ -131,7 +138,7 @@ class DiagnosisResult:
         ConfigError for one that was read from JSON."""
         from mbcacq.report import write_diagnosis_page
 
-        poses = (None, None) if self.poses is None else (self.poses.to_json(), self.pictures())
+        poses = (None, None) if self.poses is None else (self._poses_as_json(), self.pictures())
         return write_diagnosis_page(*poses, path, about=self._about(), motion=self.motion)
 
     def _about(self) -> list[tuple[str, str]]:
@@ -173,9 +180,8 @@ class DiagnosisResult:
         """The JSON content, format mbcacq-diagnosis/3 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
         motion stands under its own key."""
         from mbcacq.diagnosis.motion.combine import combined
-        from mbcacq.model.json_text import plain
 
-        content = self.main.to_json()
+        content = self.main.to_json() if self.poses is None else self._poses_as_json()
         if self.simulation is not None:
             content["simulation"] = plain(self.simulation.to_dict())
         if self.poses is None:
@@ -189,8 +195,6 @@ class DiagnosisResult:
 
     def _recordings(self) -> list[dict[str, Any]]:
         """Before and after in each recording: the one learnt from, and those that it was tried on."""
-        from mbcacq.model.json_text import plain
-
         assert self.poses is not None, "a diagnosis of poses has recordings"
         fit = self.poses.fit
         files = (self.provenance or {}).get("recording") or ""
@@ -227,10 +231,11 @@ class DiagnosisResult:
             raise ConfigError(f"the diagnosis {sentence}")
         if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
             raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
-        motion, simulation = content.get("motion"), content.get("simulation")
+        motion, simulation, given = (content.get(key) for key in ("motion", "simulation", "given_motion"))
         try:
             checks = tuple(Transfer.from_dict(one) for one in content.get("checks", ()))
             match = None if simulation is None else ModelMatch.from_dict(simulation)
+            beside = None if given is None else from_fields(GivenEvidence, given)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"the checks of the diagnosis are damaged ({damage(error)}); diagnose the recording anew") from error
         if "channels" in content["fit"]:
@@ -238,6 +243,7 @@ class DiagnosisResult:
         return cls(
             poses=Diagnosis.from_json(content),
             motion=None if motion is None else MotionDiagnosis.from_json(motion),
+            given_motion=beside,
             checks=checks,
             provenance=content.get("provenance"),
             simulation=match,

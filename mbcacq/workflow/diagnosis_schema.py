@@ -13,7 +13,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionCheck
-from mbcacq.diagnosis.result import FORMAT, Diagnosis
+from mbcacq.diagnosis.result import FORMAT, Diagnosis, GivenEvidence
 from mbcacq.model.json_text import Number
 from mbcacq.simulation.model_match import ModelMatch
 
@@ -69,14 +69,15 @@ class Provenance(BaseModel):
 
 
 class BesideDiagnosis(BaseModel):
-    """The keys of the document beside those of the diagnosis of the poses. motion, agreement, decided, together: of a recording that moved
-    between them."""
+    """The keys of the document beside those of the diagnosis of the poses. motion, given_motion, agreement, decided, together: of a
+    recording that moved between them."""
 
     format: Literal["mbcacq-diagnosis/3"]
     recordings: Annotated[list[RecordingFigures], Field(min_length=1)]
     checks: tuple[Transfer, ...]
     provenance: Provenance
     motion: Mapping[str, Any] | None = None
+    given_motion: GivenEvidence | None = None
     motion_checks: tuple[MotionCheck, ...] | None = None
     simulation: ModelMatch | None = None
     agreement: list[Mapping[str, Any]] | None = None

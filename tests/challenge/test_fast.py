@@ -40,6 +40,26 @@ def test_strength_is_chosen_for_the_wanted_excess(challenger):
     assert gain == pytest.approx(2.0 * challenger.gauge.screen.dof, rel=0.01)
 
 
+@pytest.mark.parametrize("name", ["spalled_raceway", "loose_anchor", "link_bending", "taut_hose"])
+def test_a_cell_that_is_measured_again_has_the_effect_that_it_had(quick, name):
+    """Where and when such an effect acts is chosen by the planned poses: those of the first time, not of each."""
+    loaded, poses = quick
+    scenario, hidden = Scenario(0, name, 11, (name,), 12, 1.0), [{"name": name, "seed": 5, "strength": 2.0}]
+    first, truth = simulated_cells.observe(loaded, poses, scenario, hidden)
+    again, same = simulated_cells.observe(loaded, poses[::2], scenario, hidden, planned=poses)
+    assert str(same) == str(truth)
+    assert first.n_poses == 2 * again.n_poses or first.n_poses == 2 * again.n_poses - 1
+    still, _ = simulated_cells.observe(loaded, poses[::2], scenario, [], planned=poses)
+    whole, _ = simulated_cells.observe(loaded, poses, scenario, [])
+
+    def by_centre(obs, displaced):
+        return dict(zip(zip(obs.pose_id[obs.pose].tolist(), obs.ball.tolist(), strict=True), displaced, strict=True))
+
+    moved = by_centre(first, first.xyz - whole.xyz)
+    for centre, displaced in by_centre(again, again.xyz - still.xyz).items():
+        assert np.linalg.norm(displaced - moved[centre]) < 2e-3  # mm: stops near a target differ by 10 urad
+
+
 def test_a_plain_effect_is_concealed_found_and_scored(challenger, tmp_path):
     scenario = Scenario(0, "ball_shift", 11, ("ball_shift",), 12, excess=2.0)
     outcome = replace(challenger, folder=tmp_path).take(scenario)

@@ -52,6 +52,23 @@ def hose_that_pulls_joint_five(s):
     return Displacements(joint=joint)
 
 
+def bearing_that_sinks_in_where_it_is_damaged(s):
+    """The frame behind link 3 tilts while its lower side is at some angle of the ring, whatever hangs behind it."""
+    down = np.einsum("pji,j->pi", s.nominal_frames[:, 3, :3, :3], s.obs.cell.robot.gravity)
+    angle = np.arctan2(down[:, 1], down[:, 0])
+    about_mean = np.angle(np.exp(1j * angle) / np.exp(1j * angle).mean())
+    frame = np.zeros((s.obs.n_poses, s.n + 1, 6))
+    frame[:, 3, 3] = 8e-4 * np.exp(-0.5 * ((about_mean - np.median(about_mean)) / 0.2) ** 2)
+    return Displacements(frame=frame)
+
+
+def test_a_damaged_bearing_is_described_by_which_way_is_down(plan):
+    observed = simulated.observe(plan, 120, [bearing_that_sinks_in_where_it_is_damaged])
+    first = model_fit.fit_model(model_fit.prepare(observed)).evidence.best.members[0].candidate
+    assert first.where == ("link3",)
+    assert first.variant.startswith("process of gravity_direction_3")
+
+
 def test_a_wobbling_axis_is_located_in_the_link_behind_it(plan):
     found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 120, [wobble_across_joint_two])))
 

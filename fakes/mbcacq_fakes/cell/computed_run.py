@@ -41,7 +41,7 @@ class ComputedRun:
     truth: dict[str, Any]
 
 
-def observe(
+def observe(  # noqa: PLR0913 -- one argument a property of the run
     cell: Any,
     poses: Sequence[Any],
     hidden: Sequence[Mapping[str, Any]] = (),
@@ -51,15 +51,18 @@ def observe(
     exposures: int | None = None,
     pace_s: float = 20.0,
     outliers: float = 0.0,
+    planned_q: np.ndarray | None = None,
 ) -> ComputedRun:
     """cell: a Cell with planned station poses, or CellFacts. poses: PlannedPose (q, station, balls, exposures), in order.
 
     hidden: as in a plan's ``fake: hidden``. fake: more options of that section. exposures: averaged per pose; default the plan's.
-    pace_s: mean time from pose to pose. outliers: share of the centres that are off by 0.2 to 2 mm. Raises ConfigError.
+    pace_s: mean time from pose to pose. outliers: share of the centres that are off by 0.2 to 2 mm. planned_q: (P', n) rad of the poses by
+    which injected effects choose where and when they act; default those that are measured. A cell that is measured again stays the same
+    with those of the first time. Raises ConfigError.
     """
     facts = cell if isinstance(cell, CellFacts) else from_cell(cell)
     q = np.array([p.q for p in poses], dtype=float)
-    facts = dataclasses.replace(facts, planned_q=q, pace_s=pace_s)
+    facts = dataclasses.replace(facts, planned_q=q if planned_q is None else planned_q, pace_s=pace_s)
     options: FakeOptions = parse({**(fake or {}), "hidden": list(hidden)})
     world = make_world(facts, options, seed)
     rng = world.noise(OBSERVED)

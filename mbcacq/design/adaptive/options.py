@@ -26,10 +26,11 @@ class AdaptiveOptions:
     rivals: int = 5  # sets of effects beside the most probable one that are to be told from it
     enough: float = 3.0  # natural log of 20: odds of a decision
     spare: float = 2.0  # log odds beyond that are aimed at, since what is expected is a mean
-    advised_spare: float = 5.0  # the same for who measures all of it before the next look. Log odds that are expected to grow by m grow by
-    # a normal variable of variance 2 m: by 8, they end above 3 nine times in ten.
-    advised_visits: int = 5  # and poses, at most: what three visits with 24 did not decide in benchmarks/investigate.md, these do
-    advised_poses: int = 40
+    advised_spare: float = 10.0  # the same for who measures all of it before the next look. Log odds that are expected to grow by m grow by
+    # a normal variable of variance 2 m: by 8, they end above 3 nine times in ten. They are expected for the most probable coefficients: for
+    # ones that are a standard deviation smaller, of the four or five by which an open effect shows, they grow by 0.6 of it.
+    advised_visits: int = 6  # and poses, at most: what five visits with 40 poses did not decide in benchmarks/investigate.md, these may
+    advised_poses: int = 48
     least_gain: float = 0.3  # of a further visit of a sequence, less than which is not planned ahead
     sure: float = 7.0  # log evidence that each effect of a verdict must have: information of 20, less what its coefficients cost
     doubtful: float = 0.5  # e-value (odds of an effect, 0.1 beforehand) above which a search does not end with ``none``; with 0.2 a clean

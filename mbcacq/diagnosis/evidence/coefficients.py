@@ -43,14 +43,27 @@ def coefficients(hypothesis: Hypothesis) -> Coefficients:
 
 def solution(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
     """Nuisance parameters and coefficients together (z + k,), and the residual (M, R) that they leave."""
-    point, members = hypothesis.point, hypothesis.members
-    linear = point.linear
+    columns, sigma, Z = _with_geometry(hypothesis)
+    values = sigma * np.linalg.solve(Z.T @ Z + np.eye(len(sigma)), Z.T @ hypothesis.point.projected.r0)
+    return values, hypothesis.point.linear.residual - columns @ values
+
+
+def geometry_of(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior mean (z,) and covariance (z, z) of stations and free geometry, effects integrated out; the last are given effects."""
+    _, sigma, Z = _with_geometry(hypothesis)
+    z = len(sigma) - len(prior_sigma(hypothesis.members))
+    inverse = np.linalg.inv(Z.T @ Z + np.eye(len(sigma)))
+    values = sigma * (inverse @ (Z.T @ hypothesis.point.projected.r0))
+    return values[:z], (sigma[:, None] * inverse * sigma)[:z, :z]
+
+
+def _with_geometry(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns (M, R, z + k) of stations, free geometry and effects, their prior sigma, and the same whitened, in units of sigma."""
+    linear, members = hypothesis.point.linear, hypothesis.members
     columns, sigma = linear.nuisance()
     columns = np.concatenate([columns, *(candidate_columns(linear, m.candidate, m.hyper) for m in members)], axis=2)
     sigma = np.r_[sigma, prior_sigma(members)]
-    Z = point.projected.whiten(columns) * sigma
-    values = sigma * np.linalg.solve(Z.T @ Z + np.eye(len(sigma)), Z.T @ point.projected.r0)
-    return values, linear.residual - columns @ values
+    return columns, sigma, hypothesis.point.projected.whiten(columns) * sigma
 
 
 def relinearized(linear: LinearProblem, hypothesis: Hypothesis) -> LinearProblem:

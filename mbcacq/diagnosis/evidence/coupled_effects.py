@@ -16,6 +16,7 @@ import numpy as np
 from mbcacq.diagnosis.evidence.coefficients import Coefficients, coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.problem import GivenEffect
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling, Where
@@ -26,6 +27,11 @@ def couplings_of(members: Sequence[Member]) -> tuple[EffectCoupling, ...]:
     """The couplings of the effects of a set that show only through another one."""
     names = dict.fromkeys(m.candidate.name for m in members)
     return tuple(c for name in names if (c := catalogue.declaration(name).coupling) is not None)
+
+
+def given_through(given: Sequence[GivenEffect], coupling: EffectCoupling) -> dict[Where, float]:
+    """Location -> mean of the coefficient of the given effects through which a coupled one shows."""
+    return {g.candidate.where: float(g.mean[0]) for g in given if g.candidate.name == coupling.through}
 
 
 def coupled(candidates: list[Candidate], context: Context, best: Hypothesis) -> Hypothesis:

@@ -69,6 +69,7 @@ def compared(
         narrow=narrow,
         unmodelled=blocks,
         context=problem.context,
+        given=problem.given,
         staged=staged,
         budget=problem.budget,
     )

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
+from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through
 from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.problem import GivenEffect
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling
@@ -22,13 +23,14 @@ from mbcacq.effects.effect import Candidate
 class PoseSearch(EvidenceSearch):
     """The candidates of a recording of poses.
 
-    staged: one set is followed, and first the effects that every arm has (elastic joints), so that what they explain is not given to slow
-    periodic errors, then the rest of the catalogue, and no unmodelled ones.
+    given: effects that are in the problem from the beginning. staged: one set is followed, and first the effects that every arm has
+    (elastic joints), so that what they explain is not given to slow periodic errors, then the rest of the catalogue, and none unmodelled.
     """
 
     candidates: list[Candidate]
     unmodelled: UnmodelledEffects
     context: Context
+    given: Sequence[GivenEffect] = ()
     staged: bool = False
 
     def begun(self, best: Hypothesis) -> Hypothesis:
@@ -72,7 +74,7 @@ class PoseSearch(EvidenceSearch):
 
     def dependent(self, node: Hypothesis) -> list[Candidate]:
         """Candidates that depend on the coefficients of a set: a wrong payload, say, shows through elastic joints."""
-        names = {m.candidate.name for m in node.members}
+        names = {*(m.candidate.name for m in node.members), *(g.candidate.name for g in self.given)}
         possible = [c for c in catalogue.couplings() if c.through in names]
         if not possible:
             return []
@@ -83,6 +85,7 @@ class PoseSearch(EvidenceSearch):
                 for m, p in zip(node.members, found.slices, strict=True)
                 if m.candidate.name == coupling.through
             }
+            there |= given_through(self.given, coupling)
             out += coupling.candidates(self.context, there)
         return out
 

@@ -4,7 +4,9 @@
    the angle by which it winds A2 up.
 2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other.
 3. Where one of them cannot tell two effects apart, and the other names one of these, that one is named.
-4. The evidences of both multiply (``joint_sets``): what neither shows or decides alone may be shown and decided by both.
+4. What the motion is sure of is given to the poses as their prior (``given_effects``), and these are searched again: what shows only
+   through it, or beside it, is found then.
+5. The evidences of both multiply (``joint_sets``): what neither shows or decides alone may be shown and decided by both.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from mbcacq.diagnosis.given_effects import StatedParameters
 from mbcacq.diagnosis.motion.joint_sets import (
     EvidenceSets,
     JointEvidence,
@@ -29,10 +32,12 @@ from mbcacq.diagnosis.motion.joint_sets import (
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects import catalogue
 from mbcacq.effects.declaration import Estimates
+from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words
-from mbcacq.model.json_text import plain
+from mbcacq.model.json_text import from_fields, plain
 from mbcacq.quantities import K, measured, split_unit
 
 VERDICT_OF_BOTH = {
@@ -144,10 +149,13 @@ def verdict_of_both(poses: Mapping[str, Any], motion: MotionDiagnosis, both: Joi
 
 
 def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float = NUMBERS.agreement_sigmas) -> list[ParameterAgreement]:
-    """Every parameter that both found. poses: JSON of the pose diagnosis; sigmas: within which two values agree."""
+    """Every parameter that both found. poses: JSON of the pose diagnosis; sigmas: within which two values agree.
+
+    Where the poses were searched with what the motion states, the values of the most probable set are compared.
+    """
     in_motion = in_terms_of_poses(poses, motion)
     out = []
-    for effect in poses["effects"]:
+    for effect in effects_beside_motion(poses, motion):
         name, own = effect["name"], effect["parameters"]
         for where, other in in_motion.get(name, []):
             if "." not in next(iter(own), ".") and set(where) != set(effect["where"]):
@@ -158,6 +166,33 @@ def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float =
                     ParameterAgreement(name, where, key, SingleEstimate.of(mine), SingleEstimate.of(theirs), distance, distance <= sigmas)
                 )
     return out
+
+
+def effects_beside_motion(poses: Mapping[str, Any], motion: MotionDiagnosis) -> Sequence[Mapping[str, Any]]:
+    """The effects of the poses: those in the most probable joint set where the poses were searched with what the motion states, else those
+    of the poses alone.
+    """
+    given, both = poses.get("given_motion"), together(poses, motion).sets
+    if not given or not both:
+        return poses["effects"]
+    best = set(both[0].effects)
+    sets = (one["effects"] for one in given["evidence"]["sets"])
+    return next((effects for effects in sets if {label_of(e["name"], e["where"]) for e in effects} <= best), poses["effects"])
+
+
+def label_of(name: str, where: Sequence[str]) -> str:
+    """``name:where``."""
+    return f"{name}:{'+'.join(where)}"
+
+
+def given_by_motion(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[StatedParameters]:
+    """What the motion is sure of, in the words of the poses: the effects that are in every set that its evidence does not exclude."""
+    sure: set[str] = set()
+    for one in motion.evidence:
+        likely = [s for s in one.evidence.sets if s.log_odds > np.log(OPTIONS.undecided)]
+        sure |= set.intersection(*({label_of(e.name, e.where) for e in s.effects} for s in likely)) if likely else set()
+    stated = [StatedParameters(name, where, p) for name, found in in_terms_of_poses(poses, motion).items() for where, p in found]
+    return [one for one in stated if one.label in sure]
 
 
 def in_terms_of_poses(poses: Mapping[str, Any], motion: MotionDiagnosis) -> dict[str, list[tuple[tuple[str, ...], Estimates]]]:
@@ -202,13 +237,17 @@ def labels_of(effects: Any) -> set[str]:
 
 def together(poses: Mapping[str, Any], motion: MotionDiagnosis) -> JointEvidence:
     """The evidence of poses and motion as one problem, by their most probable sets; no set where one of them has no evidence."""
-    of_poses = poses.get("evidence")
+    of_poses, given = poses.get("evidence"), poses.get("given_motion")
     of_motion = [plain(e.evidence) for e in motion.evidence]
     if not of_poses or not of_motion:
         return JointEvidence((), -np.inf)
     every = {key: p for e in poses["effects"] for key, p in e["parameters"].items()}
     every |= {key: p for e in motion.named_effects for key, p in e.parameters.items()}
-    found = joint_evidence([_sets_of(of_poses, {}), *(_sets_of(one, every) for one in of_motion)])
+    moving = [_sets_of(one, every) for one in of_motion]
+    found = joint_evidence([_sets_of(of_poses, {}), *moving])
+    if given:
+        beside = joint_evidence([replace(_sets_of(given["evidence"], {}), given=frozenset(given["given"])), *moving])
+        found = replace(found, sets=beside.sets or found.sets)
     return replace(found, sets=found.sets[:MOST_TOGETHER])
 
 
@@ -220,7 +259,7 @@ def _sets_of(evidence: Mapping[str, Any], every: Estimates) -> EvidenceSets:
         for e in one["effects"]:
             translate = catalogue.declaration(e["name"]).in_terms_of_poses if every else None
             stated, prior = (p if translate is None or not p else translate(p, every) for p in (e["parameters"], e.get("prior", {})))
-            label = f"{e['name']}:{'+'.join(e['where'])}"
+            label = label_of(e["name"], e["where"])
             before = effects.get(label, StatedEffect())
             log_prior = before.log_prior + (e.get("log_prior") or 0.0)
             effects[label] = StatedEffect({**before.parameters, **stated}, {**before.prior, **prior}, log_prior)
@@ -249,13 +288,25 @@ def in_both(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[tuple[str
     found, pairs = agreement(poses, motion), decided(poses, motion)
     out = [("Found in both", [_agreement_in_words(a) for a in found])] if found else []
     out += [("Decided by both together", [str(pair) for pair in pairs])] if pairs else []
-    return out + _together_in_words(together(poses, motion))
+    return out + _beside_motion_in_words(poses, motion) + _together_in_words(together(poses, motion))
 
 
 def _agreement_in_words(a: ParameterAgreement) -> str:
     poses_say, motion_says = a.stated()
     verdict = "they agree" if a.agrees else "they contradict each other"
     return f"{a.label}: {poses_say} from the poses, {motion_says} from the motion: {verdict} ({a.sigmas:.1f} sigma)"
+
+
+def _beside_motion_in_words(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[tuple[str, list[str]]]:
+    """What the poses show beside the effects that the motion is sure of, where they were searched with these."""
+    given = poses.get("given_motion")
+    if not given:
+        return []
+    shown = [e for e in effects_beside_motion(poses, motion) if label_of(e["name"], e["where"]) not in given["given"]]
+    values = [", ".join(parameter_in_words(k, from_fields(ParameterEstimate, p)) for k, p in e["parameters"].items()) for e in shown]
+    lines = [f"{effect_in_words(label_of(e['name'], e['where']))}{': ' if one else ''}{one}" for e, one in zip(shown, values, strict=True)]
+    known = " and ".join(effect_in_words(label) for label in given["given"])
+    return [(f"The poses, searched with {known} as the motion states it, show", lines or ["no further effect"])]
 
 
 def _together_in_words(both: JointEvidence) -> list[tuple[str, list[str]]]:

@@ -9,7 +9,7 @@ from mbcacq.diagnosis.evidence.coefficients import slices_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
 from mbcacq.diagnosis.motion.gram_point import GramPoint, cholesky_of
-from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.output.evidence_summary import shown
 from mbcacq.diagnosis.result import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary, NotSeparable
 from mbcacq.effects.effect import ParameterEstimate
 
@@ -17,8 +17,7 @@ from mbcacq.effects.effect import ParameterEstimate
 def summarized(sets: RankedSets) -> EvidenceSummary:
     """The most probable sets, the empty one among them, with the parameters of each."""
     best = sets.hypotheses[0].log_posterior
-    shown = [h for h in sets.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
-    compared = tuple(ComparedSet(_effects_of(sets, h), float(h.log_posterior - best)) for h in shown)
+    compared = tuple(ComparedSet(_effects_of(sets, h), float(h.log_posterior - best)) for h in shown(sets))
     return EvidenceSummary(0, sets.log_e_value, sets.least, compared)
 
 

@@ -3,7 +3,8 @@
 1. A set of each evidence (poses, and every kind of mismatch of the motion) makes a joint set. Effects that were compared in several of
    them are in all of these or in none.
 2. The evidences of independent rows multiply. A shared effect has one prior probability and one coefficient, so that its second prior is
-   taken off, and its evidence is that of one coefficient behind both (``log_shared``).
+   taken off, and its evidence is that of one coefficient behind both (``log_shared``). Of an effect that was given to the poses as their
+   prior (``given_effects``) that is in their evidence already.
 3. What neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it; and what neither
    shows alone may be shown by both.
 """
@@ -43,12 +44,19 @@ class StatedEffect:
 @dataclass(frozen=True)
 class EvidenceSets:
     """The sets of one evidence: log posterior odds, and what is stated of each effect (``name:location``). log_mass: logarithm of the most
-    that the prior probabilities of its sets can add up to.
+    that the prior probabilities of its sets can add up to. given: effects of which the evidence has taken what others state as its prior.
     """
 
     log_odds: tuple[float, ...]
     effects: tuple[Mapping[str, StatedEffect], ...]
     log_mass: float = 0.0
+    given: frozenset[str] = frozenset()
+
+    @property
+    def most_probable(self) -> list[int]:
+        """Indices of the most probable sets, and of the empty one, against which an effect is shown."""
+        best = np.argsort(self.log_odds)[::-1].tolist()
+        return [i for rank, i in enumerate(best) if rank < MOST_SETS or not self.effects[i]]
 
     @property
     def known(self) -> frozenset[str]:
@@ -95,15 +103,16 @@ class JointEvidence:
 def joint_evidence(evidences: Sequence[EvidenceSets]) -> JointEvidence:
     """All consistent joint sets; none if the evidences share no consistent one."""
     known = [one.known for one in evidences]
+    given = frozenset().union(*(one.given for one in evidences))
     shared = {label for i, one in enumerate(known) for label in one if any(label in other for other in known[:i])}
-    chosen = [np.argsort(one.log_odds)[::-1][:MOST_SETS] for one in evidences]
+    chosen = [one.most_probable for one in evidences]
     found: dict[frozenset[str], float] = {}
     for picks in product(*chosen):
         sets = [one.effects[i] for one, i in zip(evidences, picks, strict=True)]
         if any(len({label in s for s, k in zip(sets, known, strict=True) if label in k}) > 1 for label in shared):
             continue
         log = sum(one.log_odds[i] for one, i in zip(evidences, picks, strict=True))
-        log += sum(log_of_one([s[label] for s in sets if label in s]) for label in shared)
+        log += sum(log_of_one([s[label] for s in sets if label in s]) for label in shared - given)
         labels = frozenset(label for s in sets for label in s)
         found[labels] = float(np.logaddexp(found.get(labels, -np.inf), log))
     best = max(found.values(), default=0.0)

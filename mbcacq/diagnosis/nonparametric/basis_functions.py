@@ -12,6 +12,7 @@ from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import ROUNDING
 from mbcacq.effects.context import Context
+from mbcacq.effects.covariates import TILT
 from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
 
 
@@ -219,4 +220,4 @@ def artefact_tilts(s: Context) -> list[Shape]:
     leaning, across = 1 - lean**2, np.sign(up[:, 2:]) * up[:, :2]
     products = np.stack([up[:, 0] * up[:, 1], up[:, 0] ** 2 - up[:, 1] ** 2], axis=1)
     whole = np.c_[leaning, across, products, leaning[:, None] * up[:, :2]]
-    return shapes("tilt", leaning) + shapes("tilt", np.c_[leaning, lean]) + shapes("tilt", across) + shapes("tilt", whole)
+    return shapes(TILT, leaning) + shapes(TILT, np.c_[leaning, lean]) + shapes(TILT, across) + shapes(TILT, whole)

@@ -64,7 +64,7 @@ class Process:
 
 def processes(s: Context, location: Location, depends_on: str) -> list[Process]:
     """Processes at a location where something was found to depend on a covariate: of an angle, of it together with that of either
-    neighbouring joint, and of the gravity moment, whole and by its components.
+    neighbouring joint, and of the gravity moment and the direction of gravity, whole and by their components.
     """
     out = list[tuple[str, list[str], float]]()
     if is_angle(depends_on):
@@ -80,6 +80,11 @@ def processes(s: Context, location: Location, depends_on: str) -> list[Process]:
     ]
     out += [(gravity, [name], largest) for name in varying]
     out += [(gravity, varying, largest)] if len(varying) > 1 else []
+    # The rollers of a bearing, and a link that bends by itself, feel which way is down, whatever hangs behind them.
+    down = s.gravity_direction(location.frame)
+    attitude = [f"gravity_direction_{location.frame}_{axis}" for axis, x in zip("xyz", down.T, strict=True) if np.ptp(x) > OPTIONS.varies]
+    out += [(gravity, [name], 1.0) for name in attitude]
+    out += [(gravity, attitude, 1.0)] if len(attitude) > 1 else []
     return [
         Process(on, tuple(walls(s, name, unit * length) for name in names), length, unit) for on, names, unit in out for length in LENGTHS
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
@@ -22,9 +23,14 @@ MOST_LOG_ODDS = 300.0  # whose exponential is a number
 def summarized(problem: DiagnosisProblem, fit: EvidenceFit) -> EvidenceSummary:
     """The most probable sets of a fit, the empty one among them, with the coefficients of each."""
     best = fit.hypotheses[0].log_posterior
-    shown = [h for h in fit.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
-    sets = tuple(ComparedSet(effects_of(problem, fit, h), float(h.log_posterior - best)) for h in shown)
+    sets = tuple(ComparedSet(effects_of(problem, fit, h), float(h.log_posterior - best)) for h in shown(fit))
     return EvidenceSummary(fit.linear.obs.n_poses, fit.log_e_value, fit.least, sets, tuple(untried_in_words(problem, fit)))
+
+
+def shown(sets: RankedSets) -> list[Hypothesis]:
+    """The sets that are near the most probable one, and the empty one."""
+    best = sets.hypotheses[0].log_posterior
+    return [h for h in sets.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
 
 
 def effects_of(problem: DiagnosisProblem, fit: EvidenceFit, hypothesis: Hypothesis) -> tuple[ComparedEffect, ...]:

@@ -1,0 +1,155 @@
+"""The search in poses when something is known of effects beforehand, as the motion of the same run states it.
+
+An effect that shows only through another one (a tool heavier than declared, through elastic joints) may be out of reach of the poses alone,
+which cannot tell how elastic the joints are. The motion can: what it states is the prior of these coefficients, and the search asks what
+else there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mbcacq.calibration.sufficiency import options_for
+from mbcacq.diagnosis.evidence.coefficients import geometry_of
+from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.output.evidence_summary import shown, summarized
+from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, is_long, prepare, thinned
+from mbcacq.diagnosis.result import ComparedEffect, ComparedSet, GivenEvidence
+from mbcacq.diagnosis.search.effect_columns import candidate_parts
+from mbcacq.effects.declaration import Estimates
+from mbcacq.effects.effect import Candidate
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.terms import Term, term
+from mbcacq.model.observations import Observations
+
+LEAST_INFORMATION = 1e-6  # of the poses on a coefficient, next to what is given: below, what they state is not a number
+
+
+@dataclass(frozen=True)
+class StatedParameters:
+    """What something else than the poses states of an effect: its parameters in the words of the poses, value and std by name."""
+
+    name: str
+    where: tuple[str, ...]
+    parameters: Estimates
+
+    @property
+    def label(self) -> str:
+        """``name:where``."""
+        return f"{self.name}:{'+'.join(self.where)}"
+
+
+def evidence_given(
+    obs: Observations, stated: Sequence[StatedParameters], options: CalibrationOptions | None = None
+) -> GivenEvidence | None:
+    """The sets of effects that the poses show beside those that something else states.
+
+    Parameters
+    ----------
+    obs : Observations
+        The poses.
+    stated : sequence of StatedParameters
+        Effects whose parameters are known. Those whose coefficients do not follow from their parameters are searched as all others.
+    options : CalibrationOptions, optional
+        Of the adjustment.
+
+    Returns
+    -------
+    GivenEvidence or None
+        None where no stated effect is a candidate of the poses with a single coefficient.
+
+    Raises
+    ------
+    CalibrationError
+        The poses do not determine the cell.
+    """
+    chosen = options_for(obs, options or CalibrationOptions())
+    try:
+        with threadpool_limits(1):
+            given = given_effects(prepare(obs, chosen), stated)
+            return _searched(obs, given, chosen) if given else None
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(f"the poses do not determine the cell with what is given ({error})") from error
+
+
+def _searched(obs: Observations, given: Sequence[GivenEffect], options: CalibrationOptions) -> GivenEvidence:
+    problem = with_given(prepare(obs, replace(options, displaced=tuple(map(as_displaced, given)))), given)
+    if is_long(problem.linear.obs):
+        problem = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
+    fit = with_untried_rivals(problem, fit_evidence(problem))
+    found = summarized(problem, fit)
+    sets = [with_those_given(one, given, h) for one, h in zip(found.sets, shown(fit), strict=True)]
+    return GivenEvidence(tuple(label_of(g.candidate) for g in given), replace(found, sets=tuple(sets)))
+
+
+def label_of(candidate: Candidate) -> str:
+    """``name:where``."""
+    return f"{candidate.name}:{'+'.join(candidate.where)}"
+
+
+def with_those_given(one: ComparedSet, given: Sequence[GivenEffect], hypothesis: Hypothesis) -> ComparedSet:
+    """A set with the given effects in it, as the poses alone state them beside the others of the set.
+
+    With the prior N(0, 1) and the posterior N(m, v) of a coefficient in its prior's standard deviations, the poses alone state
+    N(m / (1 - v), v / (1 - v)).
+    """
+    mean, covariance = geometry_of(hypothesis)
+    m, v = mean[-len(given) :], np.minimum(np.diag(covariance)[-len(given) :], 1 - LEAST_INFORMATION)
+    effects = []
+    for g, centre, spread in zip(given, m / (1 - v), v / (1 - v), strict=True):
+        own = g.candidate.report(g.mean + g.std * centre, np.diag(g.std**2 * spread), None)
+        before = g.candidate.report(g.mean, np.diag(g.std**2), None)
+        effects.append(ComparedEffect(g.candidate.name, g.candidate.where, own, prior=before))
+    return replace(one, effects=(*effects, *one.effects))
+
+
+def given_effects(problem: DiagnosisProblem, stated: Sequence[StatedParameters]) -> tuple[GivenEffect, ...]:
+    """The candidates of the poses that are among the stated effects, with the coefficients that follow from the parameters."""
+    by_label = {one.label: one for one in stated}
+    found = []
+    for candidate in problem.candidates:
+        one = by_label.get(label_of(candidate))
+        known = None if one is None or candidate.variant else coefficient_of(candidate, one.parameters)
+        if known is not None:
+            parts = tuple(candidate_parts(problem.linear, candidate))
+            found.append(GivenEffect(candidate=candidate, parts=parts, mean=known[0], std=known[1]))
+    return tuple(found)
+
+
+def coefficient_of(candidate: Candidate, parameters: Estimates) -> tuple[np.ndarray, np.ndarray] | None:
+    """Mean and standard deviation (1,) of the coefficient of an effect with a single one; None where it does not follow.
+
+    The parameter must be in proportion to the coefficient, sign included: a width does not tell on which side of its motion a joint is.
+    """
+    if candidate.k != 1 or candidate.hyper is not None:
+        return None
+    unit, opposite = (candidate.report(np.full(1, sign), np.eye(1), None) for sign in (1.0, -1.0))
+    if len(unit) != 1 or not set(unit) <= set(parameters):
+        return None
+    ((name, per_unit),) = unit.items()
+    of_one, of_other = (np.atleast_1d(np.asarray(p.value, dtype=float)) for p in (per_unit, opposite[name]))
+    mean, std = (np.atleast_1d(np.asarray(parameters[name][part], dtype=float)) for part in ("value", "std"))
+    if len(mean) != 1 or len(of_one) != 1 or not of_one[0] or of_other[0] != -of_one[0]:
+        return None
+    return (mean / of_one, std / np.abs(of_one)) if np.isfinite(mean[0]) and std[0] > 0 else None
+
+
+def as_displaced(given: GivenEffect) -> tuple[Term, np.ndarray]:
+    """A given effect as a term with its means, both in standard deviations of its coefficients."""
+    parts = [replace(one, basis=one.basis * given.std) for one in given.parts]
+    return term(given.candidate.key, parts, sigma=1.0), given.mean / given.std
+
+
+def with_given(problem: DiagnosisProblem, given: Sequence[GivenEffect]) -> DiagnosisProblem:
+    """The problem with effects in it from the beginning, which are candidates no more."""
+    labels = {(g.candidate.name, g.candidate.where) for g in given}
+    left = [c for c in problem.candidates if (c.name, c.where) not in labels]
+    return replace(problem, candidates=left, given=tuple(given))

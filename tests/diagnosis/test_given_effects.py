@@ -1,0 +1,119 @@
+"""What something else states of an effect is the prior of the poses: the evidence is that of all rows, and what only shows through it is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from mbcacq.calibration.sufficiency import options_for
+from mbcacq.challenge.scenarios import Scenario
+from mbcacq.challenge.simulated_cells import observe
+from mbcacq.diagnosis.evidence.noise_model import NoisePoint
+from mbcacq.diagnosis.given_effects import StatedParameters, as_displaced, coefficient_of, evidence_given, given_effects
+from mbcacq.diagnosis.interim import weigh
+from mbcacq.diagnosis.problem import prepare
+from mbcacq.effects.effect import Candidate, number, scalar_report
+from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.variance_components import pack
+from mbcacq.plan import expand, load
+
+PLAN = Path(__file__).parents[2] / "plans" / "seeing.yaml"
+QUIET = Scenario(0, "none", 7, (), 1, 0.0)
+SOFT, KNOWN = 2e-6, 2e-8  # rad/(N m), and how well something else knows it
+DECLARED_KG, TOOL_KG = 2.3, 6.0
+HEAVY = [
+    {"name": "joint_compliance", "where": "A2", "compliance_rad_per_Nm": SOFT},
+    {"name": "joint_compliance", "where": "A3", "compliance_rad_per_Nm": SOFT},
+    {"name": "payload", "mass_kg": TOOL_KG, "com_mm": [-6, 4, 62], "compliance_rad_per_Nm": 0},
+]
+
+
+def of_motion(value: float = SOFT, std: float = KNOWN) -> list[StatedParameters]:
+    """The compliance of both joints as a motion would state it."""
+    return [
+        StatedParameters("joint_compliance", (at,), {f"{at}.compliance_rad_per_Nm": {"value": value, "std": std}}) for at in ("A2", "A3")
+    ]
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    loaded = load(PLAN)
+    return observe(loaded, expand(loaded), QUIET, HEAVY)[0]
+
+
+def test_a_tool_that_the_poses_cannot_tell_from_softer_joints_is_named_where_the_motion_knows_these(recorded):
+    alone = weigh(recorded)
+    assert not any(label.startswith("payload") for label in alone.reported.labels)
+    found = evidence_given(recorded, of_motion())
+    assert found is not None
+    assert found.given == ("joint_compliance:A2", "joint_compliance:A3")
+    best = {e.name: e for e in found.evidence.sets[0].effects}
+    assert set(best) == {"joint_compliance", "payload"}
+    mass = best["payload"].parameters["mass_kg"]
+    assert abs(mass.value - TOOL_KG) < 3 * mass.std
+    assert mass.value - 3 * mass.std > DECLARED_KG
+    for e in found.evidence.sets[0].effects[:2]:  # what the poses themselves say of the joints, beside the tool
+        (own,) = e.parameters.values()
+        assert abs(own.value - SOFT) < 3 * own.std
+        assert own.std > KNOWN
+
+
+def test_effects_of_which_nothing_is_a_candidate_change_nothing(recorded):
+    assert evidence_given(recorded, [StatedParameters("friction", ("A2",), {"A2.coulomb_Nm": {"value": 30.0, "std": 1.0}})]) is None
+
+
+def log_density(linear: LinearProblem, noise: Noise, mean: np.ndarray, columns: np.ndarray, sigma: np.ndarray) -> float:
+    """Log density of the whitened rows, up to a constant, with all that is integrated over in one dense matrix.
+
+    mean: (M, R) that the given effects displace in the mean; columns (M, R, k), sigma (k,): of what is integrated over, normal about zero.
+    """
+    whiten = linear.whitener(noise)
+    r = whiten((linear.residual - mean)[..., None])[:, 0]
+    stacked = np.concatenate([whiten(columns * sigma), np.eye(len(sigma))])  # least squares with a row for each prior
+    Q, R = np.linalg.qr(stacked)
+    left = np.r_[r, np.zeros(len(sigma))]
+    left = left - Q @ (Q.T @ left)
+    return -0.5 * float(left @ left) - float(np.log(np.abs(np.diag(R))).sum())
+
+
+def test_the_evidence_with_a_given_effect_is_that_of_its_prior_in_all_rows(recorded):
+    """The change of the log likelihood when an effect is given, twice: by the engine, and by the dense covariance of the rows."""
+    few = recorded.select(np.arange(recorded.n_poses) % 2 == 0)
+    with threadpool_limits(1):
+        problem = prepare(few, options_for(few, CalibrationOptions()))
+        plain, noise = problem.linear, replace(problem.noise, joint=np.full(6, 5e-6))
+        given = given_effects(problem, of_motion(4e-6, 2e-7))
+        terms = [as_displaced(g) for g in given]
+        together = LinearProblem.of(few, plain.state, plain.keep, layout=plain.layout, given=terms)
+        ours = [
+            NoisePoint(one, problem.prior_noise, pack(noise)).with_effects(one.extended(np.zeros((*one.residual.shape, 0)), np.zeros(0)))
+            for one in (plain, together)
+        ]
+        columns, sigma = plain.nuisance()
+        moved = np.concatenate([plain.columns(term.parts) for term, _ in terms], axis=2)
+        mean = sum(plain.columns(term.parts) @ value for term, value in terms)
+        dense = log_density(plain, noise, mean, np.concatenate([columns, moved], axis=2), np.r_[sigma, np.ones(len(terms))])
+        without = log_density(plain, noise, 0.0 * mean, columns, sigma)
+    gain = ours[1].log_likelihood - ours[0].log_likelihood
+    assert abs(gain) > 10
+    # The engine's residual is of the cell displaced by the mean, the dense one's is linear in it.
+    assert gain == pytest.approx(dense - without, rel=0.01)
+
+
+def test_a_parameter_without_a_sign_is_no_coefficient():
+    def width(c, v, _):
+        return {"A4.width_deg": number(abs(c[0]), np.sqrt(v[0, 0]))}
+
+    parameters = {"A4.width_deg": {"value": 0.006, "std": 1e-4}}
+    signed = Candidate("play", ("A4",), "direction_4", [], scalar_report("A4.width_deg", 2.0), np.array([3e-5]))
+    known = coefficient_of(signed, parameters)
+    assert known is not None
+    assert known[0] == pytest.approx(0.003)
+    assert known[1] == pytest.approx(5e-5)
+    assert coefficient_of(replace(signed, report=width), parameters) is None
+    assert coefficient_of(signed, {"A4.width_deg": {"value": [0.006, 0.007], "std": [1e-4, 1e-4]}}) is None
