@@ -46,6 +46,7 @@ def spring_of(plan: mbcacq.LoadedPlan) -> list[float]:
     frames = robot.chain.frames(q)
     load = gravity_torque(robot.chain, frames, robot.mass, robot.com, DECLARED_KG, DECLARED_COM_MM, robot.gravity)[:, 1]
     up = upright_angle(robot.chain, robot.gravity)
+    assert up is not None, "the second axis lies level"
     end = LEVER_RATIO * np.stack([np.sin(q[:, 1] - up), np.cos(q[:, 1] - up)], axis=1)
     rod = np.array([0.0, 1.0]) - end
     length = np.linalg.norm(rod, axis=1)

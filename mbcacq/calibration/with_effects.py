@@ -76,19 +76,25 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     """The observations calibrated with effects by ``fit``, which calibrates them under any options. The effects are the account of what
     the arm does beyond its geometry: no discrepancy is sought beside them."""
     options = replace(options, discrepancy=False)
+    alone = fit(obs, replace(options, refuse=False, random_links=False))
+    held = model if hold else model.select(lambda t: t.held)
+    free = model.select(lambda t: t not in held.terms)
+    options = replace(options, displaced=(*options.displaced, *zip(held.at(obs), held.coefficients, strict=True)))
+    fitted = _fitted_beside_held(obs, options, free, fit) if free else fit(obs, options)
+    return _beside(alone, replace(fitted, effects=replace(model, terms=(*held.terms, *(fitted.effects.terms if fitted.effects else ())))))
+
+
+def _fitted_beside_held(obs: Observations, options: CalibrationOptions, model: EffectModel, fit: Fit) -> CalibratedCell:
+    """The same with effects that are all fitted."""
     lenient = replace(options, refuse=False)  # what is undetermined without the effects may be determined with them
-    alone = fit(obs, replace(lenient, random_links=False))
-    if hold:
-        known = tuple(zip(model.at(obs), model.coefficients, strict=True))
-        return _beside(alone, replace(fit(obs, replace(options, displaced=known)), effects=model))
     parametric, unmodelled = model.parametric, model.select(lambda t: t.name == UNKNOWN)
     fitted = fit(obs, replace(options, terms=parametric.at(obs)) if parametric else lenient)
     if not unmodelled:
-        return _beside(alone, replace(fitted, effects=with_estimates(parametric, fitted)))
+        return replace(fitted, effects=with_estimates(parametric, fitted))
     stage, noise = sized_groups(fitted, options, parametric, unmodelled)
     pattern = common_pattern_of(stage, noise, parametric, unmodelled)
     if pattern is None:
-        return _beside(alone, with_groups(stage, noise, parametric, unmodelled))
+        return with_groups(stage, noise, parametric, unmodelled)
     # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
     apart = parametric.select(lambda t: not t.periodic_in_own_angle or joint_of(t) not in pattern.joints)
     if len(apart.terms) < len(parametric.terms):
@@ -96,7 +102,7 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     patterned = with_pattern(obs, unmodelled, pattern)
     stage, noise = sized_groups(fitted, options, apart, patterned, noise)
     found = with_groups(stage, noise, apart, patterned)
-    return _beside(alone, replace(found, extra={**found.extra, "common_pattern": asdict(pattern)}))
+    return replace(found, extra={**found.extra, "common_pattern": asdict(pattern)})
 
 
 def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmodelled: EffectModel) -> CommonPattern | None:
@@ -245,6 +251,7 @@ class _Stage:
         further = terms_beyond(fitted, parametric)
         if not poses.all():
             further = tuple(t.at_poses(poses, obs.pose) for t in further)
+            options = replace(options, displaced=tuple((t.at_poses(poses, obs.pose), c) for t, c in options.displaced))
             obs, weights = obs.select(poses), Weights(weights.centre[poses[obs.pose]], weights.pose[poses])
         built = (*parametric.at(obs), *further, *unmodelled.at(obs))
         return cls(
@@ -263,7 +270,8 @@ class _Stage:
         obs = self.fitted.fit.observations
         left = replace(unmodelled, terms=self.groups)
         built = (*parametric.at(obs), *terms_beyond(self.fitted, parametric), *left.at(obs))
-        return replace(self, observations=obs, weights=self.fitted.fit.weights, built=built)
+        options = replace(self.options, displaced=self.fitted.fit.options.displaced)
+        return replace(self, options=options, observations=obs, weights=self.fitted.fit.weights, built=built)
 
     @property
     def named(self) -> tuple[Term, ...]:

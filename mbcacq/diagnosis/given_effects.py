@@ -7,24 +7,29 @@ else there is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.sufficiency import options_for
-from mbcacq.diagnosis.evidence.coefficients import geometry_of
+from mbcacq.diagnosis.evidence.coefficients import coefficients, geometry_of
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.evidence_summary import shown, summarized
+from mbcacq.diagnosis.output.kept_model import term_of
 from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, is_long, prepare, thinned
 from mbcacq.diagnosis.result import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
+from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.declaration import Estimates
+from mbcacq.effects.described import can_be_kept
 from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.terms import Term, term
@@ -47,9 +52,33 @@ class StatedParameters:
         return f"{self.name}:{'+'.join(self.where)}"
 
 
-def evidence_given(
-    obs: Observations, stated: Sequence[StatedParameters], options: CalibrationOptions | None = None
-) -> GivenEvidence | None:
+@dataclass(frozen=True, eq=False)
+class PosesGiven:
+    """The poses searched with what something else states. given: the effects that it states; hypotheses: the sets of ``evidence``."""
+
+    problem: DiagnosisProblem
+    evidence: GivenEvidence
+    hypotheses: tuple[Hypothesis, ...]
+
+    def model(self, labels: Collection[str]) -> EffectModel | None:
+        """The effects of the most probable set that has no other effects than these labels; those that were given are held. None where
+        there is no such set, or where it has an effect that is not written down.
+        """
+        sets = zip(self.evidence.evidence.sets, self.hypotheses, strict=True)
+        best = next((h for one, h in sets if {f"{e.name}:{'+'.join(e.where)}" for e in one.effects} <= set(labels)), None)
+        if best is None or not all(can_be_kept(m.candidate, m.hyper) for m in best.members):
+            return None
+        obs = self.problem.linear.obs
+        here, found = Covariates(obs), coefficients(best)
+        terms = [
+            term_of(here, m.candidate, m.hyper, found.mean[own], np.sqrt(np.diag(found.covariance)[own]))
+            for m, own in zip(best.members, found.slices, strict=True)
+        ]
+        held = [replace(term_of(here, g.candidate, None, g.mean, g.std), held=True) for g in self.problem.given]
+        return EffectModel(obs.cell.robot, (*held, *terms), LearntRecording.of(obs), obs.cell.measurement)
+
+
+def evidence_given(obs: Observations, stated: Sequence[StatedParameters], options: CalibrationOptions | None = None) -> PosesGiven | None:
     """The sets of effects that the poses show beside those that something else states.
 
     Parameters
@@ -63,7 +92,7 @@ def evidence_given(
 
     Returns
     -------
-    GivenEvidence or None
+    PosesGiven or None
         None where no stated effect is a candidate of the poses with a single coefficient.
 
     Raises
@@ -80,14 +109,15 @@ def evidence_given(
         raise CalibrationError(f"the poses do not determine the cell with what is given ({error})") from error
 
 
-def _searched(obs: Observations, given: Sequence[GivenEffect], options: CalibrationOptions) -> GivenEvidence:
+def _searched(obs: Observations, given: Sequence[GivenEffect], options: CalibrationOptions) -> PosesGiven:
     problem = with_given(prepare(obs, replace(options, displaced=tuple(map(as_displaced, given)))), given)
     if is_long(problem.linear.obs):
         problem = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
     fit = with_untried_rivals(problem, fit_evidence(problem))
-    found = summarized(problem, fit)
-    sets = [with_those_given(one, given, h) for one, h in zip(found.sets, shown(fit), strict=True)]
-    return GivenEvidence(tuple(label_of(g.candidate) for g in given), replace(found, sets=tuple(sets)))
+    found, hypotheses = summarized(problem, fit), tuple(shown(fit))
+    sets = tuple(with_those_given(one, given, h) for one, h in zip(found.sets, hypotheses, strict=True))
+    evidence = GivenEvidence(tuple(label_of(g.candidate) for g in given), replace(found, sets=sets))
+    return PosesGiven(problem, evidence, hypotheses)
 
 
 def label_of(candidate: Candidate) -> str:

@@ -71,6 +71,7 @@ class TermInFile(_Open):
     typical: list[float | None]
     ranges: dict[str, RangeInFile]
     clamped: list[str]
+    held: bool = False
 
 
 class RobotInFile(_Open):

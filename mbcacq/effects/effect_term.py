@@ -117,7 +117,7 @@ class EffectTerm:
     names, units: of the k coefficients. coefficients (k,), std (k,), typical size (k,); sigma (k,): prior standard deviation about zero,
     inf for none.
     ranges: covariate -> where it was in the recording learnt from. clamped: covariates that are held at the end of their learnt range
-    beyond it.
+    beyond it. held: whether something else than the poses determines the coefficients, which stay then where others are fitted.
     """
 
     name: str
@@ -134,6 +134,7 @@ class EffectTerm:
     hyper: Mapping[str, float] = field(default_factory=dict)
     ranges: Mapping[str, LearntRange] = field(default_factory=dict)
     clamped: tuple[str, ...] = ()
+    held: bool = False
 
     @property
     def k(self) -> int:
@@ -267,6 +268,7 @@ class EffectTerm:
             "typical": self.typical.tolist(),
             "ranges": {k: {"intervals": [list(i) for i in r.intervals], "mean": r.mean} for k, r in sorted(self.ranges.items())},
             "clamped": list(self.clamped),
+            **({"held": True} if self.held else {}),
         }
 
     @classmethod
@@ -292,6 +294,7 @@ class EffectTerm:
             hyper={str(name): float(v) for name, v in content["hyper"].items()},
             ranges=ranges,
             clamped=tuple(content["clamped"]),
+            held=bool(content.get("held", False)),
             **arrays,
         )
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.transfer import check_transfer
+from mbcacq.diagnosis.given_effects import PosesGiven
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_model import EffectModel
@@ -57,18 +58,33 @@ def diagnose_together(data: Sequence[Data], how: Question) -> DiagnosisResult:
 
 
 def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Question) -> DiagnosisResult:
-    """The diagnosis of poses with that of a motion, and the poses searched again with what the motion is sure of."""
+    """The diagnosis of poses with that of a motion, and the poses searched again with what the motion is sure of; what both decide is
+    what is kept.
+    """
     from mbcacq.diagnosis.given_effects import evidence_given
     from mbcacq.diagnosis.motion.combine import given_by_motion
 
     if found.poses is None or found.observations is None or motion is None:
         return replace(found, motion=motion)
     how.progress("searching the poses again, with what the motion shows")
-    stated = given_by_motion(found.poses.to_json(), motion)
     try:
-        return replace(found, motion=motion, given_motion=evidence_given(found.observations, stated, how.options))
+        searched = evidence_given(found.observations, given_by_motion(found.poses.to_json(), motion), how.options)
     except CalibrationError:  # poses that do not determine the cell with it say nothing more
+        searched = None
+    if searched is None:
         return replace(found, motion=motion)
+    return _with_effects_of_both(replace(found, motion=motion, given_motion=searched.evidence), searched)
+
+
+def _with_effects_of_both(found: DiagnosisResult, searched: PosesGiven) -> DiagnosisResult:
+    """The diagnosis with the effects that poses and motion decide together as its model, where they do."""
+    both = found.together()
+    model = searched.model(both.sets[0].effects) if both.decided and both.significant else None
+    if model is None or found.poses is None or found.observations is None:
+        return found
+    fitted, notes = fitted_model(found.observations, model)
+    kept = "the effects that are kept are those of poses and motion together; what the motion determines is held where the cell is fitted"
+    return replace(found, poses=replace(found.poses, model=fitted, notes=(*found.poses.notes, *notes, kept)))
 
 
 def refuse_motion_of_other_arm(poses: RobotModel, motion: RobotModel) -> None:

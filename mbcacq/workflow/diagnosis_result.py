@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ from mbcacq.simulation.model_match import ModelMatch
 
 if TYPE_CHECKING:
     from mbcacq.figure import Figure
+
+    from mbcacq.diagnosis.motion.joint_sets import JointEvidence
 
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
@@ -58,12 +61,18 @@ class DiagnosisResult:
     @property
     def verdict(self) -> str:
         """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'; of poses and motion together where there are both."""
-        from mbcacq.diagnosis.motion.combine import together, verdict_of_both
+        from mbcacq.diagnosis.motion.combine import verdict_of_both
 
         if self.poses is None or self.motion is None:
             return self.main.verdict
-        poses = self._poses_as_json()
-        return verdict_of_both(poses, self.motion, together(poses, self.motion))
+        return verdict_of_both(self._poses_as_json(), self.motion, self.together())
+
+    def together(self) -> JointEvidence:
+        """The evidence of poses and motion as one problem; without sets where there are not both."""
+        from mbcacq.diagnosis.motion.combine import together
+        from mbcacq.diagnosis.motion.joint_sets import JointEvidence
+
+        return JointEvidence((), -math.inf) if self.motion is None else together(self._poses_as_json(), self.motion)
 
     def _poses_as_json(self) -> dict[str, Any]:
         """The poses' part of the JSON, with their evidence beside the motion."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from mbcacq.calibration.maximum_likelihood import calibrate, calibrate_with_effects
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
@@ -17,6 +18,7 @@ from mbcacq.diagnosis.given_effects import StatedParameters, as_displaced, coeff
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.effects.effect import Candidate, number, scalar_report
+from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.variance_components import pack
@@ -46,11 +48,16 @@ def recorded():
     return observe(loaded, expand(loaded), QUIET, HEAVY)[0]
 
 
-def test_a_tool_that_the_poses_cannot_tell_from_softer_joints_is_named_where_the_motion_knows_these(recorded):
+@pytest.fixture(scope="module")
+def searched(recorded):
+    return evidence_given(recorded, of_motion())
+
+
+def test_a_tool_that_the_poses_cannot_tell_from_softer_joints_is_named_where_the_motion_knows_these(recorded, searched):
     alone = weigh(recorded)
     assert not any(label.startswith("payload") for label in alone.reported.labels)
-    found = evidence_given(recorded, of_motion())
-    assert found is not None
+    assert searched is not None
+    found = searched.evidence
     assert found.given == ("joint_compliance:A2", "joint_compliance:A3")
     best = {e.name: e for e in found.evidence.sets[0].effects}
     assert set(best) == {"joint_compliance", "payload"}
@@ -61,6 +68,17 @@ def test_a_tool_that_the_poses_cannot_tell_from_softer_joints_is_named_where_the
         (own,) = e.parameters.values()
         assert abs(own.value - SOFT) < 3 * own.std
         assert own.std > KNOWN
+
+
+def test_a_cell_calibrated_with_it_has_the_given_effects_as_they_were_given(recorded, searched):
+    model = searched.model(("joint_compliance:A2", "joint_compliance:A3", "payload:mount"))
+    assert [(t.name, t.held) for t in model.terms] == [("joint_compliance", True), ("joint_compliance", True), ("payload", False)]
+    cell = calibrate_with_effects(recorded, CalibrationOptions(refuse=False), EffectModel.from_dict(model.to_dict()))
+    *held, tool = cell.effects.terms
+    assert [float(t.coefficients[0]) for t in held] == [SOFT, SOFT]
+    assert abs(DECLARED_KG + tool.coefficients[0] - TOOL_KG) < 3 * tool.std[0]
+    assert cell.fit.rms_mm < calibrate(recorded, CalibrationOptions(discrepancy=False)).fit.rms_mm
+    assert searched.model(("joint_compliance:A2",)) is None  # what was given is in every set
 
 
 def test_effects_of_which_nothing_is_a_candidate_change_nothing(recorded):

@@ -3,8 +3,8 @@
 1. A set of each evidence (poses, and every kind of mismatch of the motion) makes a joint set. Effects that were compared in several of
    them are in all of these or in none.
 2. The evidences of independent rows multiply. A shared effect has one prior probability and one coefficient, so that its second prior is
-   taken off, and its evidence is that of one coefficient behind both (``log_shared``). Of an effect that was given to the poses as their
-   prior (``given_effects``) that is in their evidence already.
+   taken off, and its evidence is that of one coefficient behind both (``log_shared``). The evidence of poses to which the effect was
+   given as their prior (``given_effects``) has that already.
 3. What neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it; and what neither
    shows alone may be shown by both.
 """
