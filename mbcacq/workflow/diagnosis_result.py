@@ -20,9 +20,8 @@ from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 
 if TYPE_CHECKING:
-    from mbcacq.figure import Figure
-
     from mbcacq.diagnosis.motion.joint_sets import JointEvidence
+    from mbcacq.figure import Figure
 
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
