@@ -193,10 +193,13 @@ def _finish(axes: Any, layout: Any, categories: _Categories, most: int) -> None:
     if categories.upright:
         axes.set_yticks(range(len(categories.names)), categories.names)
     elif categories.names and _of(layout, "xaxis.type") != "linear":
-        axes.set_xticks(range(len(categories.names)), categories.names)
+        turned = -float(_of(layout, "xaxis.tickangle") or 0)
+        axes.set_xticks(range(len(categories.names)), categories.names, rotation=turned, ha="right" if turned else "center")
     if _of(layout, "yaxis.scaleanchor"):
         axes.set_aspect("equal", adjustable="datalim")
-    for shape in layout.get("shapes"):
+    if _of(layout, "title.text"):
+        axes.figure.suptitle(_plain(_of(layout, "title.text")), fontsize=9, x=0.02, ha="left")
+    for shape in layout.get("shapes", ()):
         if shape.get("type") == "line":
             _line(axes, shape)
     handles, labels = axes.get_legend_handles_labels()
