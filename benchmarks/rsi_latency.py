@@ -7,6 +7,7 @@ turn within each cycle, 2 ms apart: a virtual machine is stopped for some cycles
 be taken by turns: two programs keep the processor awake for each other.
 
 python benchmarks/rsi_latency.py --write        three rounds of 60 s each, idle and under scan load: 18 minutes on a quiet machine
+python benchmarks/rsi_latency.py --together --load compute memory       beside ten programs that compute, and ten that go through memory
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -56,6 +58,21 @@ with tempfile.TemporaryDirectory() as folder:
         time.sleep(0.005)
 """
 
+COMPUTES = """
+import json
+print("up", flush=True)
+while True:
+    json.loads(json.dumps([{"axis": i, "name": str(i)} for i in range(1000)]))
+"""
+COPIES = """
+import numpy as np
+here, there = np.ones(2**24, np.uint8), np.ones(2**24, np.uint8)
+print("up", flush=True)
+while True:
+    there[:] = here
+    here += there
+"""
+
 RSIPI_CONFIG = """<ROOT>
 <CONFIG><IP_NUMBER>127.0.0.1</IP_NUMBER><PORT>{port}</PORT><SENTYPE>ImFree</SENTYPE><ONLYSEND>FALSE</ONLYSEND></CONFIG>
 <SEND><ELEMENTS>
@@ -81,13 +98,12 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--seconds", type=int, default=60, help="of each program in each round")
     arguments.add_argument("--rounds", type=int, default=3)
-    arguments.add_argument(
-        "--load", choices=("none", "scans", "both"), default="both", help="another process decodes scans and logs them to rerun"
-    )
+    arguments.add_argument("--load", nargs="+", choices=LOADS, default=["none", "scans"], help="what other programs do meanwhile")
+    arguments.add_argument("--programs", type=int, default=10, help="how many of those that compute or go through memory")
     arguments.add_argument("--together", action="store_true", help="the C program and ours at once, asked in turn by one controller")
     arguments.add_argument("--write", action="store_true", help="write the figures to rsi_latency.md")
     given = arguments.parse_args()
-    found: dict[tuple[bool, str], list[np.ndarray]] = {}
+    found: dict[tuple[str, str], list[Heard]] = {}
     busy = [os.getloadavg()[0]]
     with tempfile.TemporaryDirectory() as folder:
         metronome, echo = (compiled(name, Path(folder)) for name in ("rsi_metronome", "rsi_echo"))
@@ -97,14 +113,14 @@ def main() -> None:
         elif not given.together:
             programs["RSIPI"] = lambda port: rsipi(port, Path(folder))
         turns = [programs] if given.together else [{name: program} for name, program in programs.items()]
-        for loaded in {"none": (False,), "scans": (True,), "both": (False, True)}[given.load]:
+        for load in given.load:
             for _ in range(given.rounds):
-                with scan_load() if loaded else nullcontext():
+                with busy_programs(load, given.programs):
                     for turn in turns:
-                        for name, rows in measure(metronome, turn, given.seconds).items():
-                            found.setdefault((loaded, name), []).append(rows)
+                        for name, heard in measure(metronome, turn, given.seconds).items():
+                            found.setdefault((load, name), []).append(heard)
                         busy.append(os.getloadavg()[0])
-    text = report(found, busy, given.together)
+    text = report(found, busy, given)
     print(text)
     if given.write:
         Path(__file__).with_suffix(".md").write_text(text)
@@ -118,9 +134,18 @@ def compiled(name: str, folder: Path) -> Path:
     return folder / name
 
 
-def measure(metronome: Path, programs: dict[str, Callable], seconds: int) -> dict[str, np.ndarray]:
-    """For each program (n, 2): when each telegram was sent, s, and the latency in us, negative for a cycle without an answer. All of them
-    are asked by one controller, which begins when the last of them is ready."""
+@dataclass(frozen=True)
+class Heard:
+    """Of one program, each telegram: when it was sent, s (n,), and the latency in us (n,), negative for a cycle without an answer; and the
+    processor time that its process took meanwhile, s."""
+
+    sent_s: np.ndarray
+    latency_us: np.ndarray
+    processor_s: float
+
+
+def measure(metronome: Path, programs: dict[str, Callable], seconds: int) -> dict[str, Heard]:
+    """All of the programs are asked by one controller, which begins when the last of them is ready."""
     ports = free_ports(len(programs))
     controller: list[subprocess.Popen[bytes]] = []
     waiting = list(programs)
@@ -131,16 +156,33 @@ def measure(metronome: Path, programs: dict[str, Callable], seconds: int) -> dic
             controller.append(subprocess.Popen([str(metronome), str(seconds), *map(str, ports)], stdout=subprocess.PIPE))
 
     with ExitStack() as running:
-        for program, port in zip(programs.values(), ports, strict=True):
-            running.enter_context(program(port)(begin))
+        pids = [running.enter_context(program(port)(begin)) for program, port in zip(programs.values(), ports, strict=True)]
+        before = [processor_s(pid) for pid in pids]
         data, _ = controller[0].communicate()
+        taken = [processor_s(pid) - start for pid, start in zip(pids, before, strict=True)]
     rows = np.frombuffer(data, dtype=float).reshape(-1, 3)
-    return {name: rows[rows[:, 0] == k, 1:] for k, name in enumerate(programs)}
+    return {name: Heard(*rows[rows[:, 0] == k, 1:].T, taken[k]) for k, name in enumerate(programs)}
+
+
+def processor_s(pid: int) -> float:
+    """Processor time of a process so far, user and system."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def child(module: str) -> int:
+    """Process id of this process' child that runs ``module``."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == os.getpid() and module.encode() in (entry / "cmdline").read_bytes():
+                return int(entry.name)
+    raise ProcessLookupError(module)
 
 
 @contextmanager
-def waiting_program(command: list[str], begin: Callable[[], object], folder: Path | None = None) -> Iterator[None]:
-    """A program that says when it listens and ends with its standard input."""
+def waiting_program(command: list[str], begin: Callable[[], object], folder: Path | None = None) -> Iterator[int]:
+    """A program that says when it listens and ends with its standard input. Yields its process id."""
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=folder, text=True
     ) as process:
@@ -148,7 +190,7 @@ def waiting_program(command: list[str], begin: Callable[[], object], folder: Pat
         while process.stdout.readline().strip() != "up":
             assert process.poll() is None, f"{command[0]} did not start"
         begin()
-        yield
+        yield process.pid
         process.terminate()
 
 
@@ -165,7 +207,7 @@ def rsipi(port: int, folder: Path) -> Callable:
 
 def ours(port: int) -> Callable:
     @contextmanager
-    def program(begin: Callable[[], object]) -> Iterator[None]:
+    def program(begin: Callable[[], object]) -> Iterator[int]:
         options = {"limits_deg": LIMITS_DEG, "port": port, "late_limit": 10**8, "stop_at_close": False, "check_set_point": False}
         ended = threading.Event()
         timer = threading.Timer(0.5, begin)
@@ -175,7 +217,7 @@ def ours(port: int) -> Callable:
             mover = threading.Thread(target=move_to_and_fro, args=(robot, ended))
             mover.start()
             try:
-                yield
+                yield child("mbcacq_kuka.rsi.cycle")
             finally:
                 ended.set()
                 mover.join()
@@ -196,49 +238,64 @@ def move_to_and_fro(robot: KukaRsi, ended: threading.Event) -> None:
         ended.wait()  # the controller has ended: silence
 
 
+LOADS = {  # what the other programs run, and what they do
+    "none": ("", "none of ours"),
+    "scans": (LOAD, "decoding scans and logging to rerun"),
+    "compute": (COMPUTES, "programs that compute"),
+    "memory": (COPIES, "programs that go through memory"),
+}
+
+
 @contextmanager
-def scan_load() -> Iterator[None]:
-    load = subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True)
-    assert load.stdout is not None  # a pipe
+def busy_programs(load: str, count: int) -> Iterator[None]:
+    code, _ = LOADS[load]
+    count = {"none": 0, "scans": 1}.get(load, count)
+    running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(count)]
     try:
-        load.stdout.readline()
+        for program in running:
+            assert program.stdout is not None  # a pipe
+            program.stdout.readline()
         yield
     finally:
-        load.kill()
-        load.communicate()
+        for program in running:
+            program.kill()
+            program.communicate()
 
 
-def report(found: dict[tuple[bool, str], list[np.ndarray]], busy: list[float], together: bool) -> str:
+def report(found: dict[tuple[str, str], list[Heard]], busy: list[float], given: argparse.Namespace) -> str:
     """A page; busy: load averages of the computer meanwhile, which include whatever else it had to do."""
     how = (
         "One controller asked both in turn within each cycle. 'Alone': missed cycles within 50 ms of which the other program missed "
         "none, so that the machine did not stand."
-        if together
+        if given.together
         else "The programs took turns."
     )
     lines = [
         "# Reply latency of the RSI cycle",
         "",
         f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, loopback, 4 ms by the clock; from sending a "
-        f"telegram to having the answer, at the controller's side, us. {how} 'Missed': cycles without an answer within 4 ms. Load average "
-        f"meanwhile: {min(busy):.0f} to {max(busy):.0f}. Made by `python benchmarks/rsi_latency.py --write`.",
+        f"telegram to having the answer, at the controller's side, us. {how} 'Missed': cycles without an answer within 4 ms; 'processor': "
+        f"processor time a cycle, of the process that answers. Load average meanwhile: {min(busy):.0f} to {max(busy):.0f}. Made by "
+        "`python benchmarks/rsi_latency.py --write`.",
         "",
-        "| other load | program | cycles | median | 99 % | 99.9 % | missed | alone | median / floor |",
-        "|---|---|--:|--:|--:|--:|--:|--:|--:|",
+        "| other load | program | cycles | median | 99 % | 99.9 % | missed | alone | median / floor | processor |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
-    for (loaded, name), rounds in found.items():
-        sent_s, latency = np.concatenate(rounds).T
-        answered = latency[latency >= 0.0]
-        floor = np.concatenate(found[loaded, FLOOR])[:, 1]
-        others = [np.concatenate(rows) for (load, other), rows in found.items() if load == loaded and other != name]
-        missed = latency < 0.0
-        alone = str(apart(sent_s[missed], others[0][others[0][:, 1] < 0.0, 0])) if together else "-"
+    joined = {
+        key: (np.concatenate([h.sent_s for h in heard]), np.concatenate([h.latency_us for h in heard])) for key, heard in found.items()
+    }
+    for (load, name), (sent_s, latency) in joined.items():
+        answered, missed = latency[latency >= 0.0], latency < 0.0
+        _, floor = joined[load, FLOOR]
+        others = [other for key, other in joined.items() if key[0] == load and key[1] != name]
+        alone = str(apart(sent_s[missed], others[0][0][others[0][1] < 0.0])) if given.together else "-"
         ratio = np.median(answered) / np.median(floor[floor >= 0.0])
         p50, p99, p999 = (np.percentile(answered, p) for p in (50, 99, 99.9))
-        load = "decoding scans and logging to rerun" if loaded else "none of ours"
+        processor = 1e6 * sum(heard.processor_s for heard in found[load, name]) / len(latency)
+        what = LOADS[load][1] if load in ("none", "scans") else f"{given.programs} {LOADS[load][1]}"
         lines.append(
-            f"| {load} | {name} | {len(latency)} | {p50:.0f} | {p99:.0f} | {p999:.0f} "
-            f"| {np.count_nonzero(missed)} | {alone} | {ratio:.2f} |"
+            f"| {what} | {name} | {len(latency)} | {p50:.0f} | {p99:.0f} | {p999:.0f} "
+            f"| {np.count_nonzero(missed)} | {alone} | {ratio:.2f} | {processor:.0f} |"
         )
     return "\n".join(lines) + "\n"
 

@@ -72,11 +72,12 @@ def picked(grey: np.ndarray, pixel: np.ndarray) -> np.ndarray:
     flat, loop = np.ascontiguousarray(grey, np.uint8).reshape(-1), compiled()
     if len(pixel) and not 0 <= pixel[0] <= pixel[-1] < flat.size:
         raise IndexError(f"pixel {pixel[-1]} of an image of {flat.size}")
-    if len(pixel) == flat.size:  # the pixels are in order, each once
-        return flat.copy()
-    if loop is None:
+    if loop is None and len(pixel) < flat.size:
         return flat[pixel]
     found = _memory.empty(flat.size, np.uint8)[: len(pixel)]
+    if len(pixel) == flat.size or loop is None:  # the pixels are in order, each once
+        np.copyto(found, flat)
+        return found
     loop.pick(flat.ctypes.data, pixel.ctypes.data, len(pixel), found.ctypes.data)
     return found
 

@@ -48,8 +48,7 @@ def test_a_request_is_the_bytes_of_the_vendors_client():
 
 
 def test_a_reply_is_read():
-    status, count = frames.reply_size(REPLY_SYSTEM[:14])
-    assert (status, count) == (1, 55)
+    assert frames.reply_size(REPLY_SYSTEM[:14]) == (1, 55, 0)
     assert frames.content(REPLY_SYSTEM[14:]) == {"type": "response", "status": 1, "path": "/system", "payload": {"runState": 0}}
 
 

@@ -104,6 +104,21 @@ def test_the_plans_numbers_stand_in_the_rsi_files():
     ]
 
 
+def test_the_version_of_rsi_decides_which_folder_a_controller_takes():
+    """RSI up to 4.0 reads .rsi contexts, newer ones .rsix, whatever the KSS: KSS 8.5.5 with RSI 4.0.6 fits no rule by KSS alone."""
+    written = KukaRsi.controller_files("arm", "KR 10", {"limits_deg": LIMITS}, FACTS)
+    endings = {folder: {name.rsplit(".")[-1] for name in written if name.startswith(f"{folder}/")} for folder in ("kss85", "kss_older")}
+    assert "rsix" in endings["kss85"]
+    assert "rsi" not in endings["kss85"]
+    assert "rsi" in endings["kss_older"]
+    assert "rsix" not in endings["kss_older"]
+    guide = " ".join(written["README.txt"].split())
+    assert "KSS 8.5.5 with RSI 4.0.6, say, takes kss_older" in guide
+    assert "RSI 4.1 or newer, 5.x (KSS 8.5 and newer as a rule): folder kss85" in guide
+    assert "RSI 3.x and 4.0 (KSS older than 8.5 as a rule): folder kss_older" in guide
+    assert {name.split("/")[0] for name in written if "/" in name} <= set(re.findall(r"folder (\w+)", guide))
+
+
 @pytest.mark.parametrize(
     ("driver", "change", "says"), [(KukaEki, {"address": "krc.local"}, "address in numbers"), (KukaEki, {"port": 7000}, "54600 to 54615")]
 )

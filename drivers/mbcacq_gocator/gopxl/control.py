@@ -121,10 +121,10 @@ class GoPxLControl:
         for _ in range(MAX_BETWEEN):
             header = bytearray(frames.REPLY.size)
             wire.receive_exactly(sock, memoryview(header), "reply", deadline, cancelled)
-            status, count = frames.reply_size(bytes(header))
-            body = bytearray(count)
+            status, count, behind = frames.reply_size(bytes(header))
+            body = bytearray(count + behind)
             wire.receive_exactly(sock, memoryview(body), "reply", deadline, cancelled, started=True)
-            found = frames.content(bytes(body))
+            found = frames.content(bytes(body[:count]))
             if found["type"] not in (frames.NOTIFICATION, frames.STREAM):
                 return self._accepted(found, status, path)
         raise ProtocolError(f"GoPxL sends notifications without end instead of an answer to {path}")
@@ -134,7 +134,8 @@ class GoPxLControl:
         answered = found.get("path", path)
         if isinstance(answered, str) and answered.rstrip("/") != path.rstrip("/"):
             raise ProtocolError(f"GoPxL answered {answered} when it was asked for {path}; the stream is out of step")
-        inner, payload = found.get("status", OK), found.get("payload", {})
+        inner, payload = found.get("status", OK), found.get("payload")
+        payload = {} if payload is None else payload
         status = outer if outer != OK else inner
         if not isinstance(status, int) or not isinstance(payload, dict):
             raise ProtocolError(f"the answer of GoPxL to {path} has no status or no payload")

@@ -22,15 +22,16 @@ def request(method: str, path: str, payload: dict[str, Any] | None = None, args:
     return REQUEST.pack(REQUEST.size + len(body), MESSAGE_PACK, len(body)) + body
 
 
-def reply_size(header: bytes) -> tuple[int, int]:
-    """Status and number of MessagePack bytes that a reply's header announces. Raises ProtocolError."""
+def reply_size(header: bytes) -> tuple[int, int, int]:
+    """What a reply's header announces: status, bytes of MessagePack, and bytes behind those, which the vendor's client skips. Raises
+    ProtocolError."""
     total, kind, status, count = REPLY.unpack(header)
-    if kind != MESSAGE_PACK or total != REPLY.size + count or total > MAX_REPLY:
+    if kind != MESSAGE_PACK or total < REPLY.size + count or total > MAX_REPLY:
         raise ProtocolError(
             f"a reply of {total} bytes (type {kind:#06x}, {count} bytes of content) is none of GoPxL; "
             "something else answers at this port, or the stream is out of step"
         )
-    return status, count
+    return status, count, total - REPLY.size - count
 
 
 def content(body: bytes) -> dict[str, Any]:

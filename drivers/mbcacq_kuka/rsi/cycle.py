@@ -1,5 +1,5 @@
-"""The RSI cycle, in a process of its own: receive, answer, then record and prepare the next answer. Nothing else may share its
-interpreter.
+"""The RSI cycle, in a process of its own: receive, answer, then record and prepare the next answer; shortly before the next telegram is
+due, rehearse. Nothing else may share its interpreter.
 
 Started as ``python -m mbcacq_kuka.rsi.cycle`` with its settings as one JSON line on standard input. It answers 'ready' (or why
 not) on standard output. When standard input ends, because the driver closed it or died, it brakes, ends the session and exits.
@@ -8,6 +8,8 @@ not) on standard output. When standard input ends, because the driver closed it 
 from __future__ import annotations
 
 import json
+import os
+import select
 import signal
 import socket
 import sys
@@ -21,6 +23,8 @@ from mbcacq_kuka.rsi.shared import Shared
 from mbcacq_kuka.rsi.telegram import MAX_DATAGRAM
 
 _POLL_S = 0.02
+_REHEARSED_S = 0.3e-3  # before a telegram is due: longer than a rehearsal and than networks jitter, short enough to be remembered
+_LOOK = socket.MSG_PEEK | getattr(socket, "MSG_DONTWAIT", 0)  # Windows has no such flag
 
 
 def run(sock: socket.socket, session: RsiSession, parent_gone: threading.Event) -> None:
@@ -30,6 +34,8 @@ def run(sock: socket.socket, session: RsiSession, parent_gone: threading.Event) 
     while not session.over:
         if parent_gone.is_set():
             session.close(monotonic())
+        if (due := session.due) is not None:
+            _rehearse(sock, session, due - _REHEARSED_S - monotonic())
         try:
             data, source = receive(MAX_DATAGRAM)
         except (TimeoutError, BlockingIOError):
@@ -49,6 +55,19 @@ def run(sock: socket.socket, session: RsiSession, parent_gone: threading.Event) 
         session.digest(now)
         if not connected and session.controller is not None:
             connected = _only_from(sock, session.controller)
+
+
+def _rehearse(sock: socket.socket, session: RsiSession, wait_s: float) -> None:
+    """Go the way of the next answer once before its telegram is due, so that it is in the processor's caches, which other programs have
+    filled since the last one. Changes nothing; a telegram that comes earlier than that ends the waiting and is answered at once."""
+    if wait_s <= 0.0 or select.select([sock], [], [], wait_s)[0]:
+        return
+    session.rehearse(time.monotonic())
+    if os.name == "posix":  # elsewhere looking would wait
+        try:
+            sock.recvfrom(MAX_DATAGRAM, _LOOK)
+        except OSError:
+            pass  # nothing there yet
 
 
 def _only_from(sock: socket.socket, controller: Any) -> bool:

@@ -24,6 +24,11 @@ class Punctuality:
         self._behind = self._ahead = 0.0  # of the clock by which one telegram a cycle comes
         self._late_from, self._late_until = inf, -inf
 
+    @property
+    def due(self) -> float:
+        """When the next telegram is expected, by the controller's clock: one that came late is no reason for the next to be late."""
+        return inf if self._last is None else self._last + self._cycle_s - self._behind
+
     def held_up(self, now: float) -> bool:
         return self._late_from < now < self._late_until
 

@@ -54,7 +54,8 @@ class Taken:
 
 
 class RsiSession:
-    """``reply`` to every datagram, then ``digest`` it; ``idle`` when none came. Settings: see options.RsiOptions."""
+    """``reply`` to every datagram, then ``digest`` it; ``idle`` when none came, ``rehearse`` before one is ``due``. Settings: see
+    options.RsiOptions."""
 
     def __init__(self, shared: Shared, settings: dict[str, Any]) -> None:
         self._shared, self._settings = shared, settings
@@ -94,14 +95,7 @@ class RsiSession:
     def reply(self, data: bytes, source: Any, now: float, in_time: bool = True) -> bytes | None:
         """The answer to a datagram, or None. ``in_time``: False for one that is answered too late in any case."""
         ready = self._ready
-        if (
-            ready is not None
-            and in_time
-            and not self._punctuality.held_up(now)
-            and ready[0] in data
-            and ready[1] in data
-            and source == self.controller
-        ):
+        if ready is not None and in_time and self._is_next(ready, data, source, now):
             self._ready, self._data, self._unparsed, self.last_heard = None, data, True, now
             return ready[2]
         if self._muted or self.over:
@@ -111,6 +105,20 @@ class RsiSession:
         except SessionFault as fault:
             self._fail(fault)
             return None
+
+    def _is_next(self, ready: tuple[bytes, bytes, bytes], data: bytes, source: Any, now: float) -> bool:
+        """Whether this is the telegram that the answer which is ``ready`` is for."""
+        return source == self.controller and not self._punctuality.held_up(now) and ready[1] in data and ready[0] in data
+
+    @property
+    def due(self) -> float | None:
+        """When the next telegram is expected, on the clock of ``now``; None where no answer to it is ready."""
+        return None if self._ready is None else self._punctuality.due
+
+    def rehearse(self, now: float) -> None:
+        """Go the way of the next answer with the last telegram, whose IPOC is not the one that is waited for. Changes nothing."""
+        if self._ready is not None:
+            self._is_next(self._ready, self._data, self.controller, now)
 
     def digest(self, now: float) -> None:
         """After the answer was sent: record and judge the telegram, and render the next answer."""
