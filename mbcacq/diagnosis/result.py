@@ -125,7 +125,7 @@ class EffectFound:
     p_local: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect. p_corrected: by anything
     that was tried (all candidates and values of their hyper-parameters, or all locations). log_bayes_factor: natural logarithm, of an
     unmodelled effect against none. equivalent: other locations that act alike on these data. trend: why it is a trend, of which no figure
-    may be relied on; empty for a finding, by default by its parameters and held_out_gain.
+    may be relied on; empty for a finding.
     """
 
     name: str
@@ -140,12 +140,11 @@ class EffectFound:
     log_bayes_factor: float | None = None
     equivalent: tuple[str, ...] = ()
     held_out_gain_std: Number = 0.0
-    trend: str | None = None
+    trend: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        if self.trend is None:
-            sizes = {name: estimate.components for name, estimate in self.parameters.items()}
-            object.__setattr__(self, "trend", trend(sizes, self.held_out_gain, self.held_out_gain_std))
+        sizes = {name: estimate.components for name, estimate in self.parameters.items()}
+        object.__setattr__(self, "trend", trend(sizes, self.held_out_gain, self.held_out_gain_std))
 
 
 @dataclass(frozen=True)

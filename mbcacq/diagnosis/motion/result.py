@@ -61,12 +61,11 @@ class MotionEffect:
     alternatives: tuple[Alternative, ...]
     steps: tuple[MotionStep, ...]
     notes: tuple[str, ...] = ()
-    trend: str | None = None
+    trend: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        if self.trend is None:
-            sizes = {name: components(estimate) for name, estimate in self.parameters.items()}
-            object.__setattr__(self, "trend", trend(sizes, self.held_out_gain_here))
+        sizes = {name: components(estimate) for name, estimate in self.parameters.items()}
+        object.__setattr__(self, "trend", trend(sizes, self.held_out_gain_here))
 
 
 @dataclass(frozen=True)
