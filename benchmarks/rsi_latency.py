@@ -161,7 +161,8 @@ def measure(metronome: Path, programs: dict[str, Callable], seconds: int) -> dic
         data, _ = controller[0].communicate()
         taken = [processor_s(pid) - start for pid, start in zip(pids, before, strict=True)]
     rows = np.frombuffer(data, dtype=float).reshape(-1, 3)
-    return {name: Heard(*rows[rows[:, 0] == k, 1:].T, taken[k]) for k, name in enumerate(programs)}
+    own = [rows[rows[:, 0] == k] for k in range(len(programs))]
+    return {name: Heard(own[k][:, 1], own[k][:, 2], taken[k]) for k, name in enumerate(programs)}
 
 
 def processor_s(pid: int) -> float:

@@ -9,6 +9,15 @@
 #include <emmintrin.h>
 #endif
 
+/* Compiled twice, for any processor of its kind and for one with 256-bit vectors; which is used is seen when the library is loaded. */
+#define WIDE
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
+#if __has_attribute(target_clones)
+#undef WIDE
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#endif
+#endif
+
 #define INVALID (-32768)
 #define BLOCK 8 /* pixels converted at once */
 #define RUN 16  /* grey values copied at once where their pixels follow each other */
@@ -25,7 +34,7 @@ static inline int is_valid(const unsigned char *raw, size_t pixel, int every)
     return at(raw, 3 * pixel + 2) != INVALID && (!every || (at(raw, 3 * pixel) != INVALID && at(raw, 3 * pixel + 1) != INVALID));
 }
 
-size_t count_heights(const unsigned char *raw, size_t pixels)
+WIDE size_t count_heights(const unsigned char *raw, size_t pixels)
 {
     size_t count = 0;
     for (size_t i = 0; i < pixels; i++)
@@ -118,8 +127,8 @@ size_t cloud_points(const unsigned char *restrict raw, size_t pixels, int every,
 }
 
 /* points: (count, 3), pixel: (count,), count as counted before. x: (columns,) and y: (rows,) mm of the grid; scale and offset of z. */
-void height_points(const unsigned char *restrict raw, size_t rows, size_t columns, size_t count, const float *restrict x,
-                   const float *restrict y, float scale, float offset, float *restrict points, int32_t *restrict pixel)
+WIDE void height_points(const unsigned char *restrict raw, size_t rows, size_t columns, size_t count, const float *restrict x,
+                        const float *restrict y, float scale, float offset, float *restrict points, int32_t *restrict pixel)
 {
     size_t k = 0;
 

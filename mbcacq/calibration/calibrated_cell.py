@@ -25,7 +25,7 @@ from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.json_text import damage, read_json
+from mbcacq.model.json_text import damage, fields_as_json, read_json
 from mbcacq.model.observations import Observations
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class CalibratedCell:
             ],
             "balls": [{"id": b, "centre_mm": self.state.balls[i].tolist()} for i, b in enumerate(self.ball_ids)],
             "preliminary": {"T_flange_scanner": self.preliminary.T_flange_scanner.tolist()},
-            "parameters": [p.to_dict() for p in self.parameters],
+            "parameters": [fields_as_json(p) for p in self.parameters],
             "names": list(self.names),
             "covariance": self.covariance.tolist(),
             "noise": result_io.noise_content(self.noise, cell, oriented=fit.residual.shape[1] == 6),

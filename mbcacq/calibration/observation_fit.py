@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import WithJsonSchema
@@ -11,17 +11,20 @@ from pydantic import WithJsonSchema
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.solver import Weights
+from mbcacq.model.json_text import EveryKey
 from mbcacq.model.observations import Observations
 
 Status = Annotated[str, WithJsonSchema({"enum": ["free", "prior", "marginal", "held"]})]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameter:
+class Parameter(EveryKey):
     """value: as the model uses it (hand-eye rotation: rotation vector of the change since the first guess). error: value minus nominal.
     status: 'free', 'prior' (free within a certificate, or within the common size of such errors), 'marginal' (the nominal value stays; std
     says by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None). prior_std,
     prior_mean: of the error, where a prior was used."""
+
+    left_out = ("reason", "prior_std", "prior_mean")
 
     name: str
     value: float
@@ -32,10 +35,6 @@ class Parameter:
     reason: str = ""
     prior_std: float | None = None
     prior_mean: float = 0.0
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content; without 'reason' and the prior where there is none."""
-        return {key: value for key, value in vars(self).items() if value or key not in ("reason", "prior_std", "prior_mean")}
 
 
 @dataclass(frozen=True)

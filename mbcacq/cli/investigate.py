@@ -82,7 +82,9 @@ def command(
         done = going.finish()
     forget_failure()
     if as_json:
-        echo(json.dumps({"decisions": [d.to_dict() for d in going.decisions], "result": done.to_dict()}))
+        from mbcacq.model.json_text import fields_as_json
+
+        echo(json.dumps({"decisions": [fields_as_json(d) for d in going.decisions], "result": done.to_dict()}))
         return
     from mbcacq.cli.calibrate import print_result
 

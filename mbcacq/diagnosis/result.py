@@ -6,48 +6,51 @@ Every class here is plain data: it pickles, and its fields are the keys of the J
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from html import escape
 from typing import Annotated, Any, Self
 
-from pydantic import PlainValidator, WithJsonSchema
+from pydantic import Field, WithJsonSchema
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import Parameter
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
-from mbcacq.effects.effect_file import EffectModelFile, TermInFile
+from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.trend import trend
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import Number, damage, from_fields, plain
+from mbcacq.model.json_text import EveryKey, InJson, Number, damage, fields_as_json, from_fields
 from mbcacq.quantities import micrometres, percent
 
 FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
 
 
-Model = Annotated[
-    EffectModel | None,
-    PlainValidator(lambda content: EffectModel.from_dict(content) if content else None, json_schema_input_type=EffectModelFile | None),
-]
+def _model(file: EffectModelFile | None) -> EffectModel | None:
+    return None if file is None else EffectModel.of_file(file)
+
+
+def _content(model: EffectModel | None) -> dict[str, Any] | None:
+    return None if model is None else model.to_dict()
+
+
+Model = Annotated[EffectModel | None, InJson(EffectModelFile | None, _model, _content)]
 Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_explained", "unexplained", "cannot_tell"]})]
 
 
 @dataclass(frozen=True)
-class EstimatedNoise:
+class EstimatedNoise(EveryKey):
     """Standard deviations. scanner_mm: (3,) of a centre along the instrument's axes; joint_rad: (n,) repeatability of each axis; turn_rad:
     of a measured orientation about each axis, None where none was measured."""
+
+    left_out = ("turn_rad",)
 
     scanner_mm: tuple[float, ...]
     joint_rad: tuple[float, ...]
     turn_rad: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content; without 'turn_rad' where no orientation was measured."""
-        return {key: value for key, value in vars(self).items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,7 +277,7 @@ class Proposal:
     smooth_chi2_dof: Number
     found_in: int
     parts: int
-    term: Annotated[EffectTerm, PlainValidator(EffectTerm.from_dict, json_schema_input_type=TermInFile)]
+    term: EffectTerm
 
 
 @dataclass(frozen=True)
@@ -362,11 +365,11 @@ class Diagnosis:
     noise_depends_on: tuple[NoiseDependence, ...] = ()
     model: Model = field(default=None, compare=False)
     evidence: EvidenceSummary | None = None
-    plot_data: object | None = field(default=None, compare=False)
+    plot_data: Annotated[object | None, Field(exclude=True)] = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
-        return {"format": FORMAT} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "plot_data"}
+        return {"format": FORMAT} | fields_as_json(self)
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Diagnosis:

@@ -7,117 +7,107 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic import Field, FiniteFloat, ValidationError
 
-from mbcacq.effects.functions import FUNCTIONS
+from mbcacq.effects.effect_term import EffectTerm, LearntRecording
+from mbcacq.effects.functions import COMPONENTS, FUNCTIONS, DescribedPart, Function
 from mbcacq.errors import ConfigError
-from mbcacq.model.json_text import first_fault
+from mbcacq.geometry.chain import PARAMETERS, Chain
+from mbcacq.model.cell import Measurement, RobotModel
+from mbcacq.model.formats import newer_format
+from mbcacq.model.json_text import Number, first_fault, from_fields
 
-COMPONENTS = {"joint": 1, "frame": 6, "station": 6, "point": 3, "orientation": 3, "ball": 3}  # of each place
+FORMAT = "mbcacq-effect-model/1"
+
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(r"^(?:q|qd|tau|direction_|movement_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$")
 _OF_FRAME = re.compile(r"^gravity_(?:moment|direction)_([0-9]+)_[xyz]$")
-PLACE = (
-    "what is displaced: joint (rad), frame (local twist mm, rad; 0 behind the base, i behind link i), point (mm in the scanner frame), "
-    "ball (mm in the artefact frame), station (local twist), orientation (rad about the target's own axes)"
-)
-Three = tuple[float, float, float]
+Three = tuple[Number, Number, Number]
+End = float | None  # of an axis, rad; None where it turns without one
 
 
-class _Open(BaseModel):
-    """Further keys are allowed; numbers are finite."""
-
-    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
-
-
-class FunctionInFile(_Open):
-    of: str = Field(description="name of a covariate")
-    kind: Annotated[str, WithJsonSchema({"enum": list(FUNCTIONS)})]
-    numbers: list[float]
-
-
-class ProductInFile(_Open):
-    factor: float
-    functions: list[FunctionInFile]
-
-
-class PartInFile(_Open):
-    place: Annotated[str, WithJsonSchema({"enum": list(COMPONENTS)})] = Field(description=PLACE)
-    index: int
-    component: int
-    columns: list[list[ProductInFile]]
-
-
-class RangeInFile(_Open):
-    intervals: list[tuple[float, float]] = Field(min_length=1)
-    mean: float
-
-
-class TermInFile(_Open):
-    name: str = Field(min_length=1)
-    where: list[str]
-    depends_on: str
-    variant: str
-    hyper: dict[str, float]
-    parts: list[PartInFile] = Field(min_length=1)
-    names: list[str] = Field(min_length=1)
-    units: list[str]
-    coefficients: list[float]
-    std: list[float | None]
-    sigma: list[float | None]
-    typical: list[float | None]
-    ranges: dict[str, RangeInFile]
-    clamped: list[str]
-    held: bool = False
-
-
-class RobotInFile(_Open):
-    model_config = ConfigDict(extra="allow", allow_inf_nan=True)  # an axis may turn without end
+@dataclass(frozen=True, kw_only=True)
+class ArmInFile:
+    """The arm as it is nominally: MD-H rows by parameter (theta, alpha, beta rad; d, a mm), masses and what else covariates need."""
 
     name: str
-    sign: list[Literal[-1, 1]] = Field(min_length=1)
-    nominal: dict[Literal["theta", "d", "a", "alpha", "beta"], list[float]] = Field(min_length=5)
-    limits: list[tuple[float | None, float | None]]
-    mass_kg: list[float]
-    com_mm: list[Three]
-    payload_mass_kg: float
+    sign: Annotated[tuple[Literal[-1, 1], ...], Field(min_length=1)]
+    nominal: Annotated[Mapping[Literal["theta", "d", "a", "alpha", "beta"], tuple[FiniteFloat, ...]], Field(min_length=5)]
+    limits: tuple[tuple[End, End], ...]
+    mass_kg: tuple[Number, ...]
+    com_mm: tuple[Three, ...]
+    payload_mass_kg: Number
     payload_com_mm: Three
     gravity: Three
 
+    @classmethod
+    def of(cls, robot: RobotModel) -> ArmInFile:
+        """The arm as a file holds it."""
+        return cls(
+            name=robot.name,
+            sign=robot.chain.sign.tolist(),
+            nominal={p: getattr(robot.chain, p).tolist() for p in PARAMETERS},
+            limits=robot.limits.tolist(),
+            mass_kg=robot.mass.tolist(),
+            com_mm=robot.com.tolist(),
+            payload_mass_kg=float(robot.payload_mass),
+            payload_com_mm=np.asarray(robot.payload_com).tolist(),
+            gravity=np.asarray(robot.gravity).tolist(),
+        )
 
-class AnchorInFile(_Open):
-    pose: int
-    q: list[float]
+    @property
+    def robot(self) -> RobotModel:
+        """The arm of a file."""
+        limits = [(-np.inf if low is None else low, np.inf if high is None else high) for low, high in self.limits]
+        return RobotModel(
+            self.name,
+            Chain(np.array(self.sign, dtype=float), *(np.array(self.nominal[p]) for p in PARAMETERS)),
+            np.array(limits),
+            np.array(self.mass_kg),
+            np.array(self.com_mm),
+            payload_mass=self.payload_mass_kg,
+            payload_com=np.array(self.payload_com_mm),
+            gravity=np.array(self.gravity),
+        )
 
 
-class LearntInFile(_Open):
-    anchors: list[AnchorInFile]
-    poses: list[int]
-    time_origin_s: float
-    duration_s: float
+@dataclass(frozen=True, kw_only=True)
+class EffectModelFile:
+    """A model of effects as a file holds it: what was measured, the arm, how the recording learnt from is known again, the terms."""
+
+    format: Literal["mbcacq-effect-model/1"]
+    measurement: Measurement
+    robot: ArmInFile
+    learnt: LearntRecording
+    terms: tuple[EffectTerm, ...]
 
 
-class EffectModelFile(_Open):
-    measurement: Literal["artefact_in_scanner", "target_in_base"]
-    robot: RobotInFile
-    learnt: LearntInFile
-    terms: list[TermInFile]
-
-
-def check_effects(content: Mapping[str, Any], source: str, key: str = "") -> None:
-    """Refuse content of a model of effects that is damaged. source: how a message calls the file; key: under which the model is in it.
+def read_effects(content: Any, source: str, key: str = "") -> EffectModelFile:
+    """The content of a model of effects, where it is whole. source: how a message calls the file; key: under which the model is in it.
 
     Raises ConfigError with the key of the fault.
     """
+    at = f"{source}: {key}" if key else source
+    found = content.get("format") if isinstance(content, Mapping) else None
+    if sentence := newer_format(found, FORMAT):
+        raise ConfigError(f"{at} {sentence}")
+    if found != FORMAT:
+        raise ConfigError(f"{at} is no model of effects of format '{FORMAT}'; make it with mbcacq diagnose or calibrate --effects")
     within = f"{key}." if key else ""
     try:
-        model = EffectModelFile.model_validate(dict(content))
+        return from_fields(EffectModelFile, content)
     except ValidationError as error:
-        at, fault = first_fault(error)
-        raise _damaged(source, within + at, fault) from None
+        where, fault = first_fault(error)
+        raise _damaged(source, within + where, fault) from None
+
+
+def check_effects(model: EffectModelFile, source: str, key: str = "") -> None:
+    """Refuse indices beyond the arm, lengths that differ, and functions without a value. Raises ConfigError as ``read_effects``."""
+    within = f"{key}." if key else ""
     robot, axes = model.robot, len(model.robot.sign)
     of_axes = {"limits": robot.limits, "mass_kg": robot.mass_kg, "com_mm": robot.com_mm}
     for name, values in {**of_axes, **{f"nominal.{p}": column for p, column in robot.nominal.items()}}.items():
@@ -127,13 +117,13 @@ def check_effects(content: Mapping[str, Any], source: str, key: str = "") -> Non
         _check_term(term, axes, source, f"{within}terms.{i}")
 
 
-def _check_term(term: TermInFile, axes: int, source: str, key: str) -> None:
+def _check_term(term: EffectTerm, axes: int, source: str, key: str) -> None:
     k = len(term.names)
     for name in ("units", "coefficients", "std", "sigma", "typical"):
         if len(getattr(term, name)) != k:
             raise _damaged(source, f"{key}.{name}", f"{len(getattr(term, name))} values for {k} coefficients")
     for j, s in enumerate(term.sigma):
-        if s is not None and s <= 0:
+        if s <= 0:
             raise _damaged(source, f"{key}.sigma.{j}", f"{s:g} is no standard deviation: it must be larger than zero, or null for none")
     for j, place in enumerate(term.where):
         found = _LOCATION.match(place)
@@ -143,7 +133,7 @@ def _check_term(term: TermInFile, axes: int, source: str, key: str) -> None:
         _check_part(part, k, axes, source, f"{key}.parts.{j}")
 
 
-def _check_part(part: PartInFile, k: int, axes: int, source: str, key: str) -> None:
+def _check_part(part: DescribedPart, k: int, axes: int, source: str, key: str) -> None:
     if part.place not in COMPONENTS:
         raise _damaged(source, f"{key}.place", f"'{part.place}' is none of {', '.join(COMPONENTS)}")
     last = {"joint": axes - 1, "frame": axes}.get(part.place)  # the others have no index
@@ -159,11 +149,11 @@ def _check_part(part: PartInFile, k: int, axes: int, source: str, key: str) -> N
                 _check_function(function, axes, source, f"{key}.columns.{c}.{p}.functions.{f}")
 
 
-def _check_function(function: FunctionInFile, axes: int, source: str, key: str) -> None:
+def _check_function(function: Function, axes: int, source: str, key: str) -> None:
     for pattern, first in ((_OF_JOINT, 1), (_OF_FRAME, 0)):
-        found = pattern.match(function.of)
+        found = pattern.match(function.covariate)
         if found and not first <= int(found[1]) <= axes:
-            raise _damaged(source, f"{key}.of", f"there is no {function.of} on an arm of {axes} axes")
+            raise _damaged(source, f"{key}.of", f"there is no {function.covariate} on an arm of {axes} axes")
     kind = FUNCTIONS.get(function.kind)
     if kind is None:
         raise ConfigError(f"{source}: {key}.kind: there is no function '{function.kind}'; where a newer mbcacq wrote it, update this one")

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.effect_file import check_effects
+from mbcacq.effects.effect_file import FORMAT, ArmInFile, EffectModelFile, check_effects, read_effects
 from mbcacq.effects.effect_term import MOVEMENT, UNKNOWN, EffectTerm, LearntRecording, is_angle
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.terms import Term, accumulate
-from mbcacq.geometry.chain import PARAMETERS, Chain
-from mbcacq.model.cell import ARTEFACT_IN_SCANNER, Artefact, Cell, RobotModel, Station
+from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER, Artefact, Cell, Measurement, RobotModel, Station
+from mbcacq.model.json_text import fields_as_json
 from mbcacq.model.observations import Observations
 
-FORMAT = "mbcacq-effect-model/1"
 DRIFTED = "it changed in the course of the recording learnt from, and is taken as it was at its end"
 SETTLED = "it is what movements left behind at the speed and with the pauses of the recording learnt from, and is left out"
 NAMED_POSES = 8  # in a sentence
@@ -55,7 +55,7 @@ class EffectModel:
     robot: RobotModel
     terms: tuple[EffectTerm, ...] = ()
     learnt: LearntRecording = field(default_factory=LearntRecording)
-    measurement: str = ARTEFACT_IN_SCANNER
+    measurement: Measurement = ARTEFACT_IN_SCANNER
 
     def __bool__(self) -> bool:
         return bool(self.terms)
@@ -167,46 +167,28 @@ class EffectModel:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content, format 'mbcacq-effect-model/1'."""
-        robot = self.robot
+        return fields_as_json(self.file)
+
+    @property
+    def file(self) -> EffectModelFile:
+        """The model as a file holds it; the order of all poses only where a term depends on it."""
         bound = any("pose" in t.covariates for t in self.terms)
-        return {
-            "format": FORMAT,
-            "measurement": self.measurement,
-            "robot": {
-                "name": robot.name,
-                "sign": robot.chain.sign.tolist(),
-                "nominal": {p: getattr(robot.chain, p).tolist() for p in PARAMETERS},
-                "limits": robot.limits.tolist(),
-                "mass_kg": robot.mass.tolist(),
-                "com_mm": robot.com.tolist(),
-                "payload_mass_kg": float(robot.payload_mass),
-                "payload_com_mm": np.asarray(robot.payload_com).tolist(),
-                "gravity": np.asarray(robot.gravity).tolist(),
-            },
-            "learnt": {
-                "anchors": [{"pose": number, "q": list(q)} for number, q in self.learnt.anchors],
-                "poses": list(self.learnt.poses) if bound else [],
-                "time_origin_s": self.learnt.time_origin_s,
-                "duration_s": self.learnt.duration_s,
-            },
-            "terms": [t.to_dict() for t in self.terms],
-        }
+        learnt = self.learnt if bound else replace(self.learnt, poses=())
+        arm = ArmInFile.of(self.robot)
+        return EffectModelFile(format=FORMAT, measurement=self.measurement, robot=arm, learnt=learnt, terms=self.terms)
+
+    @classmethod
+    def of_file(cls, file: EffectModelFile, source: str = "the model of effects", key: str = "") -> EffectModel:
+        """The model that a file holds; source and key as of ``from_dict``. Raises ConfigError where an index in it is beyond the arm."""
+        check_effects(file, source, key)
+        return cls(file.robot.robot, file.terms, file.learnt, file.measurement)
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any], source: str = "the model of effects", key: str = "") -> EffectModel:
         """The model that ``to_dict`` wrote. source: how a message calls the file; key: under which the model is in it. Raises ConfigError
         where it is none, or damaged.
         """
-        if not isinstance(content, Mapping) or content.get("format") != FORMAT:
-            at = f"{source}: {key}" if key else source
-            raise ConfigError(f"{at} is no model of effects of format '{FORMAT}'; make it with mbcacq diagnose or calibrate --effects")
-        check_effects(content, source, key)
-        return cls(
-            _robot(content["robot"]),
-            tuple(EffectTerm.from_dict(t) for t in content["terms"]),
-            _learnt(content["learnt"]),
-            str(content["measurement"]),
-        )
+        return cls.of_file(read_effects(content, source, key), source, key)
 
 
 def combined(models: Iterable[EffectModel]) -> EffectModel:
@@ -220,24 +202,3 @@ def combined(models: Iterable[EffectModel]) -> EffectModel:
 
 def _placed(t: EffectTerm) -> str:
     return f"{t.name} at {'+'.join(t.where)}"
-
-
-def _robot(r: Mapping[str, Any]) -> RobotModel:
-    sign = np.array(r["sign"], dtype=float)
-    n = len(sign)
-    chain = Chain(sign, *(np.array(r["nominal"][p], dtype=float).reshape(n) for p in PARAMETERS))
-    return RobotModel(
-        str(r["name"]),
-        chain,
-        np.array(r["limits"], dtype=float).reshape(n, 2),
-        np.array(r["mass_kg"], dtype=float).reshape(n),
-        np.array(r["com_mm"], dtype=float).reshape(n, 3),
-        payload_mass=float(r["payload_mass_kg"]),
-        payload_com=np.array(r["payload_com_mm"], dtype=float).reshape(3),
-        gravity=np.array(r["gravity"], dtype=float).reshape(3),
-    )
-
-
-def _learnt(content: Mapping[str, Any]) -> LearntRecording:
-    anchors = tuple((int(a["pose"]), tuple(float(v) for v in a["q"])) for a in content["anchors"])
-    return LearntRecording(anchors, tuple(int(p) for p in content["poses"]), float(content["time_origin_s"]), float(content["duration_s"]))

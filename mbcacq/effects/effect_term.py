@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, FiniteFloat
 
 from mbcacq.effects.covariates import OF_RECORDING, Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.functions import OF_CENTRES, DescribedPart, column_from_json, column_to_json
-from mbcacq.estimation.terms import PER_POSE, PLACES, Part, Term, term
+from mbcacq.effects.functions import OF_CENTRES, DescribedPart
+from mbcacq.estimation.terms import PER_POSE, Part, Term, term
+from mbcacq.model.json_text import EveryKey, InJson, Number, Vector, as_list
 from mbcacq.model.observations import Observations
 
 UNKNOWN = "unknown"
@@ -32,8 +34,8 @@ COMMON_PATTERN = "common pattern"  # variant of what several joints share: each 
 class LearntRange:
     """Values of a covariate in the recording learnt from: intervals that were visited (of an angle, modulo a turn), and the mean."""
 
-    intervals: tuple[tuple[float, float], ...]
-    mean: float
+    intervals: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=1)]
+    mean: FiniteFloat
 
     @classmethod
     def of(cls, name: str, values: np.ndarray) -> LearntRange:
@@ -76,29 +78,37 @@ class LearntRange:
 
 
 @dataclass(frozen=True)
-class LearntRecording:
+class Anchor:
+    """A pose by which a recording is known again: its number and its joint angles (rad)."""
+
+    pose: int
+    q: tuple[FiniteFloat, ...]
+
+
+@dataclass(frozen=True)
+class LearntRecording(EveryKey):
     """What is needed to know the recording again that effects were learnt from.
 
-    anchors: numbers of some poses with their joint angles (rad). poses: numbers of all poses in the order of time. time_origin_s: time of
+    anchors: some of its poses. poses: numbers of all poses in the order of time. time_origin_s: time of
     the first; duration_s: from the first to the last.
     """
 
-    anchors: tuple[tuple[int, tuple[float, ...]], ...] = ()
+    anchors: tuple[Anchor, ...] = ()
     poses: tuple[int, ...] = ()
-    time_origin_s: float = 0.0
-    duration_s: float = 0.0
+    time_origin_s: FiniteFloat = 0.0
+    duration_s: FiniteFloat = 0.0
 
     @classmethod
     def of(cls, obs: Observations) -> LearntRecording:
         chosen = np.unique(np.linspace(0, obs.n_poses - 1, min(48, obs.n_poses)).astype(int))
-        anchors = tuple((int(obs.pose_id[p]), tuple(float(v) for v in obs.q[p])) for p in chosen)
+        anchors = tuple(Anchor(int(obs.pose_id[p]), tuple(float(v) for v in obs.q[p])) for p in chosen)
         times = obs.time_s if obs.time_s is not None else np.zeros(1)
         order = tuple(int(i) for i in obs.pose_id[np.argsort(Covariates(obs).order)])
         return cls(anchors, order, float(np.min(times)), float(np.ptp(times)))
 
     def is_of(self, obs: Observations) -> bool:
         """Whether these poses belong to the recording: poses of the same numbers have the same joint angles."""
-        mine = {number: np.array(q) for number, q in self.anchors}
+        mine = {anchor.pose: np.array(anchor.q) for anchor in self.anchors}
         same = [np.array_equal(mine[n], q) for n, q in zip(obs.pose_id.tolist(), obs.q, strict=True) if n in mine]
         return bool(same) and all(same)
 
@@ -108,8 +118,20 @@ class LearntRecording:
         return np.array([position.get(int(n), len(self.poses) - 1) for n in obs.pose_id], dtype=float)
 
 
-@dataclass(frozen=True)
-class EffectTerm:
+def _bounded(sigma: list[float | None]) -> np.ndarray:
+    return np.array([np.inf if s is None else s for s in sigma])
+
+
+def _or_none(sigma: np.ndarray) -> list[float | None]:
+    return [float(s) if np.isfinite(s) else None for s in sigma]
+
+
+Sigma = Annotated[np.ndarray, InJson(list[FiniteFloat | None], _bounded, _or_none)]  # None in a file: there is none
+Known = Annotated[np.ndarray, as_list(list[Number])]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectTerm(EveryKey):
     """A parametric effect, or a group of basis functions of an unmodelled one, with its coefficients.
 
     name, where, depends_on, variant: as of the ``mbcacq.effects.effect.Candidate``; name is 'unknown' for an unmodelled effect.
@@ -120,18 +142,20 @@ class EffectTerm:
     beyond it. held: whether something else than the poses determines the coefficients, which stay then where others are fitted.
     """
 
-    name: str
+    left_out = ("held",)
+
+    name: Annotated[str, Field(min_length=1)]
     where: tuple[str, ...]
     depends_on: str
-    parts: tuple[DescribedPart, ...]
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    coefficients: np.ndarray
-    std: np.ndarray
-    sigma: np.ndarray
-    typical: np.ndarray
     variant: str = ""
-    hyper: Mapping[str, float] = field(default_factory=dict)
+    hyper: Mapping[str, FiniteFloat] = field(default_factory=dict)
+    parts: Annotated[tuple[DescribedPart, ...], Field(min_length=1)]
+    names: Annotated[tuple[str, ...], Field(min_length=1)]
+    units: tuple[str, ...]
+    coefficients: Vector
+    std: Known
+    sigma: Sigma
+    typical: Known
     ranges: Mapping[str, LearntRange] = field(default_factory=dict)
     clamped: tuple[str, ...] = ()
     held: bool = False
@@ -248,56 +272,6 @@ class EffectTerm:
             return np.full(rows, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
         return np.clip(values, known.low, known.high) if name in self.clamped and known is not None else values
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content; a prior sigma of infinity is None."""
-        return {
-            "name": self.name,
-            "where": list(self.where),
-            "depends_on": self.depends_on,
-            "variant": self.variant,
-            "hyper": dict(self.hyper),
-            "parts": [
-                {"place": p.place, "index": p.index, "component": p.component, "columns": [column_to_json(c) for c in p.columns]}
-                for p in self.parts
-            ],
-            "names": list(self.names),
-            "units": list(self.units),
-            "coefficients": self.coefficients.tolist(),
-            "std": self.std.tolist(),
-            "sigma": [float(s) if np.isfinite(s) else None for s in self.sigma],
-            "typical": self.typical.tolist(),
-            "ranges": {k: {"intervals": [list(i) for i in r.intervals], "mean": r.mean} for k, r in sorted(self.ranges.items())},
-            "clamped": list(self.clamped),
-            **({"held": True} if self.held else {}),
-        }
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> EffectTerm:
-        """The term that ``to_dict`` wrote. Raises KeyError, TypeError or ValueError where it is damaged."""
-        k = len(content["names"])
-        arrays = {key: np.array(content[key], dtype=float).reshape(k) for key in ("coefficients", "std", "typical")}
-        sigma = np.array([np.inf if s is None else float(s) for s in content["sigma"]]).reshape(k)
-        parts = tuple(_part(p, k) for p in content["parts"])
-        ranges = {
-            str(name): LearntRange(tuple((float(a), float(b)) for a, b in r["intervals"]), float(r["mean"]))
-            for name, r in content["ranges"].items()
-        }
-        return cls(
-            str(content["name"]),
-            tuple(content["where"]),
-            str(content["depends_on"]),
-            parts,
-            tuple(content["names"]),
-            tuple(content["units"]),
-            sigma=sigma,
-            variant=str(content["variant"]),
-            hyper={str(name): float(v) for name, v in content["hyper"].items()},
-            ranges=ranges,
-            clamped=tuple(content["clamped"]),
-            held=bool(content.get("held", False)),
-            **arrays,
-        )
-
 
 def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper: Mapping[str, float]) -> str:
     """The key of an effect at its hyper-parameters."""
@@ -318,10 +292,3 @@ def _times(part: Part, factor: np.ndarray) -> Part:
 def is_angle(name: str) -> bool:
     """Whether a covariate is the angle of a joint, so that a full turn leads to the same place."""
     return name[:1] == "q" and name[1:].isdigit()
-
-
-def _part(content: Mapping[str, Any], k: int) -> DescribedPart:
-    place, columns = content["place"], tuple(column_from_json(c) for c in content["columns"])
-    if place not in PLACES or len(columns) != k:
-        raise ValueError(f"a part at '{place}' has {len(columns)} columns of {k}")
-    return DescribedPart(place, int(content["index"]), int(content["component"]), columns)

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, FiniteFloat, WithJsonSchema
+
+from mbcacq.model.json_text import EveryKey, InJson
 
 Values = Callable[[str], np.ndarray]  # name of a covariate -> its values, one a row
 INCIDENCE = ("incidence_x", "incidence_y", "incidence_z")
@@ -33,25 +36,32 @@ FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
 }
 
 
+def _written(value: Any) -> Any:
+    return value
+
+
+_Factor = Annotated[Any, InJson(FiniteFloat, float, _written)]  # in a file a number
+
+
 @dataclass(frozen=True)
-class Function:
+class Function(EveryKey):
     """One function of one covariate. kind: a name of FUNCTIONS; numbers: its parameters, in their order. A number may be an array (H, 1):
     the function then stands for H functions at once.
     """
 
-    covariate: str
-    kind: str = "power"
-    numbers: tuple[Any, ...] = (1.0,)
+    covariate: Annotated[str, Field(alias="of", description="name of a covariate")]
+    kind: Annotated[str, WithJsonSchema({"enum": list(FUNCTIONS)})] = "power"
+    numbers: tuple[_Factor, ...] = (1.0,)
 
     def __call__(self, values: Values) -> np.ndarray:
         return FUNCTIONS[self.kind](values(self.covariate), *self.numbers)
 
 
 @dataclass(frozen=True)
-class Product:
+class Product(EveryKey):
     """factor times the functions; a constant where there is none. The factor may be an array (H, 1), as the numbers of a function may."""
 
-    factor: Any
+    factor: _Factor
     functions: tuple[Function, ...] = ()
 
 
@@ -59,11 +69,18 @@ Column = tuple[Product, ...]  # a sum of products; an empty one is zero
 ZERO: Column = ()
 
 
+COMPONENTS = {"joint": 1, "frame": 6, "station": 6, "point": 3, "orientation": 3, "ball": 3}  # of each place
+PLACE = (
+    "what is displaced: joint (rad), frame (local twist mm, rad; 0 behind the base, i behind link i), point (mm in the scanner frame), "
+    "ball (mm in the artefact frame), station (local twist), orientation (rad about the target's own axes)"
+)
+
+
 @dataclass(frozen=True)
 class DescribedPart:
     """A ``mbcacq.estimation.terms.Part`` whose basis is written down: one column for each coefficient of the effect."""
 
-    place: str
+    place: Annotated[str, Field(description=PLACE), WithJsonSchema({"enum": list(COMPONENTS), "description": PLACE})]
     index: int
     component: int
     columns: tuple[Column, ...]
@@ -130,28 +147,3 @@ def evaluate(columns: tuple[Column, ...], values: Values, rows: int) -> np.ndarr
             total = total + value
         out.append(total)
     return np.stack(np.broadcast_arrays(*out), axis=-1) if out else np.zeros((rows, 0))
-
-
-def column_to_json(column: Column) -> list[dict[str, Any]]:
-    """The column as JSON content."""
-    return [
-        {
-            "factor": product.factor,
-            "functions": [{"of": f.covariate, "kind": f.kind, "numbers": list(f.numbers)} for f in product.functions],
-        }
-        for product in column
-    ]
-
-
-def column_from_json(content: list[Mapping[str, Any]]) -> Column:
-    """The column that ``column_to_json`` wrote. Raises KeyError, TypeError or ValueError where it is damaged."""
-    return tuple(Product(float(product["factor"]), tuple(_function(f) for f in product["functions"])) for product in content)
-
-
-def _function(content: Mapping[str, Any]) -> Function:
-    kind, numbers = content["kind"], tuple(float(v) for v in content["numbers"])
-    if kind not in FUNCTIONS:
-        raise ValueError(f"there is no function '{kind}'; this result was written by a newer version")
-    if len(numbers) != FUNCTIONS[kind].__code__.co_argcount - 1:
-        raise ValueError(f"the function '{kind}' has {len(numbers)} numbers")
-    return Function(str(content["of"]), kind, numbers)

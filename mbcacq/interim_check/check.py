@@ -161,7 +161,7 @@ def with_observations(planned: PlannedCheck, history: CheckHistory, obs: Observa
     residual = residuals_of(planned, obs, stations)
     refuse_incomplete(planned, residual)
     started = str(read_run_identity(run).get("started") or datetime.now(UTC).isoformat(timespec="seconds"))
-    return replace(history, stations=history.stations or stations).with_day(CheckedDay(started, name, residual))
+    return replace(history, stations=history.stations or stations).with_day(CheckedDay(time=started, run=name, residual=residual))
 
 
 def _history_file(result: CalibratedCell | dict[str, Any] | Path | str, history: Path | str | None) -> Path:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
+
+Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,11 +19,11 @@ class UsualChanges:
     that stays where it stands. source: where these figures are from.
     """
 
-    joint: float = 2e-6
-    mount_mm: float = 0.001
-    mount_rad: float = 3e-6
-    station_mm: float = 0.002
-    station_rad: float = 3e-6
+    joint: Size = 2e-6
+    mount_mm: Size = 0.001
+    mount_rad: Size = 3e-6
+    station_mm: Size = 0.002
+    station_rad: Size = 3e-6
     source: str = "usual figures: a kelvin or two of the room, on mounts of steel"
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final, Literal
 
 import numpy as np
 
 from mbcacq.geometry.chain import Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 
-ARTEFACT_IN_SCANNER = "artefact_in_scanner"
-TARGET_IN_BASE = "target_in_base"
+Measurement = Literal["artefact_in_scanner", "target_in_base"]
+ARTEFACT_IN_SCANNER: Final = "artefact_in_scanner"
+TARGET_IN_BASE: Final = "target_in_base"
 SIMULATED = "simulated: the fake cell or a model made these data, no real arm was measured"
 
 
@@ -120,7 +122,7 @@ class Cell:
     stations: tuple[Station, ...]
     scanner_name: str = ""
     noise_mm: np.ndarray | None = None
-    measurement: str = ARTEFACT_IN_SCANNER
+    measurement: Measurement = ARTEFACT_IN_SCANNER
     simulated: bool = False
     noise_rad: float | None = None
     room_temperature_C: tuple[float, float] | None = None

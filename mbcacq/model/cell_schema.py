@@ -197,7 +197,7 @@ class ScannerSpec(Strict):
 
 
 # What people call who carries what; the first of each is how the program writes it.
-MEASUREMENTS = {
+MEASUREMENTS: dict[str, cell.Measurement] = {
     **dict.fromkeys(("artefact_in_scanner", "eye_in_hand", "scanner_on_flange"), cell.ARTEFACT_IN_SCANNER),
     **dict.fromkeys(("target_in_base", "eye_to_hand", "fixed_scanner"), cell.TARGET_IN_BASE),
 }

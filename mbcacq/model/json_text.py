@@ -1,22 +1,30 @@
-"""JSON texts as data and typed objects, and what is wrong with one said in words."""
+"""JSON texts as data and typed objects, and what is wrong with one said in words.
+
+The types of a dataclass say how it stands in a file: ``fields_as_json`` writes it and ``from_fields`` reads it by them, and pydantic makes
+the JSON Schema of them. What stands otherwise in JSON than in Python says so in its annotation.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
-from pydantic import BeforeValidator, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, FiniteFloat, GetCoreSchemaHandler, TypeAdapter, ValidationError
+from pydantic_core import CoreSchema, core_schema
 
 from mbcacq.errors import ConfigError
+from mbcacq.model.formats import newer_format
 
 WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a reader of JSON calls it
     "missing": "the key is missing",
     "model_type": "it is no object of keys and values",
     "dict_type": "it is no object of keys and values",
+    "mapping_type": "it is no object of keys and values",
+    "dataclass_type": "it is no object of keys and values",
     "list_type": "it is no list",
     "tuple_type": "it is no list",
     "string_type": "it is no text",
@@ -24,8 +32,11 @@ WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a re
     "float_parsing": "it is no number",
     "int_type": "it is no whole number",
     "int_parsing": "it is no whole number",
+    "bool_type": "it is neither true nor false",
+    "bool_parsing": "it is neither true nor false",
     "int_from_float": "it is no whole number",
     "finite_number": "it is not finite",
+    "greater_than_equal": "it is negative",
 }
 
 
@@ -42,6 +53,61 @@ Number = Annotated[float, BeforeValidator(with_nan, json_schema_input_type=float
 T = TypeVar("T")
 
 
+@dataclass(frozen=True)
+class InJson:
+    """In the annotation of a value that stands otherwise in JSON: there it is of the type ``kind``. read: makes the value of that, and
+    raises ValueError where it cannot; write: makes that of the value."""
+
+    kind: Any
+    read: Callable[[Any], Any]
+    write: Callable[[Any], Any]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        writes = core_schema.plain_serializer_function_ser_schema(self.write)
+        return core_schema.no_info_after_validator_function(self.read, handler.generate_schema(self.kind), serialization=writes)
+
+
+class EveryKey:
+    """Base of a dataclass of which a file holds every field, also one that has a default in Python: none may be missing there, but those
+    in ``left_out``, which are not written where they have their default.
+    """
+
+    left_out: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def write(value: Any, by_fields: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+            saying_nothing = {f.name for f in fields(value) if f.name in cls.left_out and getattr(value, f.name) == f.default}
+            return {key: content for key, content in by_fields(value).items() if key not in saying_nothing}
+
+        schema = handler(source)
+        found: Any = handler.resolve_ref_schema(schema)
+        for field in found["schema"]["fields"]:
+            if field["name"] not in cls.left_out and field["schema"]["type"] == "default":
+                field["schema"] = field["schema"]["schema"]
+        if cls.left_out:
+            found["serialization"] = core_schema.wrap_serializer_function_ser_schema(write)
+        return schema
+
+
+def _as_array(values: Any) -> np.ndarray:
+    try:
+        return np.array(values)
+    except ValueError:
+        raise ValueError("its rows are not of one length") from None
+
+
+def as_list(kind: Any) -> InJson:
+    """For the annotation of an array, which stands in JSON as (nested) lists of this type."""
+    return InJson(kind, _as_array, np.ndarray.tolist)
+
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+Vector = Annotated[np.ndarray, as_list(list[FiniteFloat])]
+Transform = Annotated[np.ndarray, as_list(tuple[Row, Row, Row, Row])]
+Matrix = Annotated[np.ndarray, as_list(list[list[FiniteFloat]])]
+
+
 def plain(value: Any) -> Any:
     """Only what JSON has: dataclasses become dictionaries, of their ``to_dict`` where they have one, numpy numbers become numbers, what is
     not finite becomes None.
@@ -49,7 +115,7 @@ def plain(value: Any) -> Any:
     if hasattr(value, "to_dict"):
         value = value.to_dict()
     elif is_dataclass(value) and not isinstance(value, type):
-        return fields_as_json(value)
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     elif isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -60,8 +126,8 @@ def plain(value: Any) -> Any:
 
 
 def fields_as_json(value: Any) -> dict[str, Any]:
-    """The fields of a dataclass as JSON content; ``from_fields`` reads them."""
-    return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    """The fields of a dataclass as JSON content, as their types say; ``from_fields`` reads them."""
+    return plain(_adapter(type(value)).dump_python(value, by_alias=True, warnings=False))
 
 
 def from_fields(kind: type[T], content: Any) -> T:
@@ -69,11 +135,29 @@ def from_fields(kind: type[T], content: Any) -> T:
 
     Raises ValueError (``pydantic.ValidationError``) where one is missing or of another type.
     """
-    return _reader(kind).validate_python(content)
+    return _adapter(kind).validate_python(content)
+
+
+def from_document(kind: type[T], content: Any, formats: str | Sequence[str], name: str, what: str, cure: str) -> T:
+    """An object of the content of a file, whose 'format' is among ``formats``, the last of which is written today.
+
+    name: of the file; what: it should hold; cure: what to do where it does not. Raises ConfigError for another format, a newer one, a
+    missing key and a value of another kind.
+    """
+    known = (formats,) if isinstance(formats, str) else tuple(formats)
+    found = content.get("format") if isinstance(content, Mapping) else None
+    if sentence := newer_format(found, known):
+        raise ConfigError(f"{name} {sentence}")
+    if found not in known:
+        raise ConfigError(f"{name} is no {what} of format '{known[-1]}'; {cure}")
+    try:
+        return from_fields(kind, content)
+    except ValidationError as error:
+        raise ConfigError(f"{name} is damaged ({damage(error)}); {cure}") from error
 
 
 @cache
-def _reader(kind: type[T]) -> TypeAdapter[T]:
+def _adapter(kind: type[T]) -> TypeAdapter[T]:
     return TypeAdapter(kind)
 
 
@@ -95,14 +179,17 @@ def read_json(data: bytes | str, name: str, cure: str) -> Any:
 def first_fault(error: ValidationError) -> tuple[str, str]:
     """(key, fault in words) of the first fault of content that does not fit a pydantic model."""
     first = error.errors()[0]
-    return ".".join(str(part) for part in first["loc"]), WORDS.get(first["type"], first["msg"])
+    own = first.get("ctx", {}).get("error")  # of a ValueError that was raised by this program
+    return ".".join(str(part) for part in first["loc"]), str(own) if own else WORDS.get(first["type"], first["msg"])
 
 
 def damage(error: Exception) -> str:
     """In words, what an error says that was raised while content of JSON was taken apart; a ValueError speaks for itself."""
     if isinstance(error, ValidationError):
         key, fault = first_fault(error)
-        return f"the key '{key}' is missing" if fault == WORDS["missing"] else f"{key}: {fault}"
+        if fault == WORDS["missing"]:
+            return f"the key '{key}' is missing"
+        return f"{key}: {fault}" if key else fault
     if isinstance(error, KeyError):
         return f"the key {error} is missing"
     return str(error) if isinstance(error, ValueError) else "a value in it is not of its kind"

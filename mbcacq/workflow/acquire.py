@@ -21,6 +21,7 @@ from mbcacq.acquisition.runner import Runner
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import sync_folder
 from mbcacq.model.cell import Cell
+from mbcacq.model.json_text import fields_as_json
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
 from mbcacq.recording.run_folder.latest import mark_latest
 from mbcacq.version import __version__
@@ -140,7 +141,7 @@ class Acquisition:
 
         (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}
-        steered = None if self.corrected is None else self.corrected.to_dict()
+        steered = None if self.corrected is None else fields_as_json(self.corrected)
         plan_files = plan_files_text(self.loaded.files, self.cell, self.loaded.path, steered, self.loaded.grown_from)
         keep_plan(self.folder, self.loaded.text, plan_files)
         with (

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.sealed_json import digest
 from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import CalibrationError, ConfigError
-from mbcacq.model.json_text import damage
+from mbcacq.model.json_text import Matrix, Vector, as_list, damage, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 from mbcacq.workflow.correct import refuse_uncalibrated
@@ -25,7 +25,6 @@ from mbcacq.workflow.load import as_cell, is_run_folder, load_observations
 LARGEST_MM = 25.0  # by which an arm in good order may miss a place; the errors of arms as delivered are below 10 mm
 SAME_PLACE = np.radians(2.0)  # of every joint: nearer, effects of gears aside, an error of the arm is the same
 WITH_EFFECTS = "with-effects"  # folder in that of a run, of the result with what its diagnosis found
-ARRAYS = ("nominal", "corrected", "moved_mm", "noise_mm")
 CalibratedArm = CalibratedCell | dict[str, Any] | Path | str
 
 
@@ -36,11 +35,17 @@ class CorrectedTargets:
     (P,) bool, whether the calibration was made with a pose there; None: not known."""
 
     result: str
-    nominal: np.ndarray
-    corrected: np.ndarray
-    moved_mm: np.ndarray
-    noise_mm: np.ndarray
-    took_part: np.ndarray | None = None
+    nominal: Matrix
+    corrected: Matrix
+    moved_mm: Vector
+    noise_mm: Vector
+    took_part: Annotated[np.ndarray, as_list(list[bool])] | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.nominal)
+        of_poses = [self.moved_mm, self.noise_mm, *([] if self.took_part is None else [self.took_part])]
+        if self.corrected.shape != self.nominal.shape or any(len(values) != count for values in of_poses):
+            raise ValueError("their numbers of poses differ")
 
     def steer(self, poses: Sequence[PlannedPose]) -> list[PlannedPose]:
         """The poses with their corrected joint angles. Raises ConfigError where they are not those that were corrected."""
@@ -60,26 +65,13 @@ class CorrectedTargets:
         except CalibrationError:
             return None
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content; angles in rad, with all their digits, so that a resumed run drives to the same joint angles."""
-        took_part = None if self.took_part is None else self.took_part.tolist()
-        arrays = {name: getattr(self, name).tolist() for name in ARRAYS}
-        return {"result": self.result, **arrays, "took_part": took_part}
 
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> CorrectedTargets:
-        """The targets that ``to_dict`` wrote. Raises ConfigError where they are damaged."""
-        try:
-            nominal, corrected, moved, noise = arrays = [np.array(content[name], dtype=float) for name in ARRAYS]
-            took_part = None if content["took_part"] is None else np.array(content["took_part"], dtype=bool)
-            result = str(content["result"])
-            count = len(nominal)
-            whole = nominal.ndim == 2 and corrected.shape == nominal.shape and moved.shape == noise.shape == (count,)
-            if not (whole and all(np.isfinite(a).all() for a in arrays) and (took_part is None or took_part.shape == (count,))):
-                raise ValueError("shapes differ, or an angle is no number")
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"the corrected targets of this run are damaged ({damage(error)}); start a new run") from error
-        return cls(result, nominal, corrected, moved, noise, took_part)
+def read_targets(content: Any) -> CorrectedTargets:
+    """The corrected targets that a run keeps, from the JSON content of their fields. Raises ConfigError where they are damaged."""
+    try:
+        return from_fields(CorrectedTargets, content)
+    except ValueError as error:
+        raise ConfigError(f"the corrected targets of this run are damaged ({damage(error)}); start a new run") from error
 
 
 def corrected_targets(loaded: LoadedPlan, poses: Sequence[PlannedPose], calibrated: CalibratedArm, dry_run: bool) -> CorrectedTargets:
@@ -130,7 +122,7 @@ def improvement_of_run(folder: Path, obs: Observations) -> ArmImprovement | None
     from mbcacq.recording.run_folder.run_plan import read_kept_plan
 
     kept = read_kept_plan(folder).corrected
-    return None if kept is None else CorrectedTargets.from_dict(kept).improvement(obs)
+    return None if kept is None else read_targets(kept).improvement(obs)
 
 
 def to_go_on_with(folder: Path, given: CorrectedTargets | None) -> CorrectedTargets | None:
@@ -139,7 +131,7 @@ def to_go_on_with(folder: Path, given: CorrectedTargets | None) -> CorrectedTarg
     from mbcacq.recording.run_folder.run_plan import read_kept_plan
 
     kept = read_kept_plan(folder)
-    before = None if kept.corrected is None else CorrectedTargets.from_dict(kept.corrected)
+    before = None if kept.corrected is None else read_targets(kept.corrected)
     if given is None or kept.files is None:  # lost in the folder and in its recordings: taken to be as in this run
         return before or given
     if before is None:

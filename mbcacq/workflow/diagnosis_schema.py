@@ -11,13 +11,15 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode
 
+from mbcacq.calibration.observation_fit import Parameter
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionCheck
-from mbcacq.diagnosis.result import FORMAT, Diagnosis, GivenEvidence
+from mbcacq.diagnosis.result import FORMAT, Diagnosis, EstimatedNoise, GivenEvidence
+from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.model.json_text import Number
 from mbcacq.simulation.model_match import ModelMatch
 
-LEFT_OUT = {"reason", "prior_std", "prior_mean", "turn_rad"}  # keys that are not written where there is nothing to say
+LEFT_OUT = {*Parameter.left_out, *EstimatedNoise.left_out, *EffectTerm.left_out}  # keys that are not written where they say nothing
 LATER = {  # keys that came in the course of version 3: an older file of it lacks them
     "geometry_alone",
     "exclusion_limits",

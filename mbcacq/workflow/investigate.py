@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from mbcacq.devices.addresses import on_loopback_only
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model import yaml12
-from mbcacq.model.json_text import damage, read_json
+from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load, refuse_errors
 from mbcacq.plan.growth import with_steps
@@ -37,6 +37,18 @@ if TYPE_CHECKING:
     from mbcacq.recording.rrd.choice_panel import WeighedPoses
 
 FORMAT = "mbcacq-investigation/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeptInvestigation:
+    """What the folder of a run keeps of an investigation, so that it can go on. plan: path; begun_with: text of the plan; the others as of
+    ``CellInvestigation``."""
+
+    plan: str
+    budget: Budget
+    begun_from_run: bool
+    begun_with: str
+    decisions: tuple[Decision, ...]
 
 
 @dataclass(kw_only=True)
@@ -151,14 +163,14 @@ class CellInvestigation:
         return len(poses) - sum(len(step["poses_deg"]) for step in last) if begun else len(poses)
 
     def _keep(self) -> None:
-        content = {
-            "format": FORMAT,
-            "plan": str(self.loaded.path.absolute()),
-            "budget": asdict(self.budget),
-            "begun_from_run": self.begun_from_run,
-            "begun_with": self.loaded.text,
-            "decisions": [d.to_dict() for d in self.decisions],
-        }
+        kept = KeptInvestigation(
+            plan=str(self.loaded.path.absolute()),
+            budget=self.budget,
+            begun_from_run=self.begun_from_run,
+            begun_with=self.loaded.text,
+            decisions=tuple(self.decisions),
+        )
+        content = {"format": FORMAT} | fields_as_json(kept)
         write_file(self.folder / INVESTIGATION_FILE, json.dumps(content, indent=1) + "\n")
 
 
@@ -214,19 +226,15 @@ def _from_run(folder: Path) -> LoadedPlan:
 
 def _resumed(folder: Path, begin: Callable[..., CellInvestigation]) -> CellInvestigation:
     """An interrupted investigation, with its budget and the decisions that it has made."""
+    file, cure = folder / INVESTIGATION_FILE, f"go on with the run: mbcacq investigate --from {folder}"
     try:
-        content = read_json(
-            (folder / INVESTIGATION_FILE).read_text(encoding="utf-8"), "the investigation", "give the folder of an investigation"
-        )
-        decisions = [Decision.from_dict(one) for one in content["decisions"]]
-        budget = Budget(**content["budget"])
-        loaded, begun_from_run = load(Path(content["plan"]), str(content["begun_with"])), bool(content["begun_from_run"])
+        text = file.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{folder} holds no investigation to resume; give its folder, or --from RUN for a finished run") from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ConfigError(
-            f"{folder / INVESTIGATION_FILE} is damaged ({damage(error)}); go on with the run: mbcacq investigate --from {folder}"
-        ) from error
-    if begun_from_run:
+    except ValueError as error:
+        raise ConfigError(f"{file} is damaged (it is not UTF-8 text); {cure}") from error
+    kept = from_document(KeptInvestigation, read_json(text, str(file), cure), FORMAT, str(file), "investigation", cure)
+    loaded = load(Path(kept.plan), kept.begun_with)
+    if kept.begun_from_run:
         loaded = replace(loaded, grown_from=plan_of_recording(folder).grown_from or len(expand(loaded)))
-    return begin(loaded=loaded, folder=folder, budget=budget, decisions=decisions, begun_from_run=begun_from_run)
+    return begin(loaded=loaded, folder=folder, budget=kept.budget, decisions=list(kept.decisions), begun_from_run=kept.begun_from_run)

@@ -15,6 +15,7 @@ from simulated_cell import BUDGET, simulated_plan
 
 import mbcacq
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import fields_as_json
 
 
 def killed(*arguments: object) -> None:
@@ -33,7 +34,7 @@ def test_killed_in_a_visit_and_resumed_it_decides_and_measures_the_same(tmp_path
     going = mbcacq.investigate(None, resume=tmp_path / "killed", dry_run=True)
     assert len(going.decisions) == 1  # the first stands, and is not made anew
     decided = list(going)
-    assert [d.to_dict() for d in decided] == [d.to_dict() for d in undisturbed]  # every figure, to the last bit
+    assert [fields_as_json(d) for d in decided] == [fields_as_json(d) for d in undisturbed]  # every figure, to the last bit
     whole, again = (mbcacq.load_observations(tmp_path / name) for name in ("whole", "killed"))
     assert np.array_equal(again.pose_id, whole.pose_id)
     assert np.array_equal(again.ball, whole.ball)

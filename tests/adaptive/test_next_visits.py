@@ -22,6 +22,7 @@ from mbcacq.design.adaptive.questions import SetComparison
 from mbcacq.design.adaptive.visit_choice import predicted
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.diagnosis.output.errors_elsewhere import errors_elsewhere
+from mbcacq.model.json_text import fields_as_json, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand, load
 from mbcacq.plan.feasibility import check
@@ -80,7 +81,7 @@ def test_decisions_are_replayed_and_go_on_as_they_did(begun):
     made = of([])
     assert made[-1].end
     assert all(not d.end for d in made[:-1])
-    assert of([Decision.from_dict(d.to_dict()) for d in made[:1]]) == made
+    assert of([from_fields(Decision, fields_as_json(d)) for d in made[:1]]) == made
 
 
 def test_a_recording_of_a_run_is_gone_on_with(begun):

@@ -104,7 +104,8 @@ def test_a_missing_key_is_named(content, tmp_path, key):
         ({"fit": {"channels": []}, "model": None}, "is the diagnosis of a motion"),
         ({"model": None}, "its 'model' is empty or missing"),
         ({"model": {"terms": []}}, "model.terms is empty"),
-        ({"model": {"format": "mbcacq-effect-model/9"}}, "model is no model of effects of format 'mbcacq-effect-model/1'"),
+        ({"model": {"format": "mbcacq-effect-model/9"}}, "model was written by a newer mbcacq"),
+        ({"model": {"format": "mbcacq-plan/1"}}, "model is no model of effects of format 'mbcacq-effect-model/1'"),
     ],
 )
 def test_a_file_without_effects_says_why(content, tmp_path, change, sentence):

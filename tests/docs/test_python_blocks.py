@@ -53,6 +53,10 @@ def what_the_page_takes_for_granted(page: Page, desk: Path) -> Iterator[dict]:
     elif page.name == "docs/report.md":
         run = desk / "runs" / "today"
         yield {"observations": mbcacq.load_observations(run), "result": load_result(run)}
+    elif page.name == "docs/write-a-driver.md":
+        with pytest.MonkeyPatch.context() as patched:
+            patched.syspath_prepend(str(ROOT / "tests" / "outside" / "acme_probe_package"))
+            yield {}
     elif page.name == "README.md":
         (desk / "runs" / "today").unlink()
         write_observation_set(mbcacq.simulate(desk / "plans" / "kuka.yaml", noise=True, seed=1), desk / "runs" / "today")

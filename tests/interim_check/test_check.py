@@ -39,7 +39,9 @@ def planned(learnt):
 def history_of(planned, days):
     """(T, R) rows as a history."""
     kept = [
-        CheckedDay(f"2026-03-{t + 1:02d}T08:00:00+00:00", f"/run{t}", dict(zip(planned.keys, rows.reshape(-1, 3), strict=True)))
+        CheckedDay(
+            time=f"2026-03-{t + 1:02d}T08:00:00+00:00", run=f"/run{t}", residual=dict(zip(planned.keys, rows.reshape(-1, 3), strict=True))
+        )
         for t, rows in enumerate(days)
     ]
     q = np.array([p.q for p in planned.poses])

@@ -5,14 +5,13 @@ import os
 import re
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import yaml
 from installed_package import PACKAGE, install
 
-from mbcacq.conformance import CHECKS, Channel, DriverBench, Stand, TcpProxy, check, ended
+from mbcacq.conformance import CHECKS, check
 from mbcacq.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -111,34 +110,16 @@ def test_a_run_records_what_it_reads(outside, tmp_path):
     assert len(answers) == 4
 
 
-def bench():
-    from acme_probe import AcmeProbe
-    from acme_probe.fake import FakeProbe
-
-    @contextmanager
-    def opened():
-        with FakeProbe() as probe, TcpProxy(Channel("line"), probe.address, cut=ended(b"\n"), cut_driver=ended(b"\n")) as proxy:
-
-            def use(sensor):
-                got = sensor.read()
-                assert got == {"air_C": probe.answers[-1]}, f"it reads {got}, the probe answered {probe.answers[-1:]}"
-
-            def make(model="T-1000", **more):
-                return AcmeProbe("air", model, {"address": "127.0.0.1", "port": proxy.port, **more})
-
-            yield Stand(make, use, {"line": proxy}, lambda: make("T-2000"), short_limits={"timeout_s": 0.3})
-
-    return DriverBench("acme_probe", "sensor", opened)
-
-
 @pytest.mark.parametrize("each", CHECKS, ids=lambda each: each.__name__)
 def test_it_passes_the_suite_every_driver_must_pass(outside, each):
-    result = check(bench(), each)
+    from acme_probe.conformance import BENCH
+
+    result = check(BENCH, each)
     assert result.status in ("passed", "skipped"), str(result)
 
 
 def test_the_page_about_it_shows_exactly_this_package():
     page = (ROOT / "docs" / "write-a-driver.md").read_text()
     blocks = re.findall(r"^```(?:python|toml)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
-    for name in ("pyproject.toml", "acme_probe/__init__.py", "acme_probe/fake.py"):
+    for name in ("pyproject.toml", "acme_probe/__init__.py", "acme_probe/fake.py", "acme_probe/conformance.py"):
         assert (PACKAGE / name).read_text() in blocks, f"docs/write-a-driver.md does not show {name} as it is"

@@ -14,10 +14,11 @@ from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
+from mbcacq.model.json_text import fields_as_json
 from mbcacq.plan import expand, load
 from mbcacq.recording import load_observations
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text, read_kept_plan
-from mbcacq.workflow.corrected_targets import CorrectedTargets, corrected_targets, to_go_on_with
+from mbcacq.workflow.corrected_targets import CorrectedTargets, corrected_targets, read_targets, to_go_on_with
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +77,7 @@ def test_a_run_is_steered_checked_recorded_and_its_report_says_what_it_changed(l
     assert improved["before"]["rms_mm"] > 0.1
     assert improved["after"]["rms_mm"] < 2 * improved["noise_mm"] < 0.03
     assert "The arm improved" in (run / "report.html").read_text(encoding="utf-8")
-    kept = CorrectedTargets.from_dict(read_kept_plan(run).corrected)
+    kept = read_targets(read_kept_plan(run).corrected)
     obs = load_observations(run)
     assert np.abs(obs.q - kept.corrected[obs.pose_id]).max() < 1e-4
     assert np.abs(kept.corrected - kept.nominal).max() > 1e-4
@@ -88,7 +89,7 @@ def test_a_run_is_steered_checked_recorded_and_its_report_says_what_it_changed(l
 def test_a_run_that_goes_on_keeps_the_targets_it_began_with(learnt, quick, tmp_path):
     loaded, poses = quick
     targets = corrected_targets(loaded, poses, learnt, dry_run=True)
-    keep_plan(tmp_path, loaded.text, plan_files_text(loaded.files, "the cell", loaded.path, targets.to_dict()))
+    keep_plan(tmp_path, loaded.text, plan_files_text(loaded.files, "the cell", loaded.path, fields_as_json(targets)))
     again = to_go_on_with(tmp_path, None)
     assert np.array_equal(again.corrected, targets.corrected)  # to the last bit
     assert np.array_equal(to_go_on_with(tmp_path, targets).nominal, targets.nominal)
@@ -101,12 +102,12 @@ def test_a_run_that_goes_on_keeps_the_targets_it_began_with(learnt, quick, tmp_p
 
 def test_targets_that_were_damaged_move_nothing(learnt, quick):
     loaded, poses = quick
-    whole = corrected_targets(loaded, poses, learnt, dry_run=True).to_dict()
+    whole = fields_as_json(corrected_targets(loaded, poses, learnt, dry_run=True))
     for harm in ({"corrected": whole["corrected"][:-1]}, {"corrected": None}, {"nominal": [[float("nan")] * 6] * 10}):
         with pytest.raises(ConfigError, match="damaged"):
-            CorrectedTargets.from_dict(whole | harm)
+            read_targets(whole | harm)
     with pytest.raises(ConfigError, match="other poses"):
-        CorrectedTargets.from_dict(whole).steer(poses[::-1])
+        read_targets(whole).steer(poses[::-1])
 
 
 def test_a_real_arm_is_not_steered_by_a_simulated_result(learnt, tmp_path):

@@ -74,18 +74,6 @@ class Decision:
     further: float = 0.0
     hiding: tuple[tuple[str, float], ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content."""
-        lists = {"sets": [list(one) for one in self.sets], "hiding": [list(one) for one in self.hiding]}
-        return {**vars(self), **lists, "reasons": list(self.reasons)}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Decision:
-        """The decision that such content holds. Raises KeyError or TypeError where it is damaged."""
-        sets = tuple((str(name), float(odds)) for name, odds in content["sets"])
-        hiding = tuple((str(name), float(size)) for name, size in content["hiding"])
-        return cls(**{**content, "sets": sets, "hiding": hiding, "reasons": tuple(content["reasons"])})
-
     @property
     def sentence(self) -> str:
         """What came out and what is next, in one line."""

@@ -16,7 +16,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table
 from mbcacq.geometry import se3
 from mbcacq.geometry.flange_poses import flange_coordinates
-from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Station, arm_of_flange_poses
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets.columns import flange_group
 from mbcacq.recording.datasets.loose_table import MEASUREMENTS, TableOptions, UnderstoodTable, conventions_of, in_units
@@ -89,7 +89,7 @@ class _Reading:
 
     flange: PoseHeadings
     hand: np.ndarray
-    measurement: str
+    measurement: Measurement
     start: ProfileStart
 
     @property
@@ -138,7 +138,7 @@ def _tried(
     keep[rows] = True
     part, found = table.rows(keep), []
     place = np.searchsorted(np.flatnonzero(keep), rows)
-    measurements = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
+    measurements: list[Measurement] = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
     for convention in conventions_of(flange, options.flange, "--flange"):
         group = in_units(replace(flange, convention=convention, alternatives=()), table, options)
         hand = group.transforms(part)[place]
@@ -158,7 +158,7 @@ def _sentences(best: _Reading, sections: Sections, columns: ProfileTable, option
 
 
 def sphere_observations(
-    hand: np.ndarray, measurement: str, start: ProfileStart, sections: Sections, radius: float, source: str
+    hand: np.ndarray, measurement: Measurement, start: ProfileStart, sections: Sections, radius: float, source: str
 ) -> Observations:
     """One sphere, seen in each profile. hand: (P, 4, 4) T_base_flange. Raises ConfigError where the poses do not decide the transform."""
     if start.ambiguous:

@@ -18,7 +18,7 @@ from mbcacq.description.plain_fit import residual_mm
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Table, read_table
 from mbcacq.geometry import se3
-from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, RobotModel, Station, arm_of_flange_poses
+from mbcacq.model.cell import ARTEFACT_IN_SCANNER, TARGET_IN_BASE, Artefact, Cell, Measurement, RobotModel, Station, arm_of_flange_poses
 from mbcacq.model.observations import Observations
 from mbcacq.recording.datasets import covariances
 from mbcacq.recording.datasets.columns import flange_group, groups, joint_angles, joint_columns, names_poses, unit_above
@@ -50,7 +50,7 @@ class TableOptions:
     target: str | None = None
     length: str | None = None
     angle: str | None = None
-    measurement: str | None = None
+    measurement: Measurement | None = None
     target_inverted: bool = False
     columns: Mapping[str, str] = field(default_factory=dict)
     robot: RobotModel | None = None
@@ -72,7 +72,7 @@ class TableReading:
 
     flange: PoseHeadings | None
     targets: tuple[PoseHeadings, ...]
-    measurement: str
+    measurement: Measurement
     inverted: bool = False
 
     def differs(self, other: TableReading) -> str:
@@ -167,7 +167,7 @@ def _readings(table: Table, options: TableOptions) -> Iterator[TableReading]:
             "target_x_mm .. target_qz, of one sphere sphere_x_mm, sphere_y_mm, sphere_z_mm, of several x1_mm, y1_mm, z1_mm, x2_mm .."
         )
     conventions = [conventions_of(flange, options.flange, "--flange"), conventions_of(targets[0], options.target, "--target")]
-    measurements = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
+    measurements: list[Measurement] = [options.measurement] if options.measurement else [ARTEFACT_IN_SCANNER, TARGET_IN_BASE]
     # Where the measurement is not known, an inverted target is the same equation as the other measurement: the headings are believed.
     both = options.measurement and targets[0].rotation and not options.target_inverted
     inverted = (False, True) if both else (options.target_inverted,)
