@@ -29,6 +29,7 @@ from mbcacq.model import shipped
 from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.plan import LoadedPlan, load
+from mbcacq.quantities import significant
 from mbcacq.recording import read_trajectory_set
 from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text
 
@@ -188,7 +189,7 @@ def figure(kind: str, panels: list[list[tuple[str, np.ndarray, np.ndarray, np.nd
         for j, (name, time, before, after) in enumerate(row):
             x, y = LEFT + j * (WIDTH + LEFT), TOP + i * (HEIGHT + 22)
             top = max(float(np.abs(before).max()), 1e-12)
-            out += [text(x, y + 10, name), text(x - 4, y + 10, f"{top:.3g}", 10, "end")]
+            out += [text(x, y + 10, name), text(x - 4, y + 10, significant(top), 10, "end")]
             out.append(line(x, y + HEIGHT / 2, x + WIDTH, y + HEIGHT / 2, "#dddddd"))
             for values, colour in ((before, GREY), (after, BLUE)):
                 shown = zip(time[::6], np.clip(values[::6], -top, top), strict=True)
@@ -210,7 +211,8 @@ def panels(folders: list[Path]) -> dict[str, list[list[tuple[str, np.ndarray, np
                 if e.group.refit:
                     before, after = before - before.mean(), after - after.mean()
                 time = trajectories[held].time_s[used]
-                rows[k].append((f"A{joint + 1}, {folders[held].name}: {before.std():.3g} -> {after.std():.3g} rms", time, before, after))
+                rms = " -> ".join(significant(float(values.std())) for values in (before, after))
+                rows[k].append((f"A{joint + 1}, {folders[held].name}: {rms} rms", time, before, after))
     return out
 
 

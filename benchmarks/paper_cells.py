@@ -243,7 +243,7 @@ def _noise(rows: list[dict[str, Any]], wanted: float) -> list[str]:
         return bottom - (np.log10(max(mm, 1e-3)) + 3) / 4 * (bottom - top)
 
     out = [
-        text(left, 18, "Nothing left out: |mean error of a 735 mm bar| per cell, mm", bold=True),
+        text(left, 18, "Nothing left out: |mean error of the bar| per cell, mm", bold=True),
         text(left, 33, "one dot a cell; filled: joints 15 urad, hollow: 5 urad"),
     ]
     for k in range(-3, 2):
@@ -282,8 +282,8 @@ def _effects(tables: dict[str, list[dict[str, Any]]]) -> list[str]:
         return left + (np.log10(np.clip(share, 1e-3, 1e3)) + 3) / 6 * (right - left)
 
     out = [
-        text(415, 18, "Size that adds 0.394 mm, in shares of the largest plausible size (paper's method)", bold=True),
-        text(415, 33, "left of 1: a sound cell may have it; at 1000: never, or not visible"),
+        text(415, 18, "Size that adds 0.394 mm, in largest plausible sizes", bold=True),
+        text(415, 33, "paper's method; left of 1: a sound cell may have it; at 1000: never"),
     ]
     for k in range(-3, 4):
         out += [

@@ -132,6 +132,11 @@ def power_of_ten(value: float) -> str:
     return f"10{str(round(math.log10(value))).translate(_SUPERSCRIPT)}"
 
 
+def percent(share: float) -> str:
+    """A share in whole percent; of one below 1 % the tenth too, so that what is there is not said to be nothing."""
+    return f"{share:.1%}" if 0.0005 <= share < 0.0095 else f"{share:.0%}"
+
+
 def micrometres(mm: float | None) -> str:
     """A small length (mm) in µm: three significant digits, at least one decimal place from 10 µm on downwards."""
     return "–" if mm is None or not math.isfinite(mm) else f"{fixed(1e3 * mm, 1)} µm"

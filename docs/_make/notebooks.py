@@ -18,9 +18,9 @@ from typing import Any
 
 import nbformat
 import numpy as np
-import plotly.graph_objects as go
 from nbclient import NotebookClient
 
+from mbcacq.figure import MIME, Figure
 from mbcacq.report.charts.static_svg import static_svg
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,7 +33,6 @@ import tempfile
 
 os.chdir(tempfile.mkdtemp())  # the files of this notebook
 """
-PLOTLY = "application/vnd.plotly.v1+json"
 WIDTH_PX = 760.0  # of a drawing
 
 
@@ -71,16 +70,16 @@ def executed(name: str, timeout_s: float | None = None) -> dict[str, Any]:
         NotebookClient(content, timeout=timeout_s, resources={"metadata": {"path": folder}}, record_timing=False).execute()
     for cell in content["cells"]:
         for output in cell.get("outputs", ()):
-            if PLOTLY in (data := output.get("data", {})):
-                drawn = _plain(data.pop(PLOTLY))
-                data["image/svg+xml"] = static_svg(go.Figure(drawn["data"], drawn["layout"]), WIDTH_PX)
+            if MIME in (data := output.get("data", {})):
+                drawn = _plain(data.pop(MIME))
+                data["image/svg+xml"] = static_svg(Figure(drawn["data"], drawn["layout"]), WIDTH_PX)
                 data.pop("text/html", None)
     content["metadata"] = notebook(ROOT / "docs" / "tutorials" / TUTORIALS[name])["metadata"]
     return content
 
 
 def _plain(value: Any) -> Any:
-    """What Plotly sends to a notebook, its packed arrays as arrays."""
+    """What a figure sends to a notebook, its packed arrays as arrays."""
     if isinstance(value, dict) and "bdata" in value:
         array = np.frombuffer(base64.b64decode(value["bdata"]), value["dtype"])
         return array.reshape([int(n) for n in value["shape"].split(",")]) if "shape" in value else array

@@ -29,7 +29,7 @@ from mbcacq.model.json_text import damage, fields_as_json, read_json
 from mbcacq.model.observations import Observations
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
+    from mbcacq.figure import Figure
 
 
 class HasModel(Protocol):
@@ -356,8 +356,8 @@ class CalibratedCell:
             f"{len(self.names)} parameters, rank {self.own_fit.rank})"
         )
 
-    def plot(self) -> go.Figure:
-        """The errors of the arm's parameters that were identified, each with its U (k = 2), as a Plotly figure."""
+    def plot(self) -> Figure:
+        """The errors of the arm's parameters that were identified, each with its U (k = 2), as a figure."""
         content = self.to_dict()
         return notebook.parameter_figure(f"{content['robot']['name']}: errors against the data sheet", content["parameters"])
 

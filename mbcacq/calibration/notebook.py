@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from mbcacq.figure import Figure
 from mbcacq.quantities import K
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
 
 KINDS = {"mm": ("lengths / mm", 1.0, "#0072B2"), "rad": ("angles / mrad", 1e3, "#E69F00")}  # unit -> legend, factor, colour
 
@@ -26,17 +24,15 @@ def paragraph(text: str) -> str:
     return f"<p>{escape(text)}</p>"
 
 
-def parameter_figure(title: str, parameters: Sequence[Mapping[str, Any]]) -> go.Figure:
+def parameter_figure(title: str, parameters: Sequence[Mapping[str, Any]]) -> Figure:
     """What a calibration changed: the error of each parameter against the data sheet, with its U (k = 2).
 
     parameters: as result.json lists them; those of the arm are drawn, or of the hand-eye transform where the arm has none. Lengths are in
     mm, angles in mrad: over an arm's length of a metre both displace by about as much.
     """
-    import plotly.graph_objects as go
-
     known = [p for p in parameters if p["std"] is not None and p["unit"] in KINDS and not p["name"].startswith("ball_")]
     arm = [p for p in known if "." not in p["name"]]
-    figure = go.Figure()
+    figure = Figure()
     for unit, (legend, factor, colour) in KINDS.items():
         drawn = [p for p in arm or known if p["unit"] == unit]
         figure.add_scatter(
@@ -51,22 +47,20 @@ def parameter_figure(title: str, parameters: Sequence[Mapping[str, Any]]) -> go.
         title="parameter", tickangle=-60, type="category", categoryorder="array", categoryarray=[p["name"] for p in arm or known]
     )
     figure.update_yaxes(title="error with U (k = 2) / mm, mrad", zeroline=True)
-    figure.update_layout(title=title, template="plotly_white", height=420)
+    figure.update_layout(title=title, height=420)
     return figure
 
 
-def before_and_after(title: str, labels: Sequence[str], before: Sequence[float], after: Sequence[float], U: Sequence[float]) -> go.Figure:
+def before_and_after(title: str, labels: Sequence[str], before: Sequence[float], after: Sequence[float], U: Sequence[float]) -> Figure:
     """Bars of signed errors in mm before and after, those after with their U (k = 2)."""
-    import plotly.graph_objects as go
-
-    figure = go.Figure()
+    figure = Figure()
     figure.add_bar(name="before", x=labels, y=before, marker={"color": "#E69F00"})
     figure.add_bar(
         name="after, with U (k = 2)", x=labels, y=after, marker={"color": "#0072B2"}, error_y={"array": U, "thickness": 1.2, "width": 3}
     )
     figure.update_xaxes(title="station: balls", type="category")
     figure.update_yaxes(title="error / mm", zeroline=True)
-    figure.update_layout(title=title, template="plotly_white", height=420)
+    figure.update_layout(title=title, height=420)
     return figure
 
 

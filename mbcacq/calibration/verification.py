@@ -26,7 +26,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, measured, signed, uncertainty
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
+    from mbcacq.figure import Figure
 
 End = tuple[np.ndarray, np.ndarray, int]  # of a length: q (1, n) rad, xyz (1, 3) mm in the scanner frame, number of poses averaged over
 
@@ -130,8 +130,8 @@ class Verification:
         header = ("station", "balls", "certified mm", "before mm", "after mm", "U of judging mm", "U expected mm")
         return notebook.table("Sphere spacing error, U with k = 2", header, rows) + notebook.paragraph(repr(self))
 
-    def plot(self) -> go.Figure:
-        """The sphere spacing errors before and after calibration, as a Plotly figure."""
+    def plot(self) -> Figure:
+        """The sphere spacing errors before and after calibration, as a figure."""
         labels = [f"{p.station}: {p.balls[0]}-{p.balls[1]}" for p in self.places]
         U = [K * (p.judging_mm or 0.0) for p in self.places]
         errors = {which: list(self.errors(which)) for which in ("before", "after")}
@@ -253,7 +253,7 @@ class Limits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Figure:
+class JudgedFigure:
     """value_mm: largest of ``count`` values; uncertainty_mm: standard uncertainty of measuring it, None if unknown;
     verdict: 'pass', 'fail', 'undecided' (within the uncertainty of the limit) or 'none' (no limit or no data)."""
 
@@ -270,7 +270,7 @@ class Figure:
 
 def judge(
     observations: Observations, state: CellState, effects: EffectModel | None, limits: Limits, verification: Verification
-) -> list[Figure]:
+) -> list[JudgedFigure]:
     """The four figures of a calibrated cell and its verification, from the verification poses (where there are none, only what can be said
     is said).
 
@@ -340,6 +340,8 @@ def beyond_expected(error_mm: float, expected_mm: float | None) -> bool:
     return expected_mm is not None and abs(error_mm) > K * expected_mm
 
 
-def _figure(name: str, values: np.ndarray, sigma: float | None, limit: float | None) -> Figure:
+def _figure(name: str, values: np.ndarray, sigma: float | None, limit: float | None) -> JudgedFigure:
     value = float(np.abs(values).max()) if len(values) else None
-    return Figure(name=name, value_mm=value, count=len(values), uncertainty_mm=sigma, limit_mm=limit, verdict=verdict(value, sigma, limit))
+    return JudgedFigure(
+        name=name, value_mm=value, count=len(values), uncertainty_mm=sigma, limit_mm=limit, verdict=verdict(value, sigma, limit)
+    )

@@ -18,12 +18,12 @@ from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
-from mbcacq.effects.trend import TREND, is_trend
+from mbcacq.effects.trend import trend
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.json_text import EveryKey, InJson, Number, damage, fields_as_json, from_fields
-from mbcacq.quantities import micrometres
+from mbcacq.quantities import micrometres, percent
 
 FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
@@ -123,10 +123,12 @@ class EffectFound:
     """One effect that the diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
 
     parameters: by name, with the unit as its suffix. p_value: as in version 1 of the format: p_local of a parametric effect, exp(-log Bayes
-    factor) of an unmodelled one. held_out_gain: share of the held-out excess over the noise floor that the effect removes, 0 to 1.
+    factor) of an unmodelled one. held_out_gain: share of the held-out excess over the noise floor that the effect removes, 0 to 1;
+    held_out_gain_std: its standard deviation, 0 where it is not known.
     p_local: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect. p_corrected: by anything
     that was tried (all candidates and values of their hyper-parameters, or all locations). log_bayes_factor: natural logarithm, of an
-    unmodelled effect against none. equivalent: other locations that act alike on these data.
+    unmodelled effect against none. equivalent: other locations that act alike on these data. trend: why it is a trend, of which no figure
+    may be relied on; empty for a finding.
     """
 
     name: str
@@ -140,11 +142,12 @@ class EffectFound:
     p_corrected: float | None = None
     log_bayes_factor: float | None = None
     equivalent: tuple[str, ...] = ()
+    held_out_gain_std: Number = 0.0
+    trend: str = field(init=False, default="")
 
-    @property
-    def is_trend(self) -> bool:
-        """Whether no size of it reaches its expanded uncertainty: it helps, but no figure of it may be relied on."""
-        return is_trend({name: estimate.components for name, estimate in self.parameters.items()})
+    def __post_init__(self) -> None:
+        sizes = {name: estimate.components for name, estimate in self.parameters.items()}
+        object.__setattr__(self, "trend", trend(sizes, self.held_out_gain, self.held_out_gain_std))
 
 
 @dataclass(frozen=True)
@@ -396,8 +399,8 @@ class Diagnosis:
             (
                 e.name,
                 ", ".join(e.where),
-                TREND if e.is_trend else "<br>".join(escape(parameter_in_words(k, v)) for k, v in list(e.parameters.items())[:8]),
-                f"{e.held_out_gain:.0%}",
+                f"a trend: {e.trend}" if e.trend else "<br>".join(escape(parameter_in_words(*p)) for p in list(e.parameters.items())[:8]),
+                percent(e.held_out_gain),
             )
             for e in self.effects
         ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.trend import TREND
 from mbcacq.report.content import Content, DiagnosisContent, EffectContent, MotionContent
 from mbcacq.report.verdict import largest_error
 
@@ -54,7 +53,7 @@ def _card(number: int, effect: EffectContent) -> list[str]:
     rows = [
         ("what", f"{what}" + (f", depends on {effect.depends_on}" if effect.depends_on else "")),
         ("where", where),
-        ("how much (± is k = 2)", TREND if effect.trend else much or "see its response curve"),
+        ("how much (± is k = 2)", f"a trend: {effect.trend}" if effect.trend else much or "see its response curve"),
         ("how sure", f"{effect.p_value}; removes {effect.gain} of the excess over noise in held-out data"),
     ]
     table = [f"| {label} | {text} |" for label, text in rows]

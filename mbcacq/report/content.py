@@ -167,7 +167,7 @@ class Coverage:
 @dataclass(frozen=True, kw_only=True)
 class EffectContent:
     """One effect of a diagnosis. parameters: (name, value, expanded uncertainty, unit) as texts; harmonics: of a periodic effect, the heads
-    of a table and a row a harmonic; alternatives: sentences; trend: no figure of it is beyond its uncertainty, and none is shown; notes:
+    of a table and a row a harmonic; alternatives: sentences; trend: why no figure of it is shown; notes:
     what its parameters leave open."""
 
     title: str
@@ -177,7 +177,7 @@ class EffectContent:
     parameters: list[tuple[str, str, str, str]]
     alternatives: list[str]
     harmonics: tuple[list[str], list[list[str]]] | None = None
-    trend: bool = False
+    trend: str = ""
     notes: list[str] = field(default_factory=list)
 
 

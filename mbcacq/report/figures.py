@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+import numpy as np
 
+from mbcacq.figure import Figure
 from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, MotionContent, Residuals
 
 
-def report_figures(content: Content) -> dict[str, Any]:
-    """Plotly figures of a report without its diagnosis."""
+def report_figures(content: Content) -> dict[str, Figure]:
+    """Figures of a report without its diagnosis."""
     from mbcacq.report.charts import parameter_charts, residual_charts, sphere_charts, workspace_charts
 
-    figures: dict[str, Any] = {}
+    figures: dict[str, Figure] = {}
     if content.residuals is not None and len(content.residuals.xyz):
         figures |= _residual_figures(content.residuals)
     if (spheres := content.spheres) is not None:
@@ -29,11 +30,11 @@ def report_figures(content: Content) -> dict[str, Any]:
     return figures
 
 
-def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Any]:
-    """Plotly figures of a diagnosis: evidence map, response curves, differences along covariates."""
+def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Figure]:
+    """Figures of a diagnosis: evidence map, response curves, differences along covariates."""
     from mbcacq.report.charts import diagnosis_charts
 
-    figures: dict[str, Any] = {}
+    figures: dict[str, Figure] = {}
     if diagnosis.evidence_map is not None:
         figures["evidence_map"] = diagnosis_charts.evidence_map(*diagnosis.evidence_map)
     figures |= {f"response_{k}": diagnosis_charts.response_curve(curve) for k, curve in enumerate(diagnosis.curves)}
@@ -42,8 +43,8 @@ def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Any]:
     return figures
 
 
-def motion_figures(motion: MotionContent) -> dict[str, Any]:
-    """Plotly figures of a diagnosis of motion: each joint of each channel over time."""
+def motion_figures(motion: MotionContent) -> dict[str, Figure]:
+    """Figures of a diagnosis of motion: each joint of each channel over time."""
     from mbcacq.report.charts import motion_charts
 
     return {
@@ -53,26 +54,24 @@ def motion_figures(motion: MotionContent) -> dict[str, Any]:
     }
 
 
-def fleet_figures(fleet: FleetContent) -> dict[str, Any]:
-    """Plotly figures of a fleet, for each type of arm: overview, drift over time, arms beside each other."""
+def fleet_figures(fleet: FleetContent) -> dict[str, Figure]:
+    """Figures of a fleet, for each type of arm: overview, drift over time, arms beside each other."""
     from mbcacq.report.charts import fleet_charts
 
-    figures: dict[str, Any] = {}
+    figures: dict[str, Figure] = {}
     for k, kind in enumerate(fleet.types):
         if kind.charts:
-            figures |= {
-                f"overview_{k}": fleet_charts.overview(kind),
-                f"drift_{k}": fleet_charts.drift(kind),
-                f"arms_{k}": fleet_charts.side_by_side(kind),
-            }
+            figures |= {f"drift_{k}": fleet_charts.drift(kind), f"arms_{k}": fleet_charts.side_by_side(kind)}
+            if any(np.isfinite(chart.limit).any() for chart in kind.charts):
+                figures[f"overview_{k}"] = fleet_charts.overview(kind)
     return figures
 
 
-def _residual_figures(residuals: Residuals) -> dict[str, Any]:
+def _residual_figures(residuals: Residuals) -> dict[str, Figure]:
     from mbcacq.report.charts import residual_charts
 
     used = residuals.used()
-    figures: dict[str, Any] = {
+    figures: dict[str, Figure] = {
         "pose": residual_charts.residual_per_pose(residuals),
         "ball": residual_charts.residual_per_ball(used),
         "ball_mean": residual_charts.residual_mean_per_ball(used),
@@ -86,10 +85,10 @@ def _residual_figures(residuals: Residuals) -> dict[str, Any]:
     return figures
 
 
-def _coverage_figures(coverage: Coverage) -> dict[str, Any]:
+def _coverage_figures(coverage: Coverage) -> dict[str, Figure]:
     from mbcacq.report.charts import workspace_charts
 
-    figures: dict[str, Any] = {"joints": workspace_charts.joint_coverage(coverage)}
+    figures: dict[str, Figure] = {"joints": workspace_charts.joint_coverage(coverage)}
     if coverage.flange is None:
         return figures
     xyz, phase = coverage.flange, coverage.phase
@@ -99,10 +98,10 @@ def _coverage_figures(coverage: Coverage) -> dict[str, Any]:
     return figures | {name: workspace_charts.position_coverage(xyz, phase, axis) for name, axis in views.items()}
 
 
-def _device_figures(devices: Devices) -> dict[str, Any]:
+def _device_figures(devices: Devices) -> dict[str, Figure]:
     from mbcacq.report.charts import device_charts
 
-    figures: dict[str, Any] = {}
+    figures: dict[str, Figure] = {}
     if devices.state_s:
         figures["states"] = device_charts.time_spent(devices.state_s)
     if devices.late is not None and devices.late.any():

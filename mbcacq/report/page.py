@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.figure import Figure, drawing_library
 from mbcacq.files.atomic_write import write_file
 from mbcacq.quantities import fixed, pair, signed, uncertainty
 from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, MotionContent, Spacing
@@ -114,7 +115,6 @@ def write(html: str, path: str | Path) -> Path:
 def _template(name: str, **values: Any) -> str:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
-    from plotly.offline import get_plotlyjs
 
     environment = Environment(
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -129,14 +129,14 @@ def _template(name: str, **values: Any) -> str:
     }
     scripts = "\n".join(path.read_text(encoding="utf-8") for path in (PAGE_SCRIPT, SCENE_SCRIPT))
     kept = {"css": Markup((HERE / "page.css").read_text(encoding="utf-8")), "js": Markup(scripts)}
-    return environment.get_template(name).render(plotly=Markup(get_plotlyjs()), **kept, **values)
+    return environment.get_template(name).render(plotly=Markup(drawing_library()), **kept, **values)
 
 
 def curve_title(effect: str, location: str) -> str:
     return f"{'Unmodelled effect' if effect == 'unknown' else readable(effect).capitalize()} at {location}"
 
 
-def static_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
+def static_figures(figures: Mapping[str, Figure]) -> dict[str, Any]:
     """Each figure as a picture of the width that it has on paper."""
     import base64
 
@@ -152,16 +152,16 @@ def static_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _embedded(figures: Mapping[str, Any]) -> dict[str, Any]:
+def _embedded(figures: Mapping[str, Figure]) -> dict[str, Any]:
     return {name: _div(name, figure) for name, figure in figures.items()}
 
 
-def _div(name: str, figure: Any) -> Any:
+def _div(name: str, figure: Figure) -> Any:
     """The figure as data next to its place: page.js draws it. What could end a script element is written as an escape."""
     from markupsafe import Markup
 
     data = _script_safe(figure.to_json())
-    height = figure.layout.height or 300
+    height = figure.layout.get("height", 300)
     return Markup(
         f'<div class="plot" id="figure-{name}" data-figure="data-{name}" style="height:{height:g}px"></div>'
         f'<script type="application/json" id="data-{name}">{data}</script>'

@@ -11,7 +11,7 @@ from mbcacq.calibration.caveats import export_command
 from mbcacq.calibration.length_budget import temperature_sentence
 from mbcacq.calibration.verification import verdict_of_places
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.effects.trend import is_trend_in_json
+from mbcacq.effects.trend import trend_in_json
 from mbcacq.errors import command_line
 from mbcacq.quantities import K, measured, micrometres, signed, uncertainty
 from mbcacq.report.content import Action, ReportVerdict, Spacing
@@ -231,7 +231,7 @@ def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: s
             "A repeated measurement in another order separates a lasting cause from a passing one.",
             measure_next(name, plan),
         )
-    named = [e for e in effects if not is_trend_in_json(e)] or effects
+    named = [e for e in effects if not trend_in_json(e)] or effects
     names = " and ".join(f"{readable(e['name'])} at {', '.join(e['where'])}" for e in named[:2])
     what = "Take it into the model" if verdict.level == "pass" else "Repair it, or take it into the model"
     return Action(

@@ -12,7 +12,13 @@ from mbcacq.report.content import Action, ChangeRow, ChangesContent
 from mbcacq.report.sources.from_result import spacing_of
 from mbcacq.workflow.compare_runs import RunComparison, best_result
 
-CHARTS = (("Lengths of arm and hand-eye transform", "lengths", "mm"), ("Angles of arm and hand-eye transform", "angles", "deg"))
+# A bracket that was mounted anew moves a thousand times as far as an arm drifts, and would hide it on one axis.
+CHARTS = (
+    ("Lengths of the arm", "lengths", "parameter", "mm"),
+    ("Angles of the arm", "angles", "parameter", "deg"),
+    ("Hand-eye transform, translation", "mount-lengths", "hand-eye", "mm"),
+    ("Hand-eye transform, rotation", "mount-angles", "hand-eye", "deg"),
+)
 
 
 def write_page(found: RunComparison, path: Path | str, results: tuple[Mapping[str, Any], Mapping[str, Any]] | None = None) -> Path:
@@ -25,8 +31,7 @@ def write_page(found: RunComparison, path: Path | str, results: tuple[Mapping[st
 
 
 def _content(found: RunComparison, first: Mapping[str, Any], second: Mapping[str, Any]) -> ChangesContent:
-    geometry = [row for row in found.rows if row.what in ("parameter", "hand-eye")]
-    groups = [(title, name, [row for row in geometry if row.unit == unit]) for title, name, unit in CHARTS]
+    groups = [(title, name, [row for row in found.rows if row.what == what and row.unit == unit]) for title, name, what, unit in CHARTS]
     effects: dict[str, list] = {}
     for row in found.rows:
         if row.what == "effect":

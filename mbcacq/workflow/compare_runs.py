@@ -19,7 +19,8 @@ from mbcacq.errors import ConfigError, command_line
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.json_text import damage
-from mbcacq.quantities import K, fixed, measured, p_value, symbol
+from mbcacq.quantities import K, fixed, measured, p_value, significant, symbol
+from mbcacq.report.sources.coefficients import names_in_words
 
 FALSE_ALARMS = 0.05  # of a whole comparison: shared out among its rows
 TURNS = {"rad": 180.0 / np.pi}  # angles are shown in degrees
@@ -95,7 +96,7 @@ class RunComparison:
         """What changed, and the test of everything together."""
         names = ", ".join(row.title for row in self.changed)
         out = [f"Changed beyond chance: {names}" if names else "No single quantity changed beyond chance"]
-        return [*out, f"Arm and hand-eye together: χ² {self.chi2:.1f} of {self.dof} degrees of freedom, {p_value(self.p_value)}"]
+        return [*out, f"Arm and hand-eye together: χ² {significant(self.chi2)} of {self.dof} degrees of freedom, {p_value(self.p_value)}"]
 
     @property
     def next_step(self) -> tuple[str, str]:
@@ -250,14 +251,13 @@ def _effects(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Change
         one, two = (found.get(key) for found in terms)
         term = one or two
         assert term is not None, "the key is of one of them"
-        for k, name in enumerate(term.names):
+        for k, name in enumerate(names_in_words(term.names)):
             before, after = (None if t is None else (float(t.coefficients[k]), K * float(t.std[k])) for t in (one, two))
             change = None
             if before is not None and after is not None:
                 change = (after[0] - before[0], float(np.hypot(before[1], after[1])))
             lacking = "" if change is not None else f"not found in the {'first' if one is None else 'second'}"
-            title = f"{term.name} at {'+'.join(term.where)}: {name}"
-            rows.append(Change("effect", title, term.units[k], before, after, change, why_not=lacking))
+            rows.append(Change("effect", name, term.units[k], before, after, change, why_not=lacking))
     return rows
 
 

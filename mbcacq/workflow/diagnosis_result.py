@@ -20,9 +20,8 @@ from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
     from mbcacq.diagnosis.motion.joint_sets import JointEvidence
+    from mbcacq.figure import Figure
 
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
 
@@ -130,8 +129,8 @@ class DiagnosisResult:
             drawn["motion"] = motion_pictures(self.motion)
         return drawn
 
-    def plot(self, curve: int | None = None) -> go.Figure:
-        """The evidence for a mismatch by location and covariate, as a Plotly figure; with ``curve`` the response curve of that number, of
+    def plot(self, curve: int | None = None) -> Figure:
+        """The evidence for a mismatch by location and covariate, as a figure; with ``curve`` the response curve of that number, of
         the effects found in their order. Raises ConfigError as ``pictures`` does, and where there is no such curve."""
         from mbcacq.report.figures import diagnosis_figures
         from mbcacq.report.sources.from_diagnosis import diagnosis_content

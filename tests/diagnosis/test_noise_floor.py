@@ -8,8 +8,10 @@ import pytest
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.text import limit_lines, summary_lines, words
 from mbcacq.diagnosis.result import Diagnosis, EffectFound, ExclusionBand, ExclusionLimit
+from mbcacq.diagnosis.validation.cross_validation import CrossValidation
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects.effect import ParameterEstimate
-from mbcacq.effects.trend import is_trend
+from mbcacq.effects.trend import trend, trend_in_json
 
 
 def test_the_uncertainty_of_an_rms_is_that_of_the_chi_square_distribution():
@@ -28,7 +30,7 @@ def test_a_model_within_the_uncertainty_of_the_noise_reaches_it():
 
 
 @pytest.mark.parametrize(
-    ("parameters", "trend"),
+    ("parameters", "weak"),
     [
         ({"offset_mm": ((0.018, -0.006, 0.023), (0.050, 0.014, 0.052)), "time_constant_s": ((356.0,), (12.0,))}, True),
         ({"offset_mm": ((0.018, -0.06, 0.023), (0.050, 0.014, 0.052))}, False),  # one component is beyond its uncertainty
@@ -37,8 +39,33 @@ def test_a_model_within_the_uncertainty_of_the_noise_reaches_it():
         ({"shift_mm": ((None,), (None,))}, False),
     ],
 )
-def test_an_effect_below_its_expanded_uncertainty_is_a_trend(parameters, trend):
-    assert is_trend(parameters) is trend
+def test_an_effect_below_its_expanded_uncertainty_is_a_trend(parameters, weak):
+    assert ("uncertainty" in trend(parameters, 0.3)) is weak
+
+
+@pytest.mark.parametrize(("gain", "nothing"), [(0.0, True), (0.0004, True), (0.0006, False), (1.0, False), (None, False), (np.nan, False)])
+def test_an_effect_that_removes_nothing_of_held_out_data_is_a_trend_however_sure_its_size_is(gain, nothing):
+    drift = {"name": "station_drift", "where": ["station3"], "parameters": {"drift_mm": {"value": [1.17], "std": [0.07]}}}
+    found = EffectFound(
+        name="station_drift", where=("station3",), parameters={"drift_mm": ParameterEstimate(1.17, 0.07)}, p_value=1e-70, held_out_gain=gain
+    )
+    assert ("as well without it" in found.trend) is nothing
+    assert trend_in_json({**drift, "held_out_gain": gain}) == found.trend  # of a file of an earlier version, which does not say it
+    assert trend_in_json({**drift, "held_out_gain": gain, "trend": ""}) == ""
+
+
+def test_what_an_effect_removes_has_the_uncertainty_of_the_noise_that_it_is_seen_in():
+    """Two predictions of the same data, drawn 2000 times: the share that one removes scatters by what is said of it."""
+    rng = np.random.default_rng(5)
+    truth, small = 3.0 * rng.normal(size=600), 0.2 * rng.normal(size=600)
+    shares, stds = [], []
+    for _ in range(2000):
+        data = truth + small + rng.normal(size=600)
+        before, without, after = (PredictiveScore(0.0, 0, float(np.sum((data - p) ** 2)), 600) for p in (0.0 * truth, truth, truth + small))
+        proof = CrossValidation(before, after, "station", {"small": without})
+        shares.append((without.chi2 - after.chi2) / (before.chi2 - before.dof))
+        stds.append(proof.gain_std(max(shares[-1], 0.0)))
+    assert np.std(shares) == pytest.approx(np.median(stds), rel=0.1)
 
 
 @pytest.fixture
@@ -63,10 +90,14 @@ def test_a_trend_is_no_finding(diagnosed):
     assert lines[0] == "What and where: joint_compliance at A2"
     assert lines[1] == "Trend, too weak for a figure: scanner_warmup at scanner"
     text = words(both)
-    assert text.index("joint_compliance at A2 (p") < text.index("Trends, of which no figure") < text.index("scanner_warmup at scanner (p")
+    assert (
+        text.index("joint_compliance at A2 (p")
+        < text.index("Trends, of which no figure may be relied on:")
+        < text.index("scanner_warmup at scanner (p")
+    )
     assert "offset" not in text
     alone = summary_lines(replace(diagnosed, effects=(weak,)), NoiseFloor(0.013, 0.0129))
-    assert alone[0] == "What and where: no effect of a size that is beyond its uncertainty"
+    assert alone[0] == "What and where: no effect of which a figure may be relied on"
 
 
 def test_what_was_done_just_now_is_no_next_step(diagnosed):

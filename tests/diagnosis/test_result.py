@@ -103,7 +103,7 @@ def test_the_keys_stand_in_the_order_of_the_format():
         "evidence",
     ]
     assert list(content["effects"][0])[:7] == ["name", "where", "parameters", "p_value", "held_out_gain", "alternatives", "depends_on"]
-    assert list(content["effects"][0])[7:] == ["p_local", "p_corrected", "log_bayes_factor", "equivalent"]
+    assert list(content["effects"][0])[7:] == ["p_local", "p_corrected", "log_bayes_factor", "equivalent", "held_out_gain_std", "trend"]
     assert list(content["fit"]["held_out"]) == ["before_rms_mm", "after_rms_mm", "before_chi2_dof", "after_chi2_dof", "split"]
     assert content["effects"][0]["parameters"]["A2.order"] == {"value": [1.0, 100.0], "std": [0.01, 0.02]}
 

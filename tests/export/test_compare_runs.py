@@ -132,7 +132,10 @@ def test_the_page_shows_every_change_with_its_chart(solved, tmp_path):
     html = write_page(found, tmp_path / "changes.html", (one, two)).read_text(encoding="utf-8")
     assert all(row.title in html for row in found.rows)
     assert "Changed beyond chance: theta_3" in html
-    drawn = [json.loads(text) for text in re.findall(r'<script type="application/json" id="data-(?:lengths|angles)">(.*?)</script>', html)]
+    drawn = [
+        json.loads(text)
+        for text in re.findall(r'<script type="application/json" id="data-(?:mount-)?(?:lengths|angles)">(.*?)</script>', html)
+    ]
     shown = {name: (x, e) for f in drawn for t in f["data"] for name, x, e in zip(t["y"], t["x"], t["error_x"]["array"], strict=True)}
     for row in found.rows:
         if row.what in ("parameter", "hand-eye") and row.change is not None:

@@ -107,7 +107,7 @@ def test_the_diagnosis_of_a_run_folder_is_reported(tmp_path):
     assert "A2 compliance 2.09 0.18 µrad/(N·m)" in words
     assert "2 100.080 ± 0.042" in words
     assert "held-out data (by station) 14.9 µm (χ²/dof 2.10) 9.7 µm (χ²/dof 1.03)" in words
-    assert "below 1%" in words
+    assert "0.1%" in words
     assert "Take it into the model: joint compliance at A2" in words
     assert "mbcacq diagnose" in words
 

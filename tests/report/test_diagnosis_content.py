@@ -37,7 +37,8 @@ def test_a_trend_stands_behind_the_findings_without_a_number():
     }
     content["effects"] = [weak, *content["effects"]]
     shown = diagnosis_content(content, None)
-    assert [(e.title, e.trend) for e in shown.effects] == [("Joint compliance at A2", False), ("Trend: scanner warmup at scanner", True)]
+    said = [("Joint compliance at A2", ""), ("Trend: scanner warmup at scanner", "no figure is beyond its expanded uncertainty (k = 2)")]
+    assert [(e.title, e.trend) for e in shown.effects] == said
     assert shown.effects[1].parameters == []
     cards = diagnosis_cards(shown)
     assert "## 1. Joint compliance at A2" in cards

@@ -131,3 +131,26 @@ def test_the_page_of_a_fleet_is_uncut_names_its_lines_and_has_dates(fleet_page, 
         listed = browser.run("document.getElementById('recordings').nextElementSibling.querySelectorAll('tr').length")
         assert listed == 16
         assert "simulated" in browser.run("document.querySelector('.caveat').textContent")
+
+
+SHADES = """((page) => [page, document.querySelector('h1')].map((e) => getComputedStyle(e))
+  .flatMap((style, k) => (k ? style.color : style.backgroundColor).match(/\\d+/g).slice(0, 3).map(Number))
+  .concat(getComputedStyle(document.querySelector('.plot')).filter !== 'none'))(document.querySelector('main'))"""
+
+
+@pytest.mark.parametrize("page", ["whole_page", "fleet_page"])
+def test_a_dark_desk_gets_a_dark_page_with_figures_turned_light_and_paper_stays_white(request, page):
+    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+    with Browser() as browser:
+        browser.call("Emulation.setEmulatedMedia", features=dark)
+        browser.open(request.getfixturevalue(page))
+        *ground, red, green, blue, turned = browser.run(SHADES)
+        assert max(ground) < 60
+        assert min(red, green, blue) > 200
+        assert turned
+        browser.call("Emulation.setEmulatedMedia", media="print", features=dark)
+        *ground, red, green, blue, turned = browser.run(SHADES)
+        assert ground == [255, 255, 255]
+        assert max(red, green, blue) < 60
+        assert not turned
+        assert browser.console == []

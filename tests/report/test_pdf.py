@@ -4,13 +4,13 @@ import re
 import zlib
 
 import numpy as np
-import plotly.graph_objects as go
 import pytest
 from click.testing import CliRunner
 from result_page import make_observations, make_result
 
 from mbcacq.cli.report import command
 from mbcacq.errors import ConfigError
+from mbcacq.figure import Figure
 from mbcacq.report import pdf_from_result
 from mbcacq.report.charts.static_svg import static_svg
 
@@ -45,9 +45,8 @@ def test_pictures_are_drawn_and_not_referred_to(pdf):
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_a_bar_is_as_long_as_its_value(axis):
     """The outlines of two bars, 1 and 3, in the drawing."""
-    bar = go.Bar(x=["a", "b"], y=[1.0, 3.0]) if axis == "y" else go.Bar(y=["a", "b"], x=[1.0, 3.0], orientation="h")
-    bar.marker.color = "#123456"
-    svg = static_svg(go.Figure(bar, layout={"height": 300}), 400)
+    bar = {"x": ["a", "b"], "y": [1.0, 3.0]} if axis == "y" else {"y": ["a", "b"], "x": [1.0, 3.0], "orientation": "h"}
+    svg = static_svg(Figure(layout={"height": 300}).add_bar(marker={"color": "#123456"}, **bar), 400)
     paths = re.findall(r'<path d="([^"]+)"[^>]*style="fill: #123456', svg)
     corners = [np.array([[float(v) for v in pair] for pair in re.findall(r"[ML] ([-\d.]+) ([-\d.]+)", path)]) for path in paths]
     lengths = [np.ptp(c[:, 1 if axis == "y" else 0]) for c in corners]
@@ -55,7 +54,7 @@ def test_a_bar_is_as_long_as_its_value(axis):
 
 
 def test_grouped_bars_stand_beside_each_other():
-    svg = static_svg(go.Figure([go.Bar(x=["a"], y=[1.0], marker={"color": c}) for c in ("#111111", "#222222")]), 400)
+    svg = static_svg(Figure({"type": "bar", "x": ["a"], "y": [1.0], "marker": {"color": c}} for c in ("#111111", "#222222")), 400)
     spans = []
     for colour in ("#111111", "#222222"):
         (path,) = re.findall(rf'<path d="([^"]+)"[^>]*style="fill: {colour}', svg)
@@ -73,14 +72,26 @@ def test_an_out_that_is_no_pdf_is_refused(tmp_path):
 def test_a_colour_bar_says_the_same_numbers_as_on_the_screen():
     """The evidence is coloured by the logarithm of what its bar says."""
     scale = {"tickvals": [0.0, 1.0, 2.0], "ticktext": ["0", "9", "99"]}
-    svg = static_svg(go.Figure(go.Heatmap(z=[[0.0, 2.0]], colorscale=[[0, "#000000"], [1, "#ffffff"]], colorbar=scale)), 400)
+    svg = static_svg(Figure().add("heatmap", z=[[0.0, 2.0]], colorscale=[[0, "#000000"], [1, "#ffffff"]], colorbar=scale), 400)
     said = re.findall(r"<!-- ([^ ]+) -->", svg)  # characters are outlines, each group of them behind its text
     assert said.count("9") == said.count("99") == 1
     assert "2.0" not in said
 
 
 def test_names_of_horizontal_bars_stand_at_the_bars_and_numbers_below_them():
-    svg = static_svg(go.Figure(go.Bar(y=["run"], x=[30.0], orientation="h")), 400)
+    svg = static_svg(Figure().add_bar(y=["run"], x=[30.0], orientation="h"), 400)
     said = re.findall(r"<!-- ([^ ]+) -->", svg)
     assert "run" in said
     assert "10" in said
+
+
+def test_the_band_of_a_curve_is_filled_on_paper_too():
+    """Between 1 and 3 over the whole width, in the colour and with the opacity of the screen."""
+    band = {"x": [0.0, 1.0, 1.0, 0.0], "y": [1.0, 1.0, 3.0, 3.0], "fill": "toself", "fillcolor": "rgba(255,0,0,0.25)", "line": {"width": 0}}
+    figure = Figure().add_scatter(x=[0.0, 1.0], y=[0.0, 4.0], mode="lines").add_scatter(mode="lines", **band)
+    (path,) = re.findall(r'<path d="([^"]+)"[^>]*style="fill: #ff0000; fill-opacity: 0.25', static_svg(figure, 400))
+    height = np.ptp([float(y) for y in re.findall(r"[ML] [-\d.]+ ([-\d.]+)", path)])
+    whole = static_svg(Figure().add_bar(x=["a"], y=[4.0], marker={"color": "#123456"}), 400)
+    assert height > 0.3 * np.ptp(
+        [float(y) for y in re.findall(r"[ML] [-\d.]+ ([-\d.]+)", re.findall(r'd="([^"]+)"[^>]*style="fill: #123456', whole)[0])]
+    )

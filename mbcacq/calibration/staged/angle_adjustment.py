@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mbcacq.figure import Figure
 from mbcacq.files.atomic_write import write_file
 
 
@@ -27,14 +28,13 @@ class LCurve:
 
     def plot(self, path: Path | str) -> None:
         """Write the curve as an HTML page. Raises RecordingError."""
-        import plotly.graph_objects as go
-
         label = [f"{value:.3g}" for value in self.ridge]
-        figure = go.Figure(go.Scatter(x=self.misfit, y=self.size, text=label, mode="lines+markers", name="ridge parameter"))
-        figure.add_scatter(x=self.misfit[[self.corner]], y=self.size[[self.corner]], mode="markers", marker_size=12, name="taken")
+        figure = Figure().add_scatter(x=self.misfit, y=self.size, text=label, mode="lines+markers", name="ridge parameter")
+        taken = {"x": self.misfit[[self.corner]], "y": self.size[[self.corner]], "marker": {"size": 12}}
+        figure.add_scatter(mode="markers", name="taken", **taken)
         figure.update_xaxes(type="log", title="misfit of the angles (rad)")
         figure.update_yaxes(type="log", title="size of the corrections (mm)")
-        write_file(path, figure.to_html(include_plotlyjs=True))
+        write_file(path, figure.to_html())
 
 
 def triples(n_balls: int) -> np.ndarray:

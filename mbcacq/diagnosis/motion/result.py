@@ -12,7 +12,7 @@ from pydantic import PlainValidator
 
 from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
-from mbcacq.effects.trend import TREND, components, is_trend
+from mbcacq.effects.trend import components, trend
 from mbcacq.errors import ConfigError
 from mbcacq.model.channel_series import MotionSeries
 from mbcacq.model.json_text import Number, damage, from_fields, plain
@@ -47,7 +47,7 @@ class MotionEffect:
 
     parameters: name (its unit is the ending) -> ``{"value": .., "std": ..}``, numbers or lists of numbers. held_out_gain: share of the
     excess of its kind of mismatch over the noise that it removes on held-out data; held_out_gain_here: of that of its own joints. Together
-    the effects of a joint remove what the table of channels says. notes: what its parameters leave open.
+    the effects of a joint remove what the table of channels says. notes: what its parameters leave open. trend: as of ``EffectFound``.
     """
 
     name: str
@@ -61,11 +61,11 @@ class MotionEffect:
     alternatives: tuple[Alternative, ...]
     steps: tuple[MotionStep, ...]
     notes: tuple[str, ...] = ()
+    trend: str = field(init=False, default="")
 
-    @property
-    def is_trend(self) -> bool:
-        """Whether no size of it reaches its expanded uncertainty: it helps, but no figure of it may be relied on."""
-        return is_trend({name: components(estimate) for name, estimate in self.parameters.items()})
+    def __post_init__(self) -> None:
+        sizes = {name: components(estimate) for name, estimate in self.parameters.items()}
+        object.__setattr__(self, "trend", trend(sizes, self.held_out_gain_here))
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class UnmodelledMotionEffect:
     y: tuple[float, ...]
 
     name = "unknown"
-    is_trend = False
+    trend = ""
 
     @property
     def parameters(self) -> Mapping[str, Mapping[str, Any]]:
@@ -272,7 +272,7 @@ def _mean(errors: list[ErrorBeforeAfter]) -> dict[str, float]:
 
 def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
     """In words with units, ± U (k = 2); of a trend no figure."""
-    if effect.is_trend:
-        return TREND
+    if effect.trend:
+        return f"a trend: {effect.trend}"
     each = {name: from_fields(ParameterEstimate, p) for name, p in effect.parameters.items()}
     return "; ".join(parameter_in_words(name, estimate) for name, estimate in each.items())

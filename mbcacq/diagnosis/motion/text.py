@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.motion.result import ChannelEvidence, ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
 from mbcacq.diagnosis.output.text import FINDINGS, NOT_DETERMINED, TRENDS, phase_is_undetermined, verdict_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.quantities import K, measured, significant, split_unit, symbol
+from mbcacq.quantities import K, measured, percent, significant, split_unit, symbol
 
 CHANNELS = {
     "q_joint": "joint-side against motor-side angle",
@@ -44,10 +44,10 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
     if diagnosis.mismatch:
         lines.append("Where model and data disagree:")
         for m in diagnosis.mismatch[:MOST_ROWS]:
-            lines.append(f"  {m.at:<8} depends on {m.depends_on:<14} share {m.share:.0%} ({CHANNELS[m.channel]})")
+            lines.append(f"  {m.at:<8} depends on {m.depends_on:<14} share {percent(m.share)} ({CHANNELS[m.channel]})")
         lines.append("")
     for heading, trend in ((FINDINGS, False), (TRENDS, True)):
-        effects = [e for e in diagnosis.effects if e.is_trend is trend]
+        effects = [e for e in diagnosis.effects if bool(e.trend) is trend]
         lines += [heading] if effects else []
         for effect in effects:
             lines += _describe(effect)
@@ -74,9 +74,9 @@ def _describe(effect: MotionEffect | UnmodelledMotionEffect) -> list[str]:
     if isinstance(effect, UnmodelledMotionEffect):
         gain, rest = effect.held_out_gain, [size_of_shape(effect)]
     else:
-        values = [] if effect.is_trend else [_values(name, p) for name, p in effect.parameters.items()]
+        values = [effect.trend] if effect.trend else [_values(name, p) for name, p in effect.parameters.items()]
         gain, rest = effect.held_out_gain_here, [*values, *effect.notes]
-    head = f"{effect_in_words(effect.name)} at {where} (removes {gain:.1%} of the excess there, on held-out data)"
+    head = f"{effect_in_words(effect.name)} at {where} (removes {percent(gain)} of the excess there, on held-out data)"
     return [head, *(f"  {line}" for line in rest)]
 
 

@@ -57,7 +57,8 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
             where=tuple(dict.fromkeys(w for j in members for w in model.effects[j][0].where)),
             parameters=merged_parameters(full, members),
             p_value=likelihood_ratio_p(full, members, gain),
-            held_out_gain=gain_left_out(proof, model, members),
+            held_out_gain=(removed := gain_left_out(proof, model, members)),
+            held_out_gain_std=proof.gain_std(removed),
             depends_on=first.depends_on,
         )
         out.append((catalogue.declaration(first.name).coupling is not None, gain, effect))
@@ -147,6 +148,7 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
             parameters=parameters,
             p_value=p_value,
             held_out_gain=proof.unmodelled_gain,
+            held_out_gain_std=proof.gain_std(proof.unmodelled_gain),
             depends_on=first.depends_on,
         )
         return [(False, contributions.of(contributions.unmodelled), effect)]
@@ -161,6 +163,7 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
             parameters=_rms_parameters(size, mine),
             p_value=_bayes_p(evidence),
             held_out_gain=gain,
+            held_out_gain_std=proof.gain_std(gain),
             depends_on=mine[0][1],
         )
         out.append((False, contributions.of(contributions.groups_at(full, at)), effect))

@@ -8,8 +8,6 @@ import numpy as np
 
 from mbcacq.quantities import K, measured, micrometres
 
-TREND = "a trend: no figure is beyond its expanded uncertainty (k = 2)"
-
 
 @dataclass(frozen=True)
 class NoiseFloor:

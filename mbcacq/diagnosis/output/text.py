@@ -13,7 +13,7 @@ from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.estimation.meta_analysis import BetweenRecordings
-from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, significant, split_unit, uncertainty, with_unit
+from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 
 VERDICTS = {
     "none": "No effect: the simulation explains the recording {distance}.",
@@ -31,7 +31,7 @@ NOT_DETERMINED = "is not determined"
 LARGEST_PHASE_STD_DEG = 90.0
 STANDS_IN = "A smooth model stands in its place."
 FINDINGS = "Effects, ± U (k = 2):"
-TRENDS = "Trends, of which no figure is beyond its expanded uncertainty (k = 2):"
+TRENDS = "Trends, of which no figure may be relied on:"
 SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
 
 
@@ -43,7 +43,7 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
     lines.append("")
     if d.mismatch:
         lines.append("Where model and data disagree:")
-        lines += [f"  {m.at:<10} depends on {m.depends_on:<18} share {m.share:.0%}" for m in d.mismatch]
+        lines += [f"  {m.at:<10} depends on {m.depends_on:<18} share {percent(m.share)}" for m in d.mismatch]
         lines.append("")
     findings, trends = findings_and_trends(d.effects)
     for heading, effects in ((FINDINGS, findings), (TRENDS, trends)):
@@ -79,7 +79,7 @@ def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
 
 def findings_and_trends(effects: Sequence[EffectFound]) -> tuple[list[EffectFound], list[EffectFound]]:
     """The effects with a figure that may be relied on, and those without one, each in their order."""
-    return [e for e in effects if not e.is_trend], [e for e in effects if e.is_trend]
+    return [e for e in effects if not e.trend], [e for e in effects if e.trend]
 
 
 def _named(effects: Sequence[EffectFound]) -> str:
@@ -98,7 +98,7 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     """What it is and where, how much of the misfit it explains, how sure that is, and what to do next."""
     held = d.fit.held_out
     findings, trends = findings_and_trends(d.effects)
-    what = _named(findings) or ("no effect of a size that is beyond its uncertainty" if trends else "no effect")
+    what = _named(findings) or ("no effect of which a figure may be relied on" if trends else "no effect")
     if d.verdict == "unexplained":
         what += f". {STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED}"
     excess = held.before_rms_mm**2 - floor.floor_mm**2
@@ -254,9 +254,9 @@ def describe(effect: EffectFound) -> list[str]:
     """The lines of one effect, with an empty one at the end; of a trend no figure."""
     out = [
         f"{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
-        f"removes {effect.held_out_gain:.0%} of the excess over noise)"
+        f"removes {percent(effect.held_out_gain)} of the excess over noise)"
     ]
-    out += [] if effect.is_trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
+    out += [f"  {effect.trend}"] if effect.trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
     excluded = [a for a in effect.alternatives if a not in possible]
     for heading, some in (("could also be", possible), ("excluded in its place", excluded)):
@@ -280,7 +280,7 @@ def _reported(name: str, estimate: ParameterEstimate) -> str:
 def likelihood(a: Alternative) -> str:
     """How probable an alternative is."""
     if a.odds is None:
-        return f"{a.held_out_gain:.0%}"
+        return percent(a.held_out_gain)
     return odds_in_words(a.odds)
 
 

@@ -40,8 +40,21 @@ class CrossValidation:
         """The same of all random effects together."""
         return self._share((self.parametric or self.before).chi2 - self.after.chi2)
 
+    def gain_std(self, gain: float) -> float:
+        """Standard deviation of a share that is removed.
+
+        With an effect that changes predictions by d standard deviations of the noise, chi2 falls by d'd - 2 d'e: by d'd, with the
+        standard deviation 2 |d| that the misfit e has beside the noise.
+        """
+        spread = max(self.after.chi2 / max(self.after.dof, 1), 1.0)
+        return float(2.0 * np.sqrt(gain * spread / self._excess))
+
     def _share(self, chi2: float) -> float:
-        return float(np.clip(chi2 / max(self.before.chi2 - self.before.dof, 1e-9), 0, 1))
+        return float(np.clip(chi2 / self._excess, 0, 1))
+
+    @property
+    def _excess(self) -> float:
+        return max(self.before.chi2 - self.before.dof, 1e-9)
 
 
 def cross_validate(

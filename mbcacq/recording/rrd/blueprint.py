@@ -26,7 +26,7 @@ LOG_COLUMNS = rrb.TextLogColumns(  # without the column of the time, which is to
     timeline_columns=[encodings.TimelineColumn(layout.TIME, visible=False)],
     text_log_columns=[encodings.TextLogColumn(kind) for kind in ("LogLevel", "Body")],
 )
-ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} um, white 0, orange +{1e3 * RANGE_MM:.0f} um"
+ON_SPHERE = f"Scan: distance to the sphere, blue -{1e3 * RANGE_MM:.0f} µm, white 0, orange +{1e3 * RANGE_MM:.0f} µm"
 
 
 @dataclass(frozen=True)
@@ -129,14 +129,14 @@ def _spheres(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Vertical(
             _scan(),
-            _curves("Scatter between exposures, and fit residual, um", [layout.SCATTER, layout.FIT_RMS], from_zero=True),
+            _curves("Scatter between exposures, and fit residual, µm", [layout.SCATTER, layout.FIT_RMS], from_zero=True),
             row_shares=[3, 1],
         ),
         rrb.Vertical(
-            _curves("Fit residual of each ball (rms) and its limit, um", [layout.BALL_RMS, f"{layout.LIMITS}/rms"], from_zero=True),
+            _curves("Fit residual of each ball (rms) and its limit, µm", [layout.BALL_RMS, f"{layout.LIMITS}/rms"], from_zero=True),
             rrb.Horizontal(
-                _curves("Form of each ball (95 % of the points), um", [layout.BALL_FORM], legend=False, from_zero=True),
-                _curves("Mean distance to the certified radius, um", [layout.BALL_SIZE, f"{layout.LIMITS}/zero"], legend=False),
+                _curves("Form of each ball (95 % of the points), µm", [layout.BALL_FORM], legend=False, from_zero=True),
+                _curves("Mean distance to the certified radius, µm", [layout.BALL_SIZE, f"{layout.LIMITS}/zero"], legend=False),
             ),
             _curves(
                 "Points on each ball and the fewest accepted", [layout.BALL_POINTS, f"{layout.LIMITS}/points"], legend=False, from_zero=True
@@ -164,7 +164,7 @@ def _calibration(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
         rrb.Vertical(
             *((_chart("Length error at each place, mm, with its uncertainty and the limit", layout.LENGTHS),) if enlarged.lengths else ()),
             _residuals(enlarged.compared),
-            _curves("After, mean of the pose along x, y, z, um", [f"{layout.RESIDUAL}/after"]),
+            _curves("After, mean of the pose along x, y, z, µm", [f"{layout.RESIDUAL}/after"]),
             row_shares=[6, 5, 4] if enlarged.lengths else [1, 1],
         ),
         column_shares=[1, 1],
@@ -174,10 +174,10 @@ def _calibration(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
 
 def _residuals(compared: bool) -> rrb.Container | rrb.View:
     """compared: before and after together, and after alone, which is small beside the other."""
-    title, entity = "Residual of each pose (3D rms), um", layout.RMS_POSE
+    title, entity = "Residual of each pose (3D rms), µm", layout.RMS_POSE
     if not compared:
         return _curves(title, [f"{entity}/after"], legend=False, from_zero=True)
-    alone = _curves("After alone (3D rms), um", [f"{entity}/after"], legend=False, from_zero=True)
+    alone = _curves("After alone (3D rms), µm", [f"{entity}/after"], legend=False, from_zero=True)
     return rrb.Horizontal(_curves(title, [f"{entity}/**"], from_zero=True), alone)
 
 
@@ -194,7 +194,7 @@ def _diagnosis(viewpoint: ViewerCamera, enlarged: Enlarged) -> rrb.Container:
     height = sheet_height(len(enlarged.responses))
     charts = [_chart(title, f"{layout.RESPONSES}/{k}", height) for k, title in enumerate(enlarged.responses)]
     if not charts:
-        charts = [_curves("Difference between model and data at each pose (3D rms), um", [f"{layout.MISFIT}/**"], from_zero=True)]
+        charts = [_curves("Difference between model and data at each pose (3D rms), µm", [f"{layout.MISFIT}/**"], from_zero=True)]
     return rrb.Horizontal(rrb.Vertical(text, cell, row_shares=[3, 3]), rrb.Vertical(*charts), column_shares=[1, 1], name="Diagnosis")
 
 

@@ -217,7 +217,7 @@ def _summary(obs: Observations, errors: dict[str, np.ndarray], shown: np.ndarray
         return "No pose at a calibrated station."
     lines = ["| residual of the poses shown | " + " | ".join(errors) + " |", "|---|" + "---|" * len(errors)]
     lengths = {name: 1e3 * np.linalg.norm(error[shown], axis=1) for name, error in errors.items()}
-    for label, of in (("3D rms, um", lambda v: np.sqrt(np.mean(v**2))), ("median, um", np.median), ("largest, um", np.max)):
+    for label, of in (("3D rms, µm", lambda v: np.sqrt(np.mean(v**2))), ("median, µm", np.median), ("largest, µm", np.max)):
         lines.append(f"| {label} | " + " | ".join(f"{of(v):.1f}" for v in lengths.values()) + " |")
     lines += [
         "",
@@ -226,7 +226,7 @@ def _summary(obs: Observations, errors: dict[str, np.ndarray], shown: np.ndarray
         "The whole result with uncertainties: report.html in the folder of the run.",
     ]
     ids = np.array(obs.cell.ball_ids)
-    lines += ["", "| ball | " + " | ".join(f"{name}, 3D rms, um" for name in errors) + " |", "|---|" + "---|" * len(errors)]
+    lines += ["", "| ball | " + " | ".join(f"{name}, 3D rms, µm" for name in errors) + " |", "|---|" + "---|" * len(errors)]
     for b in np.unique(obs.ball[shown]):
         lines.append(f"| {ids[b]} | " + " | ".join(f"{1e3 * _rms(e[shown & (obs.ball == b)]):.1f}" for e in errors.values()) + " |")
     return "\n".join(lines)

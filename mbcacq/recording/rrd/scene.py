@@ -67,8 +67,8 @@ def log_series(rec: rr.RecordingStream, n: int) -> None:
     rec.log(layout.DELAY, rr.SeriesLines(names=["late answers"], colors=[CURVES[3]], widths=[1.3]), static=True)
     for entity, name, colour in (
         (layout.BALLS_FOUND, "balls found", CURVES[2]),
-        (layout.FIT_RMS, "sphere fit rms, um", CURVES[0]),
-        (layout.SCATTER, "scatter between exposures, um", CURVES[1]),
+        (layout.FIT_RMS, "sphere fit rms, µm", CURVES[0]),
+        (layout.SCATTER, "scatter between exposures, µm", CURVES[1]),
     ):
         rec.log(entity, rr.SeriesPoints(names=[name], colors=[colour], marker_sizes=[3.0]), static=True)
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
-import plotly.graph_objects as go
-
+from mbcacq.figure import Figure
 from mbcacq.quantities import measured, symbol
 from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
 from mbcacq.report.content import ChangeRow
@@ -14,9 +13,9 @@ LABEL = 18  # characters of a line of a name, so that there is room for the figu
 ROW_PX, LINE_PX, FRAME_PX = 26, 15, 90  # of one quantity, of a further line of its name, and of axis and margins
 
 
-def changes(rows: list[ChangeRow]) -> go.Figure:
+def changes(rows: list[ChangeRow]) -> Figure:
     """Changes of quantities of one unit, each with its expanded uncertainty; those beyond chance in the colour of a limit."""
-    figure = go.Figure()
+    figure = Figure()
     for marked, name, colour, shape in ((False, "within chance", AFTER, "circle"), (True, "beyond chance", LIMIT, "diamond")):
         shown = [row for row in rows if row.marked == marked]
         figure.add_scatter(
@@ -29,7 +28,7 @@ def changes(rows: list[ChangeRow]) -> go.Figure:
             text=[measured(row.change, row.expanded, symbol(row.unit)) for row in shown],
             hovertemplate="%{y}: %{text} (k = 2)<extra></extra>",
         )
-    figure.add_vline(x=0.0, line={"color": LINE, "width": 1})
+    figure.add_line_across(x=0.0, color=LINE, width=1)
     figure.update_yaxes(
         categoryorder="array", categoryarray=[_label(row.name) for row in rows], autorange="reversed", dtick=1, showgrid=False
     )

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
+from mbcacq.figure import Figure
 from mbcacq.report.charts.style import AFTER, BEFORE, ESCAPES, styled, thinned
 
 ROUGH = 0.12  # mean step from point to point, as a share of the range, above which a response is not drawn as a line
 
 
-def evidence_map(locations: list[str], covariates: list[str], strength: np.ndarray) -> go.Figure:
+def evidence_map(locations: list[str], covariates: list[str], strength: np.ndarray) -> Figure:
     """Location by covariate: -log10 of the p-value of a motion of the location with the covariate, beyond what free geometry absorbs.
 
     strength: (locations, covariates), NaN where nothing was tested.
@@ -22,26 +22,25 @@ def evidence_map(locations: list[str], covariates: list[str], strength: np.ndarr
     top = max(float(np.nanmax(z)), 3.0)
     ticks = [v for v in (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if v <= top]
     labels = [o.translate(ESCAPES) for o in covariates]
-    figure = go.Figure(
-        go.Heatmap(
-            z=np.log10(1 + z),
-            customdata=z,
-            x=labels,
-            y=[spaced(a).translate(ESCAPES) for a in locations],
-            colorscale="Viridis",
-            zmin=0,
-            zmax=float(np.log10(1 + top)),
-            xgap=1,
-            ygap=1,
-            colorbar={
-                "title": {"text": "−log₁₀ p"},
-                "thickness": 12,
-                "outlinewidth": 0,
-                "tickvals": [float(np.log10(1 + v)) for v in ticks],
-                "ticktext": [str(v) for v in ticks],
-            },
-            hovertemplate="%{y} depends on %{x}: −log₁₀ p = %{customdata:.1f}<extra></extra>",
-        )
+    figure = Figure().add(
+        "heatmap",
+        z=np.log10(1 + z),
+        customdata=z,
+        x=labels,
+        y=[spaced(a).translate(ESCAPES) for a in locations],
+        colorscale="Viridis",
+        zmin=0,
+        zmax=float(np.log10(1 + top)),
+        xgap=1,
+        ygap=1,
+        colorbar={
+            "title": {"text": "−log₁₀ p"},
+            "thickness": 12,
+            "outlinewidth": 0,
+            "tickvals": [float(np.log10(1 + v)) for v in ticks],
+            "ticktext": [str(v) for v in ticks],
+        },
+        hovertemplate="%{y} depends on %{x}: −log₁₀ p = %{customdata:.1f}<extra></extra>",
     )
     figure.update_xaxes(tickangle=-55, dtick=1, showgrid=False, title="depends on")
     figure.update_yaxes(dtick=1, autorange="reversed", showgrid=False, title="location")
@@ -50,10 +49,10 @@ def evidence_map(locations: list[str], covariates: list[str], strength: np.ndarr
     return figure
 
 
-def response_curve(curve: Mapping[str, Any]) -> go.Figure:
+def response_curve(curve: Mapping[str, Any]) -> Figure:
     """Motion of an effect over its covariate: the model with its band (k = 2), and the estimate from each pose alone."""
     x, y, std, of_pose = (np.array(curve[name], dtype=float) for name in ("x", "y", "std", "seen"))
-    figure = go.Figure()
+    figure = Figure()
     keep = thinned(np.abs(of_pose))
     figure.add_scatter(
         x=x[keep],
@@ -92,11 +91,11 @@ def response_curve(curve: Mapping[str, Any]) -> go.Figure:
     return styled(figure, 300)
 
 
-def difference_along(centres: Mapping[str, Any], cause: Mapping[str, Any]) -> go.Figure:
+def difference_along(centres: Mapping[str, Any], cause: Mapping[str, Any]) -> Figure:
     """Size of the difference between model and data along a variable that an effect depends on, before and after."""
     x = np.array(cause["values"], dtype=float)
     before, after = (1e3 * np.linalg.norm(np.array(centres[f"{w}_mm"], dtype=float).reshape(-1, 3), axis=1) for w in ("before", "after"))
-    figure = go.Figure()
+    figure = Figure()
     for name, values, colour, symbol in (("before", before, BEFORE, "circle"), ("after", after, AFTER, "diamond")):
         keep = thinned(before)
         figure.add_scatter(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
+from mbcacq.figure import Figure
 from mbcacq.report.charts.style import AFTER, ESCAPES, LIMIT, LINE, styled
 from mbcacq.report.content import ArmTypeContent, FleetChart
 
@@ -15,35 +15,34 @@ MOST_NAMES, NAME_APART = 12, 0.05  # of arms at their lines; their distance as a
 GREY = "#9aa3a8"
 
 
-def overview(kind: ArmTypeContent) -> go.Figure:
+def overview(kind: ArmTypeContent) -> Figure:
     """Largest distance of each arm's recordings from its centre line, in control limits, for every figure."""
     ratio = np.array([[_farthest(chart, a) for chart in kind.charts] for a in range(len(kind.arms))])
     shown = np.arange(len(kind.arms))
     if len(shown) > MOST_ARMS:
         shown = np.sort(np.argsort(-np.nanmax(np.nan_to_num(ratio), axis=1))[:MOST_ARMS])
-    figure = go.Figure(
-        go.Heatmap(
-            z=ratio[shown],
-            x=[chart.title.translate(ESCAPES) for chart in kind.charts],
-            y=[kind.arms[a].translate(ESCAPES) for a in shown],
-            zmin=0,
-            zmax=2,
-            colorscale=[(0.0, "#f3f5f6"), (0.499, "#a9c8dd"), (0.5, "#f2b26b"), (1.0, LIMIT)],
-            colorbar={
-                "title": "limits",
-                "thickness": 12,
-                "outlinewidth": 0,
-                "tickvals": [0, 1, 2],
-                "ticktext": ["0", "1", "2 and more"],
-                "lenmode": "pixels",
-                "len": 110,
-                "y": 1,
-                "yanchor": "top",
-            },
-            xgap=1,
-            ygap=1,
-            hovertemplate="%{y}, %{x}: %{z:.2f} of the limit<extra></extra>",
-        )
+    figure = Figure().add(
+        "heatmap",
+        z=ratio[shown],
+        x=[chart.title.translate(ESCAPES) for chart in kind.charts],
+        y=[kind.arms[a].translate(ESCAPES) for a in shown],
+        zmin=0,
+        zmax=2,
+        colorscale=[(0.0, "#f3f5f6"), (0.499, "#a9c8dd"), (0.5, "#f2b26b"), (1.0, LIMIT)],
+        colorbar={
+            "title": {"text": "limits"},
+            "thickness": 12,
+            "outlinewidth": 0,
+            "tickvals": [0, 1, 2],
+            "ticktext": ["0", "1", "2 and more"],
+            "lenmode": "pixels",
+            "len": 110,
+            "y": 1,
+            "yanchor": "top",
+        },
+        xgap=1,
+        ygap=1,
+        hovertemplate="%{y}, %{x}: %{z:.2f} of the limit<extra></extra>",
     )
     figure.update_xaxes(tickangle=-60, tickfont={"size": 10}, showgrid=False, dtick=1)
     figure.update_yaxes(autorange="reversed", title="arm", tickfont={"size": 10}, showgrid=False, dtick=1, type="category")
@@ -52,10 +51,10 @@ def overview(kind: ArmTypeContent) -> go.Figure:
     return styled(figure, height)
 
 
-def drift(kind: ArmTypeContent) -> go.Figure:
+def drift(kind: ArmTypeContent) -> Figure:
     """Distance of each recording from the centre line of its arm over time; the figure is chosen from a list."""
     times, title = _times(kind)
-    figure = go.Figure()
+    figure = Figure()
     for k, chart in enumerate(kind.charts):
         order, gaps = _by_arm(chart.arm)
         y, x = chart.deviation[order], [times[i] for i in order]
@@ -109,9 +108,9 @@ def drift(kind: ArmTypeContent) -> go.Figure:
     return _chosen(figure, kind, 4, "difference from the arm's centre line")
 
 
-def side_by_side(kind: ArmTypeContent) -> go.Figure:
+def side_by_side(kind: ArmTypeContent) -> Figure:
     """Every recording of each arm, arms beside each other, with the range that is usual among them."""
-    figure = go.Figure()
+    figure = Figure()
     names = [arm.translate(ESCAPES) for arm in kind.arms]
     for k, chart in enumerate(kind.charts):
         for unusual in (False, True):
@@ -142,7 +141,7 @@ def side_by_side(kind: ArmTypeContent) -> go.Figure:
     return _chosen(figure, kind, 3, "value")
 
 
-def _chosen(figure: go.Figure, kind: ArmTypeContent, traces: int, what: str) -> go.Figure:
+def _chosen(figure: Figure, kind: ArmTypeContent, traces: int, what: str) -> Figure:
     """The figure with a list of the charts, of which one is shown at a time."""
     total = traces * len(kind.charts)
     buttons = [
@@ -181,8 +180,11 @@ def _named_at_the_end(kind: ArmTypeContent, chart: FleetChart, order: list[int])
 
 
 def _axis(times: list) -> dict[str, Any]:
-    """The axis of dates, or of numbers."""
-    return {"type": "date", "tickformat": "%Y-%m-%d", "nticks": 6} if times and isinstance(times[0], str) else {"rangemode": "tozero"}
+    """The axis of dates, with the time of day where there are few days, or of numbers."""
+    if not times or not isinstance(times[0], str):
+        return {"rangemode": "tozero"}
+    few = len({time[:10] for time in times}) < 3
+    return {"type": "date", "tickformat": "%H:%M<br>%Y-%m-%d" if few else "%Y-%m-%d", "nticks": 6}
 
 
 def _times(kind: ArmTypeContent) -> tuple[list, str]:

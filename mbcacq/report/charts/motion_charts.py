@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
+from mbcacq.figure import Figure
 from mbcacq.model.channel_series import ChannelSeries
 from mbcacq.report.charts.diagnosis_charts import axis
 from mbcacq.report.charts.style import AFTER, BEFORE, styled
 
 MEASURED = "#777777"
+UPPER, LOWER = [0.483, 1.0], [0.0, 0.423]  # shares of the height
 
 
-def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> go.Figure:
+def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> Figure:
     """Measured, model alone and with effects over time; below them the residuals, which have gaps where nothing is compared."""
     time = np.round(series.time_s, 4)
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.55, 0.45])
+    figure = Figure(layout={"xaxis2": {"anchor": "y2", "matches": "x"}, "yaxis2": {"anchor": "x2"}})
     lines = (
         ("measured", series.measured, MEASURED, 3.2, "solid", 1),
         ("model alone", series.before, BEFORE, 1.4, "dash", 1),
@@ -35,15 +35,16 @@ def channel_over_time(series: ChannelSeries, quantity: str, unit: str) -> go.Fig
             line={"color": colour, "width": width, "dash": dash},
             connectgaps=False,
             hovertemplate=f"{name}: %{{y:.4g}} {unit} at %{{x:.3f}} s<extra></extra>",
-            row=row,
-            col=1,
+            xaxis="x" if row == 1 else "x2",
+            yaxis="y" if row == 1 else "y2",
         )
     figure = styled(figure, 380)
     figure.update_yaxes(zeroline=True, zerolinecolor="#bbbbbb")
-    figure.update_yaxes(title=axis(quantity, unit), row=1, col=1)
-    figure.update_yaxes(title=axis("residual", unit), row=2, col=1)
-    figure.update_xaxes(title="time / s", row=2, col=1)
-    figure.update_xaxes(showticklabels=False, row=1, col=1)
+    layout = figure.layout
+    layout["xaxis"] |= {"showticklabels": False}
+    layout["xaxis2"] |= {"title": {"text": "time / s"}}
+    layout["yaxis"] |= {"title": {"text": axis(quantity, unit)}, "domain": UPPER}
+    layout["yaxis2"] |= {"title": {"text": axis("residual", unit)}, "domain": LOWER}
     return figure
 
 

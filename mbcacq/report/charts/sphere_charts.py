@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import numpy as np
-import plotly.graph_objects as go
 
+from mbcacq.figure import Figure
 from mbcacq.report.charts.style import AFTER, styled, thinned
 from mbcacq.report.content import Spheres
 
 
-def sphere_quality(data: Spheres) -> go.Figure:
+def sphere_quality(data: Spheres) -> Figure:
     """Residual of the sphere fits of each ball: half of them in the box, whiskers at 1.5 times its height, what lies beyond as dots."""
-    figure = go.Figure()
+    figure = Figure()
     for b in np.unique(data.ball):
         values = data.rms_um[data.ball == b]
         values = values[np.isfinite(values)]
-        figure.add_box(y=values[thinned(values)], name=str(b), marker={"color": AFTER, "size": 4}, line={"width": 1.4}, showlegend=False)
+        box = {"y": values[thinned(values)], "name": str(b), "marker": {"color": AFTER, "size": 4}, "line": {"width": 1.4}}
+        figure.add("box", showlegend=False, **box)
     figure.update_xaxes(title="ball", type="category")
     figure.update_yaxes(title="rms of the sphere fit / µm")
     return styled(figure, 290)
 
 
-def sphere_points(data: Spheres) -> go.Figure:
+def sphere_points(data: Spheres) -> Figure:
     """Residual of a fit over the number of its points: poor views stand out."""
-    figure = go.Figure()
+    figure = Figure()
     keep = thinned(data.rms_um)
     figure.add_scatter(
         x=data.n_points[keep],

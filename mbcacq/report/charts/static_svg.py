@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,12 @@ PX_PER_INCH = 96.0  # of CSS
 LEGEND_PX = 105.0  # of a name in the legend
 TICK_PX = 55.0  # of a number on the horizontal axis
 MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "triangle-up": "^", "x": "X", "circle-x-open": "o"}
+DEFAULT = "#0072B2"  # of a trace that names no colour
 DASHES = {"dash": "--", "dot": ":", "dashdot": "-."}
 
 
 def static_svg(figure: Any, width_px: float, scale: float = 1.0) -> str:
-    """An SVG drawing of a Plotly figure.
+    """An SVG drawing of a figure.
 
     Parameters
     ----------
@@ -35,14 +36,14 @@ def static_svg(figure: Any, width_px: float, scale: float = 1.0) -> str:
     from matplotlib.figure import Figure
     from matplotlib.ticker import AutoLocator
 
-    height = scale * float(figure.layout.height or 300)
+    height = scale * float(figure.layout.get("height") or 300)
     drawing = Figure(figsize=(width_px / PX_PER_INCH, height / PX_PER_INCH), layout="constrained")
     axes = drawing.add_subplot()
     categories = _Categories()
-    bars = [trace for trace in figure.data if trace.type == "bar"]
+    bars = [trace for trace in figure.data if trace.get("type") == "bar"]
     for number, trace in enumerate(figure.data):
-        DRAW[trace.type](axes, trace, _Place(categories, bars, figure.layout.barmode or "group", number))
-    categories.upright = any(bar.orientation == "h" for bar in bars)
+        DRAW[trace["type"]](axes, trace, _Place(categories, bars, figure.layout.get("barmode") or "group", number))
+    categories.upright = any(bar.get("orientation") == "h" for bar in bars)
     _finish(axes, figure.layout, categories, max(int(width_px / LEGEND_PX), 1))
     if isinstance(axes.xaxis.get_major_locator(), AutoLocator):
         axes.locator_params(axis="x", nbins=max(int(width_px / TICK_PX), 3))
@@ -79,78 +80,87 @@ class _Place:
 
 
 def _scatter(axes: Any, trace: Any, place: _Place) -> None:
-    if trace.x is None or trace.y is None:
+    if trace.get("x") is None or trace.get("y") is None:
         return
-    x, y = place.categories.numbers(trace.x), place.categories.numbers(trace.y)
-    mode = trace.mode or "lines"
-    colour = (trace.line.color if "lines" in mode else None) or _one(trace.marker.color) or trace.line.color or "#0072B2"
-    style: dict[str, Any] = {"color": colour, "linestyle": "none", "alpha": trace.marker.opacity or trace.opacity or 1.0}
+    x, y = place.categories.numbers(trace.get("x")), place.categories.numbers(trace.get("y"))
+    if trace.get("fill") == "toself":
+        axes.fill(x, y, color=_rgba(trace["fillcolor"]), linewidth=0, label=_label(trace))
+        return
+    mode = trace.get("mode") or "lines"
+    line, marker = trace.get("line", {}), trace.get("marker", {})
+    colours = [line.get("color"), _one(marker.get("color"))]
+    colour = next((c for c in (colours if "lines" in mode else colours[::-1]) if c), DEFAULT)
+    style: dict[str, Any] = {"color": colour, "linestyle": "none", "alpha": marker.get("opacity") or trace.get("opacity") or 1.0}
     if "lines" in mode:
-        style |= {"linestyle": DASHES.get(trace.line.dash, "-"), "linewidth": 0.75 * (trace.line.width or 2), "solid_capstyle": "butt"}
+        dash = DASHES.get(line.get("dash"), "-")
+        style |= {"linestyle": dash, "linewidth": 0.75 * line.get("width", 2), "solid_capstyle": "butt"}
     if "markers" in mode:
-        symbol = _one(trace.marker.symbol) or "circle"
-        style |= {"marker": MARKERS.get(symbol, "o"), "markersize": 0.75 * float(_one(trace.marker.size) or 6), "markeredgewidth": 0}
+        symbol = _one(marker.get("symbol")) or "circle"
+        style |= {"marker": MARKERS.get(symbol, "o"), "markersize": 0.75 * float(_one(marker.get("size")) or 6), "markeredgewidth": 0}
         if symbol.endswith("-open"):
             style |= {"markerfacecolor": "none", "markeredgewidth": 1.2}
     axes.plot(x, y, label=_label(trace), **style)
-    if trace.error_y.array is not None:
-        axes.errorbar(x, y, yerr=np.asarray(trace.error_y.array, dtype=float), fmt="none", ecolor=colour, elinewidth=0.8, capsize=2)
-    if "text" in mode and trace.text is not None:
-        for px, py, text in zip(x, y, np.atleast_1d(trace.text), strict=False):
+    if _of(trace, "error_y.array") is not None:
+        axes.errorbar(x, y, yerr=np.asarray(_of(trace, "error_y.array"), dtype=float), fmt="none", ecolor=colour, elinewidth=0.8, capsize=2)
+    if "text" in mode and trace.get("text") is not None:
+        for px, py, text in zip(x, y, np.atleast_1d(trace.get("text")), strict=False):
             axes.annotate(str(text), (px, py), fontsize=7, ha="center", va="bottom")
 
 
 def _bar(axes: Any, trace: Any, place: _Place) -> None:
-    flat = trace.orientation == "h"
-    at, size = (trace.y, trace.x) if flat else (trace.x, trace.y)
+    flat = trace.get("orientation") == "h"
+    at, size = (trace.get("y"), trace.get("x")) if flat else (trace.get("x"), trace.get("y"))
     at, size = place.categories.numbers(at, category=not flat and not _numeric(at)), np.asarray(size, dtype=float)
-    width = np.asarray(trace.width if trace.width is not None else 0.72, dtype=float)
-    base = np.zeros(len(size)) if trace.base is None else np.broadcast_to(np.asarray(trace.base, dtype=float), size.shape)
+    width = np.asarray(trace.get("width") if trace.get("width") is not None else 0.72, dtype=float)
+    base = np.zeros(len(size)) if trace.get("base") is None else np.broadcast_to(np.asarray(trace.get("base"), dtype=float), size.shape)
     own = [one is trace for one in place.bars].index(True)
     if place.barmode == "stack":
-        base = base + sum(np.asarray(one.x if flat else one.y, dtype=float) for one in place.bars[:own])
-    elif len(place.bars) > 1 and trace.width is None:
+        base = base + sum(np.asarray(one.get("x") if flat else one.get("y"), dtype=float) for one in place.bars[:own])
+    elif len(place.bars) > 1 and trace.get("width") is None:
         width = width / len(place.bars)
         at = at + (own - (len(place.bars) - 1) / 2) * width
     draw: Callable = axes.barh if flat else axes.bar
-    draw(at, size, width, base, color=_one(trace.marker.color) or "#0072B2", label=_label(trace))
-    if not flat and trace.error_y.array is not None:
-        axes.errorbar(at, base + size, np.asarray(trace.error_y.array, dtype=float), fmt="none", ecolor="#333333", elinewidth=1, capsize=3)
+    draw(at, size, width, base, color=_one(_of(trace, "marker.color")) or DEFAULT, label=_label(trace))
+    if not flat and _of(trace, "error_y.array") is not None:
+        error = np.asarray(_of(trace, "error_y.array"), dtype=float)
+        axes.errorbar(at, base + size, error, fmt="none", ecolor="#333333", elinewidth=1, capsize=3)
 
 
 def _heatmap(axes: Any, trace: Any, place: _Place) -> None:
+    from matplotlib import colormaps
     from matplotlib.colors import LinearSegmentedColormap
 
-    z = np.asarray(trace.z, dtype=float)
-    scale = [(float(share), colour) for share, colour in trace.colorscale]
-    colours = LinearSegmentedColormap.from_list("page", [(share, _rgb(colour)) for share, colour in scale])
-    colours = colours.reversed() if trace.reversescale else colours
+    z = np.asarray(trace.get("z"), dtype=float)
+    scale = trace.get("colorscale", "Viridis")
+    colours = colormaps[scale.lower()] if isinstance(scale, str) else LinearSegmentedColormap.from_list("page", list(map(tuple, scale)))
+    colours = colours.reversed() if trace.get("reversescale") else colours
     x, y = (
         np.arange(n, dtype=float) if values is None or not _numeric(values) else np.asarray(values, dtype=float)
-        for values, n in ((trace.x, z.shape[1]), (trace.y, z.shape[0]))
+        for values, n in ((trace.get("x"), z.shape[1]), (trace.get("y"), z.shape[0]))
     )
-    shown = axes.pcolormesh(x, y, np.ma.masked_invalid(z), cmap=colours, vmin=trace.zmin, vmax=trace.zmax, shading="nearest")
-    for axis, values in ((axes.xaxis, trace.x), (axes.yaxis, trace.y)):
+    shown = axes.pcolormesh(x, y, np.ma.masked_invalid(z), cmap=colours, vmin=trace.get("zmin"), vmax=trace.get("zmax"), shading="nearest")
+    for axis, values in ((axes.xaxis, trace.get("x")), (axes.yaxis, trace.get("y"))):
         if values is not None and not _numeric(values):
             axis.set_ticks(range(len(values)), [str(v) for v in values], fontsize=6, rotation=90 if axis is axes.xaxis else 0)
     bar = axes.figure.colorbar(shown, ax=axes, aspect=30)
     bar.outline.set_visible(False)
-    bar.ax.set_title(trace.colorbar.title.text or "", fontsize=7)
+    bar.ax.set_title(_of(trace, "colorbar.title.text") or "", fontsize=7)
     bar.ax.tick_params(labelsize=7)
-    if trace.colorbar.tickvals is not None:
-        bar.set_ticks(list(trace.colorbar.tickvals), labels=[_plain(str(t)) for t in trace.colorbar.ticktext])
+    if _of(trace, "colorbar.tickvals") is not None:
+        bar.set_ticks(list(_of(trace, "colorbar.tickvals")), labels=[_plain(str(t)) for t in _of(trace, "colorbar.ticktext")])
 
 
 def _histogram(axes: Any, trace: Any, place: _Place) -> None:
-    axes.hist(np.asarray(trace.x, dtype=float), bins=trace.nbinsx or 30, color=_one(trace.marker.color) or "#0072B2", label=_label(trace))
+    values, colour = np.asarray(trace["x"], dtype=float), _one(_of(trace, "marker.color")) or DEFAULT
+    axes.hist(values, bins=trace.get("nbinsx") or 30, color=colour, label=_label(trace))
 
 
 def _box(axes: Any, trace: Any, place: _Place) -> None:
-    colour = _one(trace.marker.color) or "#0072B2"
-    at = place.categories.numbers([trace.name or place.number], category=True)
+    colour = _one(_of(trace, "marker.color")) or DEFAULT
+    at = place.categories.numbers([trace.get("name") or place.number], category=True)
     thin = {"color": colour, "linewidth": 0.9}
     axes.boxplot(
-        [np.asarray(trace.y, dtype=float)],
+        [np.asarray(trace.get("y"), dtype=float)],
         positions=at,
         widths=0.6,
         manage_ticks=False,
@@ -176,49 +186,60 @@ def _finish(axes: Any, layout: Any, categories: _Categories, most: int) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
     axes.set_axisbelow(True)
-    if layout.yaxis.showgrid is not False:
+    if _of(layout, "yaxis.showgrid") is not False:
         axes.grid(axis="y", color="#e6e6e6", linewidth=0.6)
-    for name, axis in (("x", layout.xaxis), ("y", layout.yaxis)):
+    for name, axis in (("x", layout.get("xaxis")), ("y", layout.get("yaxis"))):
         _axis(axes, name, axis)
     if categories.upright:
         axes.set_yticks(range(len(categories.names)), categories.names)
-    elif categories.names and layout.xaxis.type != "linear":
-        axes.set_xticks(range(len(categories.names)), categories.names)
-    if layout.yaxis.scaleanchor:
+    elif categories.names and _of(layout, "xaxis.type") != "linear":
+        turned = -float(_of(layout, "xaxis.tickangle") or 0)
+        axes.set_xticks(range(len(categories.names)), categories.names, rotation=turned, ha="right" if turned else "center")
+    if _of(layout, "yaxis.scaleanchor"):
         axes.set_aspect("equal", adjustable="datalim")
-    for shape in layout.shapes:
-        if shape.type == "line":
+    if _of(layout, "title.text"):
+        axes.figure.suptitle(_plain(_of(layout, "title.text")), fontsize=9, x=0.02, ha="left")
+    for shape in layout.get("shapes", ()):
+        if shape.get("type") == "line":
             _line(axes, shape)
     handles, labels = axes.get_legend_handles_labels()
-    if labels and layout.showlegend is not False:
+    if labels and layout.get("showlegend") is not False:
         above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": min(len(labels), most)}
         axes.legend(handles, labels, fontsize=7, frameon=False, borderaxespad=0.2, handletextpad=0.4, columnspacing=1.0, **above)
 
 
 def _axis(axes: Any, name: str, axis: Any) -> None:
-    if axis.visible is False:
+    if axis.get("visible") is False:
         (axes.xaxis if name == "x" else axes.yaxis).set_visible(False)
         return
-    getattr(axes, f"set_{name}label")(_plain(axis.title.text), fontsize=8)
-    if axis.type == "log":
+    getattr(axes, f"set_{name}label")(_plain(_of(axis, "title.text")), fontsize=8)
+    if axis.get("type") == "log":
         getattr(axes, f"set_{name}scale")("log")
-    if axis.tickvals is not None and axis.ticktext is not None:
-        getattr(axes, f"set_{name}ticks")(list(axis.tickvals), [_plain(t) for t in axis.ticktext])
-    if axis.range is not None:
-        ends = [10.0**end for end in axis.range] if axis.type == "log" else list(axis.range)
+    if axis.get("tickvals") is not None and axis.get("ticktext") is not None:
+        getattr(axes, f"set_{name}ticks")(list(axis.get("tickvals")), [_plain(t) for t in axis.get("ticktext")])
+    if axis.get("range") is not None:
+        ends = [10.0**end for end in axis.get("range")] if axis.get("type") == "log" else list(axis.get("range"))
         getattr(axes, f"set_{name}lim")(*ends)
-    elif axis.rangemode == "tozero":
+    elif axis.get("rangemode") == "tozero":
         getattr(axes, f"set_{name}lim")(**{"bottom" if name == "y" else "left": 0.0})
-    if axis.autorange == "reversed":
+    if axis.get("autorange") == "reversed":
         (axes.invert_xaxis if name == "x" else axes.invert_yaxis)()
 
 
 def _line(axes: Any, shape: Any) -> None:
-    style = {"color": shape.line.color or "#444444", "linewidth": 1.0, "linestyle": DASHES.get(shape.line.dash, "-")}
-    if shape.x0 == shape.x1:
-        axes.axvline(shape.x0, **style)
-    elif shape.y0 == shape.y1:
-        axes.axhline(shape.y0, **style)
+    style = {"color": _of(shape, "line.color") or "#444444", "linewidth": 1.0, "linestyle": DASHES.get(_of(shape, "line.dash"), "-")}
+    if shape.get("x0") == shape.get("x1"):
+        axes.axvline(shape.get("x0"), **style)
+    elif shape.get("y0") == shape.get("y1"):
+        axes.axhline(shape.get("y0"), **style)
+
+
+def _of(values: Mapping[str, Any], path: str) -> Any:
+    """``values["a"]["b"]`` of the path "a.b"; None where it is not given."""
+    found: Any = values
+    for name in path.split("."):
+        found = None if found is None else found.get(name)
+    return found
 
 
 def _one(value: Any) -> Any:
@@ -228,13 +249,19 @@ def _one(value: Any) -> Any:
     return value[0] if len(value) else None
 
 
+def _rgba(colour: str) -> tuple[float, ...]:
+    """'rgba(r, g, b, a)' of plotly.js, r to b up to 255, as Matplotlib takes it."""
+    *shades, opacity = (float(part) for part in colour[colour.index("(") + 1 : -1].split(","))
+    return (*(shade / 255 for shade in shades), opacity)
+
+
 def _numeric(values: Any) -> bool:
     return np.asarray(values).dtype.kind in "biuf"
 
 
 def _label(trace: Any) -> str:
     """'_' hides a trace from the legend."""
-    return "_" if trace.showlegend is False or not trace.name else _plain(trace.name)
+    return "_" if trace.get("showlegend") is False or not trace.get("name") else _plain(trace.get("name"))
 
 
 def _plain(text: str | None) -> str:
@@ -242,10 +269,3 @@ def _plain(text: str | None) -> str:
     for code, character in (("<br>", "\n"), ("&lt;", "<"), ("&gt;", ">"), ("&amp;", "&")):
         text = (text or "").replace(code, character)
     return (text or "").replace("$", r"\$")
-
-
-def _rgb(colour: str) -> Any:
-    """'#rrggbb', a name, or Plotly's 'rgb(r, g, b)' as Matplotlib takes it."""
-    if colour.startswith("rgb"):
-        return tuple(float(part) / 255 for part in colour[colour.index("(") + 1 : -1].split(",")[:3])
-    return colour

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import plotly.graph_objects as go
+
+from mbcacq.figure import Figure
 
 # Okabe and Ito's colours, which the colour-blind can distinguish; markers differ as well.
 BEFORE, AFTER, LINE, LIMIT = "#E69F00", "#0072B2", "#444444", "#8A2B0B"
@@ -15,10 +16,9 @@ MOST = 2500  # points drawn of a cloud of points; the largest all, the rest even
 ESCAPES = str.maketrans({"<": "&lt;", ">": "&gt;", "&": "&amp;"})
 
 
-def styled(figure: go.Figure, height: int) -> go.Figure:
+def styled(figure: Figure, height: int) -> Figure:
     """The figure with the common layout, ``height`` px high."""
     figure.update_layout(
-        template="none",
         height=height,
         margin={"l": 62, "r": 16, "t": 26, "b": 48},
         barmode="group",

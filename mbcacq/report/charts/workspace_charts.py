@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import plotly.graph_objects as go
 
+from mbcacq.figure import Figure
 from mbcacq.report.charts.style import ESCAPES, PHASES, SYMBOLS, styled, thinned
 from mbcacq.report.content import AccuracyGrid, Coverage
 
 
-def joint_coverage(data: Coverage) -> go.Figure:
+def joint_coverage(data: Coverage) -> Figure:
     """Every pose on the range of each axis."""
     n = data.q_deg.shape[1]
-    figure = go.Figure()
+    figure = Figure()
     for i, limits in enumerate(() if data.limits_deg is None else data.limits_deg):
         figure.add_scatter(
             x=limits, y=[i + 1, i + 1], mode="lines", line={"color": "#e2e2e2", "width": 14}, showlegend=False, hoverinfo="skip"
@@ -35,9 +35,9 @@ def joint_coverage(data: Coverage) -> go.Figure:
     return styled(figure, 70 + 44 * n)
 
 
-def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> go.Figure:
+def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> Figure:
     """Where flange or balls were, xyz (k, 3) mm in the base with phase (k,) str, from above (axis 1) or from the side (axis 2)."""
-    figure = go.Figure()
+    figure = Figure()
     names = list(dict.fromkeys(phase))
     for name in sorted(names, key=lambda name: -np.count_nonzero(phase == name)):  # few points stand on many
         k = names.index(name)
@@ -63,24 +63,23 @@ def position_coverage(xyz: np.ndarray, phase: np.ndarray, axis: int) -> go.Figur
     return styled(figure, 400)
 
 
-def accuracy(data: AccuracyGrid, axis: int) -> go.Figure:
+def accuracy(data: AccuracyGrid, axis: int) -> Figure:
     """Expected accuracy, from above (axis 1) or from the side (axis 2): each field shows the rms of the cells behind each other."""
     x, y, z = _projected(data, axis)
     low, top = (1e3 * float(np.nanpercentile(z, share)) for share in (1, 97))  # a scale of its own: where it is better, and where worse
-    figure = go.Figure(
-        go.Heatmap(
-            x=x,
-            y=y,
-            z=1e3 * z,
-            zmin=low,
-            zmax=max(top, low + 1e-9),
-            colorscale="Cividis",
-            reversescale=True,
-            xgap=1,
-            ygap=1,
-            colorbar={"title": {"text": "µm"}, "thickness": 11, "outlinewidth": 0},
-            hovertemplate="%{x:.0f}, %{y:.0f} mm: %{z:.1f} µm<extra></extra>",
-        )
+    figure = Figure().add(
+        "heatmap",
+        x=x,
+        y=y,
+        z=1e3 * z,
+        zmin=low,
+        zmax=max(top, low + 1e-9),
+        colorscale="Cividis",
+        reversescale=True,
+        xgap=1,
+        ygap=1,
+        colorbar={"title": {"text": "µm"}, "thickness": 11, "outlinewidth": 0},
+        hovertemplate="%{x:.0f}, %{y:.0f} mm: %{z:.1f} µm<extra></extra>",
     )
     add_base(figure)
     figure.update_xaxes(title="X / mm")
@@ -101,7 +100,7 @@ def _projected(data: AccuracyGrid, axis: int) -> tuple[np.ndarray, np.ndarray, n
     return x, y, np.where(count > 0, np.sqrt(square / np.maximum(count, 1)), np.nan)
 
 
-def add_base(figure: go.Figure) -> None:
+def add_base(figure: Figure) -> None:
     """The foot of the robot."""
     figure.add_scatter(
         x=[0],

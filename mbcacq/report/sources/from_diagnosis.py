@@ -9,8 +9,8 @@ import numpy as np
 
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.effects.trend import components, is_trend_in_json
-from mbcacq.quantities import K, micrometres, p_value, pair, split_unit
+from mbcacq.effects.trend import components, trend_in_json
+from mbcacq.quantities import K, micrometres, p_value, pair, percent, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent
 from mbcacq.report.verdict import readable
 
@@ -47,8 +47,8 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
         level=level,
         headline=headline,
         reason=reason.format(distance=floor.distance),
-        effects=sorted((effect_content(e) for e in diagnosis["effects"]), key=lambda e: e.trend),
-        mismatch=[(m["at"], axis_of(m["depends_on"])[0], share(m["share"])) for m in diagnosis["mismatch"]],
+        effects=sorted((effect_content(e) for e in diagnosis["effects"]), key=lambda e: bool(e.trend)),
+        mismatch=[(m["at"], axis_of(m["depends_on"])[0], percent(m["share"])) for m in diagnosis["mismatch"]],
         validation=validation,
         noise_floor=floor.noise,
         remarks=remarks,
@@ -91,13 +91,13 @@ def effect_content(effect: Mapping[str, Any]) -> EffectContent:
 
     name = _effect_name(effect["name"])
     alternatives = [f"{_effect_name(a['name'])} at {', '.join(a['where'])} ({_likelihood(a)})" for a in effect["alternatives"]]
-    trend = is_trend_in_json(effect)
+    trend = trend_in_json(effect)
     shown = {} if trend else effect["parameters"]
     return EffectContent(
         title=f"{'Trend: ' if trend else ''}{name if trend else name[0].upper() + name[1:]} at {', '.join(effect['where'])}",
         depends_on=axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
         p_value=p_value(effect["p_value"]),
-        gain=share(effect["held_out_gain"]),
+        gain=percent(effect["held_out_gain"]),
         parameters=[row for key, entry in shown.items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
         alternatives=alternatives,
         harmonics=_harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
@@ -120,7 +120,7 @@ def _likelihood(alternative: Mapping[str, Any]) -> str:
     """How probable an alternative is against what was selected; the share of the mismatch that it would remove where only that is known."""
     odds = alternative.get("odds")
     if odds is None:
-        return f"would remove {alternative['held_out_gain']:.0%}"
+        return f"would remove {percent(alternative['held_out_gain'])}"
     return odds_in_words(odds)
 
 
@@ -158,11 +158,6 @@ def _parameter(key: str, entry: Mapping[str, Any]) -> list[tuple[str, str, str, 
         )
         for k, (v, s) in enumerate(zip(values, stds, strict=False))
     ]
-
-
-def share(value: float) -> str:
-    """A share in percent."""
-    return "below 1%" if 0 < value < 0.005 else f"{value:.0%}"
 
 
 def _map(fields: list[Mapping[str, Any]], axis_of: Any) -> tuple[list[str], list[str], np.ndarray] | None:

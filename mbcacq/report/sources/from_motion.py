@@ -15,9 +15,9 @@ from mbcacq.diagnosis.output.pictures import axis_of
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.model.json_text import plain
-from mbcacq.quantities import significant, split_unit, symbol
+from mbcacq.quantities import percent, significant, split_unit, symbol
 from mbcacq.report.content import EffectContent, MotionChannel, MotionContent, MotionKind
-from mbcacq.report.sources.from_diagnosis import VERDICTS, effect_content, share
+from mbcacq.report.sources.from_diagnosis import VERDICTS, effect_content
 from mbcacq.report.verdict import readable
 
 STRETCH_S = 20.0  # of a recording that is drawn: longer, and a reversal of an axis is narrower than a line
@@ -93,10 +93,10 @@ def _content(found: MotionDiagnosis, series: MotionSeries, poses: Mapping[str, A
         split=diagnosis["fit"]["held_out"]["split"],
         recordings=[name or "the recording" for name in series.recordings],
         effects=sorted(
-            (_effect(e, content) for e, content in zip(found.effects, diagnosis["effects"], strict=True)), key=lambda e: e.trend
+            (_effect(e, content) for e, content in zip(found.effects, diagnosis["effects"], strict=True)), key=lambda e: bool(e.trend)
         ),
         mismatch=[
-            (NAMES.get(m.at, m.at), CHANNELS[m.channel], _covariate(m.depends_on), share(m.share)) for m in found.mismatch if _listed(m)
+            (NAMES.get(m.at, m.at), CHANNELS[m.channel], _covariate(m.depends_on), percent(m.share)) for m in found.mismatch if _listed(m)
         ],
         small=sum(not _listed(m) for m in found.mismatch),
         kinds=kinds,
