@@ -31,7 +31,7 @@ assert mbcacq.DiagnosisResult.from_json(found.to_json()).to_dict() == found.to_d
 UNCERTAINTY_FALLS = """
 assert data.n_poses >= 12
 assert sigma[-1] < sigma[0]
-assert list(curve.data[0].y) == sigma
+assert list(curve.data[0]["y"]) == sigma
 """
 HOSE_IS_FOUND = """
 assert {effect.name for effect in before.effects} <= {"unknown"}

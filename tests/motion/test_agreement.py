@@ -35,6 +35,7 @@ def motion(value=4.2e-6, std=1e-7, named=True):
         "alternatives": [{"name": "backlash", "where": ["A2"], "held_out_gain": 0.2, "odds": 0.1}],
         "steps": [step],
         "notes": [],
+        "trend": "",
     }
     mean = {"before_chi2_dof": 200.0, "after_chi2_dof": None}
     return {
