@@ -78,7 +78,7 @@ def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: E
     options = replace(options, discrepancy=False)
     alone = fit(obs, replace(options, refuse=False, random_links=False))
     held = model if hold else model.select(lambda t: t.held)
-    free = model.select(lambda t: t not in held.terms)
+    free = model.select(lambda t: not (hold or t.held))
     options = replace(options, displaced=(*options.displaced, *zip(held.at(obs), held.coefficients, strict=True)))
     fitted = _fitted_beside_held(obs, options, free, fit) if free else fit(obs, options)
     return _beside(alone, replace(fitted, effects=replace(model, terms=(*held.terms, *(fitted.effects.terms if fitted.effects else ())))))

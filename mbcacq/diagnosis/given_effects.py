@@ -49,7 +49,7 @@ class StatedParameters:
     @property
     def label(self) -> str:
         """``name:where``."""
-        return f"{self.name}:{'+'.join(self.where)}"
+        return label_of(self.name, self.where)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class PosesGiven:
         there is no such set, or where it has an effect that is not written down.
         """
         sets = zip(self.evidence.evidence.sets, self.hypotheses, strict=True)
-        best = next((h for one, h in sets if {f"{e.name}:{'+'.join(e.where)}" for e in one.effects} <= set(labels)), None)
+        best = next((h for one, h in sets if {label_of(e.name, e.where) for e in one.effects} <= set(labels)), None)
         if best is None or not all(can_be_kept(m.candidate, m.hyper) for m in best.members):
             return None
         obs = self.problem.linear.obs
@@ -116,13 +116,13 @@ def _searched(obs: Observations, given: Sequence[GivenEffect], options: Calibrat
     fit = with_untried_rivals(problem, fit_evidence(problem))
     found, hypotheses = summarized(problem, fit), tuple(shown(fit))
     sets = tuple(with_those_given(one, given, h) for one, h in zip(found.sets, hypotheses, strict=True))
-    evidence = GivenEvidence(tuple(label_of(g.candidate) for g in given), replace(found, sets=sets))
+    evidence = GivenEvidence(tuple(label_of(g.candidate.name, g.candidate.where) for g in given), replace(found, sets=sets))
     return PosesGiven(problem, evidence, hypotheses)
 
 
-def label_of(candidate: Candidate) -> str:
+def label_of(name: str, where: Sequence[str]) -> str:
     """``name:where``."""
-    return f"{candidate.name}:{'+'.join(candidate.where)}"
+    return f"{name}:{'+'.join(where)}"
 
 
 def with_those_given(one: ComparedSet, given: Sequence[GivenEffect], hypothesis: Hypothesis) -> ComparedSet:
@@ -146,7 +146,7 @@ def given_effects(problem: DiagnosisProblem, stated: Sequence[StatedParameters])
     by_label = {one.label: one for one in stated}
     found = []
     for candidate in problem.candidates:
-        one = by_label.get(label_of(candidate))
+        one = by_label.get(label_of(candidate.name, candidate.where))
         known = None if one is None or candidate.variant else coefficient_of(candidate, one.parameters)
         if known is not None:
             parts = tuple(candidate_parts(problem.linear, candidate))

@@ -6,7 +6,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2] / "mbcacq"
 WRITERS = {"write_text", "write_bytes", "savez", "savetxt", "savefig", "NamedTemporaryFile", "mkstemp"}
 WRITERS |= {"write_html", "write_image", "write_table", "imsave", "tofile"}  # of plotly, pyarrow, matplotlib, numpy
-WRITERS |= {"save", "FileSink"}  # of rerun: its writer ends at the first error, and a stream that is told to write to it may wait for ever
+WRITERS |= {"save", "FileSink"}  # of rerun: its writer ends at the first error, and a stream that shall write to it may wait for ever
 # Streams that grow, locks and marks: what is not a file that leaves whole.
 ALLOWED = {
     "files/atomic_write.py": "the writer itself",

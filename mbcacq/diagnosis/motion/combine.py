@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from mbcacq.diagnosis.given_effects import StatedParameters
+from mbcacq.diagnosis.given_effects import StatedParameters, label_of
 from mbcacq.diagnosis.motion.joint_sets import (
     EvidenceSets,
     JointEvidence,
@@ -180,11 +180,6 @@ def effects_beside_motion(poses: Mapping[str, Any], motion: MotionDiagnosis) -> 
     return next((effects for effects in sets if {label_of(e["name"], e["where"]) for e in effects} <= best), poses["effects"])
 
 
-def label_of(name: str, where: Sequence[str]) -> str:
-    """``name:where``."""
-    return f"{name}:{'+'.join(where)}"
-
-
 def given_by_motion(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[StatedParameters]:
     """What the motion is sure of, in the words of the poses: the effects that are in every set that its evidence does not exclude."""
     sure: set[str] = set()
@@ -231,7 +226,7 @@ def labels_of(effects: Any) -> set[str]:
     out = set()
     for name, where in effects:
         together = catalogue.declaration(name).between_locations
-        out |= {f"{name}:{'+'.join(where)}"} if together else {f"{name}:{at}" for at in where}
+        out |= {label_of(name, where)} if together else {f"{name}:{at}" for at in where}
     return out
 
 
