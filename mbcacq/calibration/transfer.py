@@ -61,21 +61,24 @@ class EffectGain:
 @dataclass(frozen=True)
 class NormalisedError:
     """Errors over their stated standard uncertainty (parameters, effects and noise of measuring, per axis): rms, 95 % quantile, and the
-    share of centres below 3. The rms is about 1 where the statement is true. What was learnt is wrong by the same at many centres, so that
-    one recording determines it with few degrees of freedom only; None where a program before this figure wrote the result.
+    share of centres below 3.
+
+    expected_rms: of the rms where the statement is true, 1 but for what the fitted places absorb. degrees_of_freedom: of the rms; what was
+    learnt is wrong by the same at many centres, so that they are fewer than centres. None in results of programs before these figures.
     """
 
     rms: Number
     quantile_95: Number
     share_below_3: Number
+    expected_rms: Number | None = None
     degrees_of_freedom: Number | None = None
 
     @property
-    def usual(self) -> tuple[float, float]:
-        """Between which the rms is in 95 % of recordings where the statement is true (chi square of these degrees of freedom)."""
-        if self.degrees_of_freedom is None:
-            return 0.0, np.inf
-        low, high = np.sqrt(chi2.ppf([0.025, 0.975], self.degrees_of_freedom) / self.degrees_of_freedom)
+    def usual(self) -> tuple[float, float] | None:
+        """Between which the rms is in 95 % of recordings where the statement is true (chi square); None where that is not known."""
+        if self.expected_rms is None or self.degrees_of_freedom is None:
+            return None
+        low, high = self.expected_rms * np.sqrt(chi2.ppf([0.025, 0.975], self.degrees_of_freedom) / self.degrees_of_freedom)
         return float(low), float(high)
 
 
@@ -119,8 +122,9 @@ class Transfer:
             for e in self.effects
         ]
         if n := self.normalised_error:
-            usual = "" if n.degrees_of_freedom is None else " ({:.2f} to {:.2f} where it is true)".format(*n.usual)
-            out.append(f"  error over stated uncertainty: {n.rms:.2f} rms{usual}, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
+            usual = " ({:.2f} to {:.2f} where it is true)".format(*n.usual) if n.usual else ""
+            rest = f"{n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3"
+            out.append(f"  error over stated uncertainty: {n.rms:.2f} rms{usual}, {rest}")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
     def _compared(self, figure: str, shown: Callable[[float], str]) -> str:
@@ -305,8 +309,13 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     error = np.sqrt(np.mean((whiten @ residual[rows, :3][kept][..., None])[..., 0] ** 2, axis=1))
-    degrees = _degrees_of_freedom(whiten @ A, whiten @ joint, whiten * cell.noise.point, some.pose[kept])
-    return NormalisedError(float(np.sqrt(np.mean(error**2))), float(np.quantile(error, 0.95)), float(np.mean(error < 3)), degrees)
+    return NormalisedError(
+        rms=float(np.sqrt(np.mean(error**2))),
+        quantile_95=float(np.quantile(error, 0.95)),
+        share_below_3=float(np.mean(error < 3)),
+        expected_rms=float(np.sqrt(max(1 - fitted.fit.rank / (3 * used.sum()), 0.0))),
+        degrees_of_freedom=_degrees_of_freedom(whiten @ A, whiten @ joint, whiten * cell.noise.point, some.pose[kept]),
+    )
 
 
 def _root(C: np.ndarray) -> np.ndarray:
