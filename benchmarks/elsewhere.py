@@ -147,7 +147,8 @@ Made by `python benchmarks/elsewhere.py cells --write`. A simulated cell with on
 the poses of `plans/seeing.yaml` and diagnosed; the arm is calibrated with what was found, and tried on another recording: its stations are
 turned about the base by 70 or -80 deg and lower, so that A1 leaves the range that it had (with the first A3 too), and are seen from other
 sides. Base, tool and stations are fitted there. Asked: not worse than the learnt geometry alone beyond scatter (5 %), error over its
-stated uncertainty 0.8 to 1.2; usual is where it is in 95 % of cells whose statement is true. What drifts or steps within a recording does so in the other one too, which nothing learnt foretells: its
+stated uncertainty 0.8 to 1.2; usual is where it is in 95 % of cells whose statement is true.
+What drifts or steps within a recording does so in the other one too, which nothing learnt foretells: its
 size there is in the uncertainty, but for that of a station, whose place is fitted. The cell is the same in both: where and when an effect
 acts is chosen by the poses of the first."""
 

@@ -63,8 +63,8 @@ class NormalisedError:
     """Errors over their stated standard uncertainty (parameters, effects and noise of measuring, per axis): rms, 95 % quantile, and the
     share of centres below 3.
 
-    expected_rms: of the rms where the statement is true, 1 but for what the fitted places absorb. degrees_of_freedom: of the rms; what was
-    learnt is wrong by the same at many centres, so that they are fewer than centres. None in results of programs before these figures.
+    expected_rms: the rms where the statement is true, 1 but for what the fitted places absorb. degrees_of_freedom: those of the rms; what
+    was learnt is wrong by the same at many centres, so that they are fewer than centres. None in results of programs before these figures.
     """
 
     rms: Number
@@ -325,7 +325,7 @@ def _root(C: np.ndarray) -> np.ndarray:
 
 
 def _degrees_of_freedom(learnt: np.ndarray, joint: np.ndarray, point: np.ndarray, pose: np.ndarray) -> float:
-    """Of a sum of squares of correlated normalised errors (Satterthwaite): tr(S)^2 / tr(S^2) of their covariance S.
+    """Degrees of freedom of a sum of squares of correlated normalised errors (Satterthwaite): tr(S)^2 / tr(S^2) of their covariance S.
 
     learnt (m, 3, g), joint (m, 3, n), point (m, 3, 3): factors of the three parts of S; what was learnt is shared by all centres, joint
     noise by those of a pose (m,), noise of points by none.
