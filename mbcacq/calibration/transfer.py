@@ -319,9 +319,11 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
 
 
 def _root(C: np.ndarray) -> np.ndarray:
-    """A square root of a covariance (g, g) of any rank: C = root root'."""
-    size, directions = np.linalg.eigh(C)
-    return directions * np.sqrt(np.maximum(size, 0.0))
+    """A square root of a covariance (g, g) of any rank: C = root root'. Parameters are of many units, so that it is that of correlations."""
+    deviation = np.sqrt(np.diag(C))
+    scale = np.where(deviation > 0, deviation, 1.0)
+    size, directions = np.linalg.eigh(C / np.outer(scale, scale))
+    return deviation[:, None] * directions * np.sqrt(np.maximum(size, 0.0))
 
 
 def _degrees_of_freedom(learnt: np.ndarray, joint: np.ndarray, point: np.ndarray, pose: np.ndarray) -> float:
