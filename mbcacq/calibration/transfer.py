@@ -319,7 +319,7 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
 
 
 def _root(C: np.ndarray) -> np.ndarray:
-    """A square root of a covariance (g, g) of any rank: C = root root'. Parameters are of many units, so that it is that of correlations."""
+    """A square root of a covariance (g, g) of any rank: C = root root'. Units differ, so that it is taken of correlations."""
     deviation = np.sqrt(np.diag(C))
     scale = np.where(deviation > 0, deviation, 1.0)
     size, directions = np.linalg.eigh(C / np.outer(scale, scale))
