@@ -37,6 +37,8 @@ WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a re
     "int_from_float": "it is no whole number",
     "finite_number": "it is not finite",
     "greater_than_equal": "it is negative",
+    "too_short": "it has too few entries",
+    "too_long": "it has too many entries",
 }
 
 
@@ -69,10 +71,11 @@ class InJson:
 
 class EveryKey:
     """Base of a dataclass of which a file holds every field, also one that has a default in Python: none may be missing there, but those
-    in ``left_out``, which are not written where they have their default.
+    in ``left_out``, which are not written where they have their default, and those in ``later``, which older files of the format lack.
     """
 
     left_out: ClassVar[tuple[str, ...]] = ()
+    later: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -83,7 +86,7 @@ class EveryKey:
         schema = handler(source)
         found: Any = handler.resolve_ref_schema(schema)
         for field in found["schema"]["fields"]:
-            if field["name"] not in cls.left_out and field["schema"]["type"] == "default":
+            if field["name"] not in (*cls.left_out, *cls.later) and field["schema"]["type"] == "default":
                 field["schema"] = field["schema"]["schema"]
         if cls.left_out:
             found["serialization"] = core_schema.wrap_serializer_function_ser_schema(write)
@@ -102,6 +105,12 @@ def as_list(kind: Any) -> InJson:
     return InJson(kind, _as_array, np.ndarray.tolist)
 
 
+def _without_end(rows: list[tuple[float | None, float | None]]) -> np.ndarray:
+    return np.array([(-np.inf if low is None else low, np.inf if high is None else high) for low, high in rows]).reshape(-1, 2)
+
+
+End = FiniteFloat | None  # of an axis, rad; None in a file where it turns without one
+Limits = Annotated[np.ndarray, InJson(list[tuple[End, End]], _without_end, np.ndarray.tolist)]
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 Vector = Annotated[np.ndarray, as_list(list[FiniteFloat])]
 Transform = Annotated[np.ndarray, as_list(tuple[Row, Row, Row, Row])]
@@ -179,7 +188,10 @@ def read_json(data: bytes | str, name: str, cure: str) -> Any:
 def first_fault(error: ValidationError) -> tuple[str, str]:
     """(key, fault in words) of the first fault of content that does not fit a pydantic model."""
     first = error.errors()[0]
-    own = first.get("ctx", {}).get("error")  # of a ValueError that was raised by this program
+    about = first.get("ctx", {})
+    own = about.get("error")  # of a ValueError that was raised by this program
+    if first["type"] == "literal_error":
+        own = f"it is not {about['expected']}"
     return ".".join(str(part) for part in first["loc"]), str(own) if own else WORDS.get(first["type"], first["msg"])
 
 
