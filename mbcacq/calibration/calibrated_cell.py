@@ -354,7 +354,7 @@ class CalibratedCell:
         took_part = self.took_part(verification_poses(observations))
         found = replace(found, independent=None if took_part is None else not took_part)
         figures = judge(observations, self.state, self.effects, Limits(sphere_spacing_error_mm=found.limit_mm), found)
-        return replace(found, figures=tuple(f.to_dict() for f in figures))
+        return replace(found, figures=tuple(figures))
 
     def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> CalibratedCell:
         """The same recording calibrated with effects as terms of the cell. found: a model of effects, or a diagnosis that holds one.

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, FiniteFloat, GetCoreSchemaHandler, TypeAdapter, ValidationError
@@ -80,17 +80,36 @@ class EveryKey:
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         def write(value: Any, by_fields: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-            saying_nothing = {f.name for f in fields(value) if f.name in cls.left_out and getattr(value, f.name) == f.default}
-            return {key: content for key, content in by_fields(value).items() if key not in saying_nothing}
+            saying_nothing = {key[f.name] for f in fields(value) if f.name in cls.left_out and getattr(value, f.name) == f.default}
+            return {name: content for name, content in by_fields(value).items() if name not in saying_nothing}
 
         schema = handler(source)
         found: Any = handler.resolve_ref_schema(schema)
+        key = {field["name"]: field.get("serialization_alias", field["name"]) for field in found["schema"]["fields"]}
         for field in found["schema"]["fields"]:
             if field["name"] not in (*cls.left_out, *cls.later) and field["schema"]["type"] == "default":
                 field["schema"] = field["schema"]["schema"]
         if cls.left_out:
             found["serialization"] = core_schema.wrap_serializer_function_ser_schema(write)
         return schema
+
+
+class AsJson:
+    """Base of a dataclass whose fields are the keys of its JSON content."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content."""
+        return fields_as_json(self)
+
+    @classmethod
+    def from_dict(cls, content: Any) -> Self:
+        """What ``to_dict`` wrote. Raises ValueError where it is damaged."""
+        return from_fields(cls, content)
+
+
+def keyed(*keys: str) -> InJson:
+    """For the annotation of a tuple, which stands in JSON as an object with these keys."""
+    return InJson(dict[str, Any], lambda content: tuple(content[key] for key in keys), lambda value: dict(zip(keys, value, strict=True)))
 
 
 def _as_array(values: Any) -> np.ndarray:
