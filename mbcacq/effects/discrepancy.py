@@ -17,7 +17,7 @@ import numpy as np
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.effect_term import SMOOTH, UNKNOWN, EffectTerm, key_of, learnt_ranges
-from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine
+from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine, times
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ def pairs(here: Covariates) -> list[EffectTerm]:
     moving = _moving(here)
     out = []
     for a, b in combinations(moving, 2):
-        columns = tuple(_product(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
+        columns = tuple(times(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
         sigma = np.full(len(columns), OPTIONS.start_rad / 3)
         out += [_term(here, j, f"q{a + 1}*q{b + 1}", columns, sigma) for j in moving]
     return out
@@ -148,10 +148,6 @@ def _centred(here: Covariates, name: str) -> Column:
 def _first(name: str) -> Iterator[Column]:
     yield sine(name, 1)
     yield cosine(name, 1)
-
-
-def _product(left: Column, right: Column) -> Column:
-    return tuple(Product(a.factor * b.factor, (*a.functions, *b.functions)) for a in left for b in right)
 
 
 def _term(

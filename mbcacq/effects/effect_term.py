@@ -20,6 +20,7 @@ from mbcacq.model.observations import Observations
 
 UNKNOWN = "unknown"
 MOVEMENT = "movement_"
+TRAVEL = "travel_"  # covariates of a joint's last motion
 STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
 GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
@@ -32,7 +33,9 @@ COMMON_PATTERN = "common pattern"  # variant of what several joints share: each 
 
 @dataclass(frozen=True)
 class LearntRange:
-    """Values of a covariate in the recording learnt from: intervals that were visited (of an angle, modulo a turn), and the mean."""
+    """Values of a covariate in the recording learnt from: intervals that were visited, and the mean. An angle is as far from an interval
+    as it is after any number of turns.
+    """
 
     intervals: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=1)]
     mean: FiniteFloat
@@ -43,9 +46,9 @@ class LearntRange:
         mean = float(np.mean(values))
         if not is_angle(name):
             return cls(((float(np.min(values)), float(np.max(values))),), mean)
-        turned = np.sort(np.mod(values, 2 * np.pi))
-        ends = np.flatnonzero(np.diff(turned) > GAP)
-        begin, end = np.r_[turned[0], turned[ends + 1]], np.r_[turned[ends], turned[-1]]
+        listed = np.sort(values)
+        ends = np.flatnonzero(np.diff(listed) > GAP)
+        begin, end = np.r_[listed[0], listed[ends + 1]], np.r_[listed[ends], listed[-1]]
         return cls(tuple((float(a), float(b)) for a, b in zip(begin, end, strict=True)), mean)
 
     @property
@@ -62,14 +65,19 @@ class LearntRange:
 
     def beyond(self, name: str, values: np.ndarray) -> np.ndarray:
         """(k,) distance of values from the nearest interval, less the margin that is taken to belong to it."""
-        angle = is_angle(name)
-        x = np.mod(values, 2 * np.pi) if angle else np.asarray(values, dtype=float)
-        margin = GAP if angle else MARGIN * (self.high - self.low) + 1e-12
-        distance = np.full(np.shape(x), np.inf)
+        margin = GAP if is_angle(name) else MARGIN * (self.high - self.low) + 1e-12
+        distance = np.full(np.shape(values), np.inf)
         for low, high in self.intervals:
-            for turn in (-2 * np.pi, 0.0, 2 * np.pi) if angle else (0.0,):
-                distance = np.minimum(distance, np.maximum(np.maximum(low + turn - x, x - high - turn), 0.0))
+            x = turned_near(values, (low + high) / 2) if is_angle(name) else np.asarray(values, dtype=float)
+            distance = np.minimum(distance, np.maximum(np.maximum(low - x, x - high), 0.0))
         return np.maximum(distance - margin, 0.0)
+
+    def held(self, name: str, values: np.ndarray) -> np.ndarray:
+        """(k,) values, those beyond the range at its end; an angle beyond it is first turned by whole turns as near to it as can be."""
+        if is_angle(name):
+            within = (self.low <= values) & (values <= self.high)
+            values = np.where(within, values, turned_near(values, (self.low + self.high) / 2))
+        return np.clip(values, self.low, self.high)
 
     def within(self, name: str, values: np.ndarray) -> np.ndarray:
         """(k,) 1 in the range, falling to nought outside of it."""
@@ -270,7 +278,7 @@ class EffectTerm(EveryKey):
         except Missing:
             rows = here.obs.n_centres if name in OF_CENTRES else poses
             return np.full(rows, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
-        return np.clip(values, known.low, known.high) if name in self.clamped and known is not None else values
+        return known.held(name, values) if name in self.clamped and known is not None else values
 
 
 def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper: Mapping[str, float]) -> str:
@@ -282,11 +290,16 @@ def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper
 def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str, LearntRange]:
     """The range of every covariate of some parts in a recording; without those that have a meaning there alone."""
     names = frozenset().union(*(part.covariates for part in parts)) - {*OF_RECORDING, "ball"}
-    return {name: LearntRange.of(name, here.value(name)) for name in sorted(names) if not name.startswith(MOVEMENT)}
+    return {name: LearntRange.of(name, here.value(name)) for name in sorted(names) if not name.startswith((MOVEMENT, TRAVEL))}
 
 
 def _times(part: Part, factor: np.ndarray) -> Part:
     return replace(part, basis=part.basis * factor[:, None])
+
+
+def turned_near(angle: np.ndarray, middle: float) -> np.ndarray:
+    """Angles (k,) rad by whole turns within half a turn of another one."""
+    return angle - 2 * np.pi * np.round((angle - middle) / (2 * np.pi))
 
 
 def is_angle(name: str) -> bool:

@@ -1,5 +1,7 @@
 """An unmodelled effect is located where it acts, without wrong parametric effects, and predicts poses left out."""
 
+from dataclasses import replace
+
 import numpy as np
 import simulated
 
@@ -12,8 +14,12 @@ from mbcacq.diagnosis.evidence.pose_search import PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
+from mbcacq.diagnosis.output.kept_model import unmodelled_terms
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import parts_of
+from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.effects.functions import evaluate
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.variance_components import pack
@@ -134,6 +140,25 @@ def test_what_a_process_describes_is_kept_for_other_places(plan):
     assert set(kept.clamped) == kept.covariates == {"q5", "q6"}
     (check,) = found.checks
     assert check.with_effects.rms_mm < 0.5 * check.geometry_alone.rms_mm
+
+
+def test_what_is_kept_displaces_what_was_judged_and_the_same_a_turn_further_on():
+    """Blocks of several locations and a process of two angles, on joints that turn to both sides of their zero."""
+    setup = model_fit.prepare(simulated.observe(simulated.plan(6, 2, 6), 125, [pull_on_joint_five_where_five_and_six_meet]))
+    blocks, obs = UnmodelledEffects(setup.design_blocks), setup.linear.obs
+    point = NoisePoint(setup.linear, setup.prior_noise, pack(setup.noise))
+    judged = [m for _, m in blocks.evidence(point.projected)]
+    process = blocks.process(point.projected, next(m for m in judged if m.candidate.where == ("A5",)))
+    found = estimated((*judged, process), point, 0.0)
+
+    here, learnt = Covariates(obs), LearntRecording.of(obs)
+    turned = Covariates(replace(obs, q=obs.q + 2 * np.pi * np.array([0, 0, 0, 1, 0, -1])))
+    assert process.candidate.depends_on == "q5"
+    assert obs.q[:, 4].min() < 0 < obs.q[:, 4].max()
+    for member, kept in zip(found.members, unmodelled_terms(here, found), strict=True):
+        for there in (here, turned):
+            for part, own in zip(kept.parts_at(there, learnt), parts_of(member.candidate, here), strict=True):
+                np.testing.assert_allclose(part.basis, own.basis, atol=1e-8 * np.abs(own.basis).max())
 
 
 def test_a_name_that_mends_a_shape_is_left_out_for_a_more_general_shape():
