@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.nonparametric import gaussian_process, locations
 from mbcacq.diagnosis.nonparametric.bayes_factor import relative_sizes
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, unmodelled_candidate
@@ -15,7 +15,6 @@ from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapEvidence
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.effects.described import can_be_kept
 from mbcacq.effects.effect import Candidate
 
 
@@ -80,16 +79,6 @@ class UnmodelledEffects:
         sigma, label = np.tile(sigma, len(rows)), f"{process.label} at {rows}"
         candidate = unmodelled_candidate(at, process.depends_on, parts, sigma, label)
         return relative_to_best_determined(projected, candidate, average - float(logs.max()))
-
-    def processes(self, best: Hypothesis) -> list[Member]:
-        """The Gaussian process at each location of the unmodelled effects of a set: the one that it has, or would be the most probable."""
-        found = {m.label: m for m in best.unmodelled if can_be_kept(m.candidate)}
-        for member in best.unmodelled:
-            if member.label not in found:
-                others = [m for m in best.members if m.label != member.label]
-                process = self.process(best.point.conditioned(others), member)
-                found |= {member.label: process} if process is not None else {}
-        return list(found.values())
 
 
 def relative_to_best_determined(projected: CandidateScoring, candidate: Candidate, log_mass: float = 0.0) -> Member:
