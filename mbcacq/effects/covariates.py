@@ -22,7 +22,9 @@ from mbcacq.model.observations import Observations
 
 RECORDING = "recording"  # number of the recording, of several of one arm
 LEAN = ("lean_x", "lean_y", "lean_z")
-TILT = "tilt"  # of the artefact against the scanner's axis, by which what depends on LEAN is reported
+TILT = "tilt"  # of the artefact against the scanner's axis, by which what depends on LEAN or AXIS is reported
+AXIS = ("axis_x", "axis_y", "axis_z")  # of the artefact (its z), in the scanner's axes, where the geometry was fitted
+UNSTATED = (RECORDING, *AXIS)  # no other recording has them
 OF_RECORDING = ("time", "pose", "station", RECORDING)  # they have no meaning in another recording
 _INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_)([1-9][0-9]*)$")
 LEAST_TRAVEL = 0.002  # rad, over less of which nothing that a motion leaves behind fades
@@ -196,10 +198,9 @@ class Covariates:
             "station": lambda: obs.station.astype(float),
             "ball": lambda: np.array(obs.cell.ball_ids, dtype=float)[obs.ball],
             "payload_kg": lambda: self.payload_mass,
-            TILT: lambda: np.arccos(np.clip(np.abs(self.lean[:, 2]), 0, 1)),
             RECORDING: lambda: self._recording,
         }
-        if name in plain and (name != TILT or self.scanner_on_flange):
+        if name in plain:
             return plain[name]()
         if name in ("x", "y", "z"):
             return obs.xyz[:, "xyz".index(name)]

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from mbcacq.effects.covariates import RECORDING, Covariates
+from mbcacq.effects.covariates import UNSTATED, Covariates
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.functions import OF_CENTRES, Column, DescribedPart, Values, evaluate
 from mbcacq.estimation.terms import PER_POSE, Part
@@ -65,5 +65,5 @@ def functions_of(candidate: Candidate, here: Covariates, values: np.ndarray) -> 
 
 
 def can_be_kept(candidate: Candidate, hyper: float | None = None) -> bool:
-    """Whether an effect means the same in another recording: it does not tell several recordings apart."""
-    return all(RECORDING not in p.covariates for p in candidate.parts(hyper))
+    """Whether an effect means the same in another recording: it does not tell several recordings apart, nor follow a fitted geometry."""
+    return all(p.covariates.isdisjoint(UNSTATED) for p in candidate.parts(hyper))

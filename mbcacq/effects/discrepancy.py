@@ -16,7 +16,7 @@ import numpy as np
 
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.effect_term import SMOOTH, UNKNOWN, EffectTerm, key_of, learnt_ranges
+from mbcacq.effects.effect_term import SMOOTH, EffectTerm
 from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine, times
 
 
@@ -159,25 +159,5 @@ def _term(
     variant: str = SMOOTH,
     clamped: tuple[str, ...] = (),
 ) -> EffectTerm:
-    where, k = f"A{j + 1}", len(columns)
-    label = key_of(UNKNOWN, (where,), depends_on, variant, {})
     parts = (DescribedPart("joint", j, 0, tuple(columns)),)
-    names = tuple(f"{label}[{i}]" for i in range(k))
-    none = np.zeros(k)
-    ranges = learnt_ranges(here, parts)
-    return EffectTerm(
-        name=UNKNOWN,
-        where=(where,),
-        depends_on=depends_on,
-        parts=parts,
-        names=names,
-        units=("rad",) * k,
-        coefficients=none,
-        std=none,
-        sigma=sigma,
-        typical=sigma,
-        variant=variant,
-        hyper={},
-        ranges=ranges,
-        clamped=clamped,
-    )
+    return EffectTerm.of_group(here, (f"A{j + 1}",), depends_on, parts, sigma, ("rad",) * len(columns), variant=variant, clamped=clamped)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, FiniteFloat
@@ -167,6 +167,36 @@ class EffectTerm(EveryKey):
     ranges: Mapping[str, LearntRange] = field(default_factory=dict)
     clamped: tuple[str, ...] = ()
     held: bool = False
+
+    @classmethod
+    def of_group(
+        cls,
+        here: Covariates,
+        where: tuple[str, ...],
+        depends_on: str,
+        parts: Sequence[DescribedPart],
+        sigma: np.ndarray,
+        units: tuple[str, ...],
+        variant: str = "",
+        **fields: Any,
+    ) -> EffectTerm:
+        """A group of basis functions of which the recording has not said anything yet. sigma: (k,) prior; fields: clamped, hyper."""
+        label, nothing = key_of(UNKNOWN, where, depends_on, variant, {}), np.zeros(len(sigma))
+        return cls(
+            name=UNKNOWN,
+            where=where,
+            depends_on=depends_on,
+            parts=tuple(parts),
+            names=tuple(f"{label}[{j}]" for j in range(len(sigma))),
+            units=units,
+            coefficients=nothing,
+            std=nothing,
+            sigma=np.asarray(sigma, dtype=float),
+            typical=np.asarray(sigma, dtype=float),
+            variant=variant,
+            ranges=learnt_ranges(here, parts),
+            **fields,
+        )
 
     @property
     def k(self) -> int:

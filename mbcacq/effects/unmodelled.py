@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.effect_term import COMMON_PATTERN, UNKNOWN, EffectTerm, is_angle, learnt_ranges
+from mbcacq.effects.effect_term import COMMON_PATTERN, GIVES_WAY, EffectTerm, is_angle
 from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Product, cosine, linear, of, of_second_degree, sine
 
 DEVIATION = "deviation"
@@ -111,14 +111,17 @@ def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequenc
     where = tuple(f"A{i + 1}" for i in joints)
     hyper = {f"offset_A{i + 1}_rad": float(o) for i, o in zip(joints, offset, strict=True)}
     hyper |= {f"direction_A{i + 1}": float(d) for i, d in zip(joints, direction, strict=True)}
-    return _term(here, (where, f"q{joints[0] + 1}"), parts, pattern_sigma(), "rad", (), variant=COMMON_PATTERN, hyper=hyper)
+    sigma = pattern_sigma()
+    units = ("rad",) * len(sigma)
+    return EffectTerm.of_group(here, where, f"q{joints[0] + 1}", parts, sigma, units, variant=COMMON_PATTERN, hyper=hyper)
 
 
 def deviation(here: Covariates, joint: int) -> EffectTerm:
     """What a joint's own error differs from a common pattern by."""
     orders, name = np.arange(1, OPTIONS.own_order + 1).astype(float), f"q{joint + 1}"
     part = DescribedPart("joint", joint, 0, (*(sine(name, k) for k in orders), *(cosine(name, k) for k in orders)))
-    return _term(here, ((f"A{joint + 1}",), name), [part], deviation_sigma(), "rad", (), DEVIATION)
+    sigma = deviation_sigma()
+    return EffectTerm.of_group(here, (f"A{joint + 1}",), name, [part], sigma, ("rad",) * len(sigma), variant=DEVIATION)
 
 
 def pattern_sigma() -> np.ndarray:
@@ -186,7 +189,9 @@ def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tupl
     if place == "joint":
         own = f"gravity_torque_{index + 1}"
         parts = [DescribedPart("joint", index, 0, (linear(own),))]
-        return _term(here, ((location,), covariate), parts, np.array([OPTIONS.compliance_rad_per_Nm]), "rad/Nm", (own,))
+        return EffectTerm.of_group(
+            here, (location,), covariate, parts, np.array([OPTIONS.compliance_rad_per_Nm]), (GIVES_WAY,), clamped=(own,)
+        )
     if place != "frame" or len(keys) < 6:
         return None
     names = [f"gravity_moment_{index}_{axis}" for axis in "xyz"]
@@ -197,7 +202,8 @@ def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tupl
         columns = tuple(linear(names[c]) if i == j else () for i in range(len(used)))
         parts.append(DescribedPart("frame", index, 3 + c, columns))
     sigma = np.full(len(used), OPTIONS.tilt_rad_per_Nm)
-    return _term(here, ((location,), covariate), parts, sigma, "rad/Nm", tuple(names[c] for c in used))
+    clamped = tuple(names[c] for c in used)
+    return EffectTerm.of_group(here, (location,), covariate, parts, sigma, (GIVES_WAY,) * len(used), clamped=clamped)
 
 
 def _grown(
@@ -205,45 +211,14 @@ def _grown(
 ) -> EffectTerm:
     """Every component multiplied by every function, component by component; rotations a thousandth of the translations in size."""
     f, zero = len(columns), ()
-    parts, sigma, units = [], [], []
+    parts, sigma, units = list[DescribedPart](), [], list[str]()
     for j, (place, index, component) in enumerate(keys):
         own = [zero] * (j * f) + list(columns) + [zero] * ((len(keys) - 1 - j) * f)
         parts.append(DescribedPart(place, index, component, tuple(own)))
         unit = unit_of(parts[-1])
         sigma.append(weight * (1e-3 if unit == "rad" else 1.0))
         units += [unit] * f
-    return _term(here, ((location,), covariate), parts, np.concatenate(sigma), units, ())
-
-
-def _term(
-    here: Covariates,
-    at: tuple[tuple[str, ...], str],
-    parts: Sequence[DescribedPart],
-    sigma: np.ndarray,
-    units: Sequence[str] | str,
-    clamped: tuple[str, ...],
-    variant: str = "",
-    hyper: dict[str, float] | None = None,
-) -> EffectTerm:
-    """at: locations and covariate."""
-    (where, covariate), k = at, len(sigma)
-    label = f"{UNKNOWN}:{'+'.join(where)}:{covariate}" + (f":{variant}" if variant else "")
-    return EffectTerm(
-        name=UNKNOWN,
-        where=where,
-        depends_on=covariate,
-        parts=tuple(parts),
-        names=tuple(f"{label}[{j}]" for j in range(k)),
-        units=(units,) * k if isinstance(units, str) else tuple(units),
-        coefficients=np.zeros(k),
-        std=np.zeros(k),
-        sigma=np.asarray(sigma, dtype=float),
-        typical=np.asarray(sigma, dtype=float),
-        variant=variant,
-        hyper=hyper or {},
-        ranges=learnt_ranges(here, parts),
-        clamped=clamped,
-    )
+    return EffectTerm.of_group(here, (location,), covariate, parts, np.concatenate(sigma), tuple(units))
 
 
 def _sum(*weighted: tuple[float, Column]) -> Column:

@@ -12,7 +12,8 @@ import numpy as np
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import ROUNDING
-from mbcacq.effects.covariates import LEAN, TILT, Covariates
+from mbcacq.effects.context import Context
+from mbcacq.effects.covariates import AXIS, TILT, Covariates
 from mbcacq.effects.described import Evaluation
 from mbcacq.effects.functions import SIGHT, Column, Product, cosine, linear, of, scaled, sine, standardized, times
 from mbcacq.effects.unmodelled import OPTIONS as UNMODELLED
@@ -38,12 +39,12 @@ class Shape:
 class Basis:
     """Makes shapes of functions that are written down, for the poses or the centres of a recording."""
 
-    here: Covariates
+    here: Context
     evaluation: Evaluation
     per_pose: bool
 
     @classmethod
-    def of(cls, here: Covariates, per_pose: bool = True) -> Basis:
+    def of(cls, here: Context, per_pose: bool = True) -> Basis:
         return cls(here, Evaluation(here), per_pose)
 
     def values(self, name: str) -> np.ndarray:
@@ -231,11 +232,11 @@ def wave(name: str, order: float, at: float) -> tuple[Column, Column]:
 
 def artefact_tilts(basis: Basis) -> list[Shape]:
     """The artefact's upward direction in the scanner's axes, its products, and how far it leans."""
-    x, y, z = (linear(name) for name in LEAN)
+    x, y, z = (linear(name) for name in AXIS)
     leaning: Column = (Product(1.0), *scaled(times(z, z), -1.0))
-    side = of(LEAN[2], "sign")
+    side = of(AXIS[2], "sign")
     across = [times(side, one) for one in (x, y)]
     products: Iterable[Column] = [times(x, y), (*times(x, x), *scaled(times(y, y), -1.0))]
     whole = [leaning, *across, *products, times(leaning, x), times(leaning, y)]
-    lean = [leaning, magnitude(LEAN[2])]
+    lean = [leaning, magnitude(AXIS[2])]
     return [shape for columns in ([leaning], lean, across, whole) for shape in basis.shapes(TILT, columns)]

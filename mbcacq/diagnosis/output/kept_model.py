@@ -52,7 +52,7 @@ def unmodelled_terms(here: Covariates, hypothesis: Hypothesis) -> list[EffectTer
     """The unmodelled effects of a hypothesis. Their covariates are held at the end of their learnt range."""
     found, out = coefficients_of(hypothesis), list[EffectTerm]()
     for m, own in zip(hypothesis.members, found.slices, strict=True):
-        if m.candidate.name == UNKNOWN:
+        if m.candidate.name == UNKNOWN and can_be_kept(m.candidate, m.hyper):
             term = term_of(here, m.candidate, m.hyper, found.mean[own], np.sqrt(np.diag(found.covariance)[own]))
             out.append(replace(term, sigma=m.size * m.candidate.typical, clamped=tuple(sorted(term.covariates))))
     return out
