@@ -13,7 +13,7 @@ from pydantic import Field, FiniteFloat
 from mbcacq.effects.covariates import OF_RECORDING, Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.functions import OF_CENTRES, DescribedPart
+from mbcacq.effects.functions import OF_CENTRES, REPEATING, DescribedPart
 from mbcacq.estimation.terms import PER_POSE, Part, Term, term
 from mbcacq.model.json_text import EveryKey, InJson, Number, Vector, as_list
 from mbcacq.model.observations import Observations
@@ -33,23 +33,24 @@ COMMON_PATTERN = "common pattern"  # variant of what several joints share: each 
 
 @dataclass(frozen=True)
 class LearntRange:
-    """Values of a covariate in the recording learnt from: intervals that were visited, and the mean. An angle is as far from an interval
-    as it is after any number of turns.
+    """Values of a covariate in the recording learnt from: intervals that were visited, and the mean. Those of an angle are modulo a turn,
+    unless turns count (``counts_turns``), since a function of it does not repeat.
     """
 
     intervals: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=1)]
     mean: FiniteFloat
+    counts_turns: bool = False
 
     @classmethod
-    def of(cls, name: str, values: np.ndarray) -> LearntRange:
+    def of(cls, name: str, values: np.ndarray, counts_turns: bool) -> LearntRange:
         """The range of values (k,)."""
         mean = float(np.mean(values))
         if not is_angle(name):
             return cls(((float(np.min(values)), float(np.max(values))),), mean)
-        listed = np.sort(values)
-        ends = np.flatnonzero(np.diff(listed) > GAP)
-        begin, end = np.r_[listed[0], listed[ends + 1]], np.r_[listed[ends], listed[-1]]
-        return cls(tuple((float(a), float(b)) for a, b in zip(begin, end, strict=True)), mean)
+        visited = np.sort(values if counts_turns else np.mod(values, 2 * np.pi))
+        ends = np.flatnonzero(np.diff(visited) > GAP)
+        begin, end = np.r_[visited[0], visited[ends + 1]], np.r_[visited[ends], visited[-1]]
+        return cls(tuple((float(a), float(b)) for a, b in zip(begin, end, strict=True)), mean, counts_turns)
 
     @property
     def low(self) -> float:
@@ -65,19 +66,15 @@ class LearntRange:
 
     def beyond(self, name: str, values: np.ndarray) -> np.ndarray:
         """(k,) distance of values from the nearest interval, less the margin that is taken to belong to it."""
-        margin = GAP if is_angle(name) else MARGIN * (self.high - self.low) + 1e-12
-        distance = np.full(np.shape(values), np.inf)
+        angle = is_angle(name)
+        repeats = angle and not self.counts_turns
+        x = np.mod(values, 2 * np.pi) if repeats else np.asarray(values, dtype=float)
+        margin = GAP if angle else MARGIN * (self.high - self.low) + 1e-12
+        distance = np.full(np.shape(x), np.inf)
         for low, high in self.intervals:
-            x = turned_near(values, (low + high) / 2) if is_angle(name) else np.asarray(values, dtype=float)
-            distance = np.minimum(distance, np.maximum(np.maximum(low - x, x - high), 0.0))
+            for turn in (-2 * np.pi, 0.0, 2 * np.pi) if repeats else (0.0,):
+                distance = np.minimum(distance, np.maximum(np.maximum(low + turn - x, x - high - turn), 0.0))
         return np.maximum(distance - margin, 0.0)
-
-    def held(self, name: str, values: np.ndarray) -> np.ndarray:
-        """(k,) values, those beyond the range at its end; an angle beyond it is first turned by whole turns as near to it as can be."""
-        if is_angle(name):
-            within = (self.low <= values) & (values <= self.high)
-            values = np.where(within, values, turned_near(values, (self.low + self.high) / 2))
-        return np.clip(values, self.low, self.high)
 
     def within(self, name: str, values: np.ndarray) -> np.ndarray:
         """(k,) 1 in the range, falling to nought outside of it."""
@@ -308,7 +305,7 @@ class EffectTerm(EveryKey):
         except Missing:
             rows = here.obs.n_centres if name in OF_CENTRES else poses
             return np.full(rows, 0.0 if name.startswith(STANDSTILL) or known is None else known.mean)
-        return known.held(name, values) if name in self.clamped and known is not None else values
+        return np.clip(values, known.low, known.high) if name in self.clamped and known is not None else values
 
 
 def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper: Mapping[str, float]) -> str:
@@ -319,17 +316,14 @@ def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper
 
 def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str, LearntRange]:
     """The range of every covariate of some parts in a recording; without those that have a meaning there alone."""
-    names = frozenset().union(*(part.covariates for part in parts)) - {*OF_RECORDING, "ball"}
-    return {name: LearntRange.of(name, here.value(name)) for name in sorted(names) if not name.startswith((MOVEMENT, TRAVEL))}
+    functions = [f for part in parts for column in part.columns for product in column for f in product.functions]
+    counting_turns = {f.covariate for f in functions if f.kind not in REPEATING}
+    names = {f.covariate for f in functions if not f.covariate.startswith((MOVEMENT, TRAVEL))} - {*OF_RECORDING, "ball"}
+    return {name: LearntRange.of(name, here.value(name), name in counting_turns) for name in sorted(names)}
 
 
 def _times(part: Part, factor: np.ndarray) -> Part:
     return replace(part, basis=part.basis * factor[:, None])
-
-
-def turned_near(angle: np.ndarray, middle: float) -> np.ndarray:
-    """Angles (k,) rad by whole turns within half a turn of another one."""
-    return angle - 2 * np.pi * np.round((angle - middle) / (2 * np.pi))
 
 
 def is_angle(name: str) -> bool:

@@ -37,6 +37,7 @@ FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
     "cosine": lambda x, low, high, k: np.cos(np.pi * k * (x - low) / (high - low)),
     "is": lambda x, value: (x == value).astype(float),
 }
+REPEATING = ("sin", "cos", "lever", "stretch")  # functions of an angle to which a full turn is the same place
 
 
 def _written(value: Any) -> Any:

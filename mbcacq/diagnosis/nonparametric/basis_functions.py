@@ -62,7 +62,7 @@ class Basis:
         for j in range(0, len(columns), each or len(columns)):
             own = np.flatnonzero(varies[j : j + (each or len(columns))]) + j
             weight = 1.0 / (1.0 + 0.5 * np.arange(len(own))) if falling else np.ones(len(own))
-            unit = tuple(standardized(columns[i], float(mean[i]), float(spread[i])) for i in own)
+            unit = tuple(standardized(columns[i], float(mean[i]), float(spread[i])) for i in own.tolist())
             out += [Shape(name, unit, centred[:, own] / spread[own], weight, at)] if len(own) else []
         return out
 

@@ -17,7 +17,7 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import can_be_kept
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, key_of, learnt_ranges
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, is_angle, key_of, learnt_ranges
 from mbcacq.effects.functions import DescribedPart
 from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
 from mbcacq.effects.unmodelled import unit_of
@@ -49,12 +49,13 @@ def everywhere(here: Covariates, named: list[EffectTerm]) -> list[EffectTerm]:
 
 
 def unmodelled_terms(here: Covariates, hypothesis: Hypothesis) -> list[EffectTerm]:
-    """The unmodelled effects of a hypothesis. Their covariates are held at the end of their learnt range."""
+    """The unmodelled effects of a hypothesis. Covariates are held at the end of their learnt range, but for angles that repeat."""
     found, out = coefficients_of(hypothesis), list[EffectTerm]()
     for m, own in zip(hypothesis.members, found.slices, strict=True):
         if m.candidate.name == UNKNOWN and can_be_kept(m.candidate, m.hyper):
             term = term_of(here, m.candidate, m.hyper, found.mean[own], np.sqrt(np.diag(found.covariance)[own]))
-            out.append(replace(term, sigma=m.size * m.candidate.typical, clamped=tuple(sorted(term.covariates))))
+            held = (name for name in sorted(term.covariates) if not is_angle(name) or term.ranges[name].counts_turns)
+            out.append(replace(term, sigma=m.size * m.candidate.typical, clamped=tuple(held)))
     return out
 
 
