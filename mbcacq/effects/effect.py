@@ -55,9 +55,10 @@ class Missing(Exception):
 class Hyperparameter:
     """A bounded parameter in which an effect is not linear.
 
-    values: to try first, (H,). independent: the number of statistically independent choices among all values. refine: whether the best
-    of the values is a start for a continuous search. preferred: values that are more probable beforehand than all others. kind: MOMENT,
-    ORDER, BREAKPOINT or FADING, empty for any other.
+    name: under which it is reported, empty where it is not. values: to try first, (H,). independent: the number of statistically
+    independent choices among all values. refine: whether the best of the values is a start for a continuous search. preferred: values that
+    are more probable beforehand than all others. kind: MOMENT, ORDER, BREAKPOINT or FADING, empty for any other. from_none: the first
+    value stands for no such effect at all, and is no bound of what was tried.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Hyperparameter:
     refine: bool = True
     preferred: tuple[float, ...] = ()
     kind: str = ""
+    from_none: bool = False
 
 
 @dataclass(frozen=True)
