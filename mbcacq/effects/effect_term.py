@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, FiniteFloat
@@ -20,6 +20,7 @@ from mbcacq.model.observations import Observations
 
 UNKNOWN = "unknown"
 MOVEMENT = "movement_"
+TRAVEL = "travel_"  # covariates of a joint's last motion
 STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
 GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
@@ -164,6 +165,36 @@ class EffectTerm(EveryKey):
     clamped: tuple[str, ...] = ()
     held: bool = False
 
+    @classmethod
+    def of_group(
+        cls,
+        here: Covariates,
+        where: tuple[str, ...],
+        depends_on: str,
+        parts: Sequence[DescribedPart],
+        sigma: np.ndarray,
+        units: tuple[str, ...],
+        variant: str = "",
+        **fields: Any,
+    ) -> EffectTerm:
+        """A group of basis functions of which the recording has not said anything yet. sigma: (k,) prior; fields: clamped, hyper."""
+        label, nothing = key_of(UNKNOWN, where, depends_on, variant, {}), np.zeros(len(sigma))
+        return cls(
+            name=UNKNOWN,
+            where=where,
+            depends_on=depends_on,
+            parts=tuple(parts),
+            names=tuple(f"{label}[{j}]" for j in range(len(sigma))),
+            units=units,
+            coefficients=nothing,
+            std=nothing,
+            sigma=np.asarray(sigma, dtype=float),
+            typical=np.asarray(sigma, dtype=float),
+            variant=variant,
+            ranges=learnt_ranges(here, parts),
+            **fields,
+        )
+
     @property
     def k(self) -> int:
         """The number of coefficients."""
@@ -287,8 +318,8 @@ def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str,
     """The range of every covariate of some parts in a recording; without those that have a meaning there alone."""
     functions = [f for part in parts for column in part.columns for product in column for f in product.functions]
     counting_turns = {f.covariate for f in functions if f.kind not in REPEATING}
-    names = {f.covariate for f in functions} - {*OF_RECORDING, "ball"}
-    return {name: LearntRange.of(name, here.value(name), name in counting_turns) for name in sorted(names) if not name.startswith(MOVEMENT)}
+    names = {f.covariate for f in functions if not f.covariate.startswith((MOVEMENT, TRAVEL))} - {*OF_RECORDING, "ball"}
+    return {name: LearntRange.of(name, here.value(name), name in counting_turns) for name in sorted(names)}
 
 
 def _times(part: Part, factor: np.ndarray) -> Part:

@@ -13,7 +13,7 @@ import mbcacq
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, with_effects
 from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
-from mbcacq.diagnosis.output.kept_model import kept_group, partly_covered, term_of
+from mbcacq.diagnosis.output.kept_model import partly_covered, term_of
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import Covariates
@@ -263,11 +263,6 @@ def test_leaving_the_learnt_range_is_said(recording, fitted):
     assert first.poses == tuple(beyond.pose_id[first_left(fitted, beyond)])
     assert f"(numbers {first.poses[0]}, " in str(first)
     assert not fitted.effects.departures(recording)
-
-
-def test_an_unmodelled_effect_by_the_tilt_has_no_group_that_can_be_kept(plan):
-    """The tilt of the artefact to the scanner follows from the fitted stations: no other recording states it."""
-    assert kept_group(Covariates(plan), "scanner", "tilt") is None
 
 
 def gear_of_joint_four(plan, degrees):

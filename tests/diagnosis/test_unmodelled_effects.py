@@ -15,10 +15,12 @@ from mbcacq.diagnosis.evidence.pose_search import PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
+from mbcacq.diagnosis.output.kept_model import unmodelled_terms
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
 from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.effect_term import learnt_ranges
+from mbcacq.effects.described import parts_of
+from mbcacq.effects.effect_term import LearntRecording, learnt_ranges
 from mbcacq.effects.functions import DescribedPart, evaluate, of, sine
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.variance_components import pack
@@ -144,6 +146,23 @@ def test_what_a_process_describes_is_kept_for_other_places(plan):
     np.testing.assert_allclose(part.basis, evaluate(kept.parts[0].columns, here.value, learnt_from.n_poses))
     (check,) = found.checks
     assert check.with_effects.rms_mm < 0.5 * check.geometry_alone.rms_mm
+
+
+def test_what_is_kept_displaces_what_was_judged():
+    """Blocks of several locations and a process of two angles, on joints that turn to both sides of their zero."""
+    setup = model_fit.prepare(simulated.observe(simulated.plan(6, 2, 6), 125, [pull_on_joint_five_where_five_and_six_meet]))
+    blocks, obs = UnmodelledEffects(setup.design_blocks), setup.linear.obs
+    point = NoisePoint(setup.linear, setup.prior_noise, pack(setup.noise))
+    judged = [m for _, m in blocks.evidence(point.projected)]
+    process = blocks.process(point.projected, next(m for m in judged if m.candidate.where == ("A5",)))
+    found = estimated((*judged, process), point, 0.0)
+
+    here, learnt = Covariates(obs), LearntRecording.of(obs)
+    assert process.candidate.depends_on in ("q5", "q6")
+    assert np.all(obs.q[:, 4:].min(axis=0) < 0)
+    for member, kept in zip(found.members, unmodelled_terms(here, found), strict=True):
+        for part, own in zip(kept.parts_at(here, learnt), parts_of(member.candidate, here), strict=True):
+            np.testing.assert_allclose(part.basis, own.basis, atol=1e-8 * np.abs(own.basis).max())
 
 
 @pytest.mark.parametrize(("function", "known"), [(sine("q1", 2.0), True), (of("q1", "cosine", -3.0, 3.0, 2.0), False)])

@@ -69,7 +69,7 @@ class Process:
     def shape(self, s: Context) -> Shape:
         """The functions at the poses of a recording, while processes are compared; named by the label."""
         columns, sigma = self.functions(COMPARED)
-        return Shape(self.label, evaluate(columns, s.value, s.obs.n_poses), sigma)
+        return Shape(self.label, columns, evaluate(columns, s.value, s.obs.n_poses), sigma)
 
     def _cosines(self, orders: np.ndarray) -> Column:
         each = (Function(name, "cosine", (low, high, float(k))) for (name, low, high), k in zip(self.box, orders, strict=True) if k)

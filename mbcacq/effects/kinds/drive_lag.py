@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import Hyperparameter
 from mbcacq.effects.motion_effect import (
     ChannelGroup,
     Columns,
@@ -44,14 +45,13 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     for j in group.joints:
         axis = f"A{j + 1}"
         here = ((axis,), f"qd{j + 1}", (j,))
-        lag = {"hyper": LAGS_S, "positive": True, "form": "fast", "no_lower_bound": True}
-        loop = {"hyper": LOOPS_S, "continuous": False, "form": "slow", "sigma": LOOP_SIGMA}
-        common = {"trials": 4.0, "hyper_parameter": f"{axis}.time_constant_s"}
-        out.append(MotionCandidate(NAME, *here, _lag, _lag_report(axis), **lag, **common))
-        out.append(MotionCandidate(NAME, *here, _loop, _loop_report(axis), **loop, **common))
+        lag = Hyperparameter(f"{axis}.time_constant_s", LAGS_S, 4.0, from_none=True)
+        loop = Hyperparameter(f"{axis}.time_constant_s", LOOPS_S, 4.0, refine=False)
+        out.append(MotionCandidate(NAME, *here, _lag, _lag_report(axis), lag, positive=True, variant="fast"))
+        out.append(MotionCandidate(NAME, *here, _loop, _loop_report(axis), loop, variant="slow", sigma=LOOP_SIGMA))
         for name, columns, unit in _disturbances(runs):
             report = plain_report(f"{axis}.{name}_push_{unit}")
-            out.append(MotionCandidate(NAME, *here, columns, report, extends=True, shares_hyper=True, continuous=False, form=name))
+            out.append(MotionCandidate(NAME, *here, columns, report, extends=True, shares_hyper=True, variant=name))
     return out
 
 
