@@ -53,7 +53,7 @@ def cases(counts: dict[tuple[str, Sender], int], most: int = 24, actions: tuple[
         indices = list(range(min(count, most)))
         if count > most:
             first = most // 2
-            step = (count - 1 - first) / (most - first - 1)
+            step = (count - 1 - first) / max(most - first - 1, 1)
             indices = [*range(first), *sorted({first + round(k * step) for k in range(most - first)})]
         for index in indices:
             for action in actions:
