@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -77,7 +77,7 @@ class NormalisedError:
         """Between which the rms is in 95 % of recordings where the statement is true (chi square); None where that is not known."""
         if self.expected_rms is None or self.degrees_of_freedom is None:
             return None
-        low, high = self.expected_rms * np.sqrt(chi2.ppf([0.025, 0.975], self.degrees_of_freedom) / self.degrees_of_freedom)
+        low, high = self.expected_rms * np.sqrt(chdtri(self.degrees_of_freedom, [0.975, 0.025]) / self.degrees_of_freedom)
         return float(low), float(high)
 
 
