@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -59,12 +60,25 @@ class EffectGain:
 @dataclass(frozen=True)
 class NormalisedError:
     """Errors over their stated standard uncertainty (parameters, effects and noise of measuring, per axis): rms, 95 % quantile, and the
-    share of centres below 3. About 1 where the statement is true.
+    share of centres below 3.
+
+    expected_rms: the rms where the statement is true, 1 but for what the fitted places absorb. degrees_of_freedom: those of the rms; what
+    was learnt is wrong by the same at many centres, so that they are fewer than centres. None in results of programs before these figures.
     """
 
     rms: Number
     quantile_95: Number
     share_below_3: Number
+    expected_rms: Number | None = None
+    degrees_of_freedom: Number | None = None
+
+    @property
+    def usual(self) -> tuple[float, float] | None:
+        """Between which the rms is in 95 % of recordings where the statement is true (chi square); None where that is not known."""
+        if self.expected_rms is None or self.degrees_of_freedom is None:
+            return None
+        low, high = self.expected_rms * np.sqrt(chi2.ppf([0.025, 0.975], self.degrees_of_freedom) / self.degrees_of_freedom)
+        return float(low), float(high)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +112,9 @@ class Transfer(AsJson):
             for e in self.effects
         ]
         if n := self.normalised_error:
-            out.append(f"  error over stated uncertainty: {n.rms:.2f} rms, {n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3")
+            usual = " ({:.2f} to {:.2f} where it is true)".format(*n.usual) if n.usual else ""
+            rest = f"{n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3"
+            out.append(f"  error over stated uncertainty: {n.rms:.2f} rms{usual}, {rest}")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
     def _compared(self, figure: str, shown: Callable[[float], str]) -> str:
@@ -275,15 +291,48 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
     C = np.diag([0.0] * len(shared) + [variance[names[j]] for j in drawn])
     C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
-    A = A.reshape(len(A) // 3, 3, len(C))  # of a hand-eye transform alone C is empty
-    covariance = A @ C @ np.swapaxes(A, 1, 2)
-    joint = lineariser.rows.unpad(linear.J)[:, :3] * cell.noise.joint
-    covariance += joint @ np.swapaxes(joint, 1, 2)
-    covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
     assert width >= 3
-    r = residual[rows, :3]
-    error = np.sqrt(np.einsum("mi,mij,mj->m", r, np.linalg.inv(covariance), r) / 3)[used[rows]]
-    return NormalisedError(float(np.sqrt(np.mean(error**2))), float(np.quantile(error, 0.95)), float(np.mean(error < 3)))
+    kept = used[rows]
+    A = A.reshape(len(A) // 3, 3, len(C))[kept] @ _root(C)  # of a hand-eye transform alone C is empty
+    joint = (lineariser.rows.unpad(linear.J)[:, :3] * cell.noise.joint)[kept]
+    covariance = A @ np.swapaxes(A, 1, 2) + joint @ np.swapaxes(joint, 1, 2)
+    covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    error = np.sqrt(np.mean((whiten @ residual[rows, :3][kept][..., None])[..., 0] ** 2, axis=1))
+    return NormalisedError(
+        rms=float(np.sqrt(np.mean(error**2))),
+        quantile_95=float(np.quantile(error, 0.95)),
+        share_below_3=float(np.mean(error < 3)),
+        expected_rms=float(np.sqrt(max(1 - fitted.fit.rank / (3 * used.sum()), 0.0))),
+        degrees_of_freedom=_degrees_of_freedom(whiten @ A, whiten @ joint, whiten * cell.noise.point, some.pose[kept]),
+    )
+
+
+def _root(C: np.ndarray) -> np.ndarray:
+    """A square root of a covariance (g, g) of any rank: C = root root'. Units differ, so that it is taken of correlations."""
+    deviation = np.sqrt(np.diag(C))
+    scale = np.where(deviation > 0, deviation, 1.0)
+    size, directions = np.linalg.eigh(C / np.outer(scale, scale))
+    return deviation[:, None] * directions * np.sqrt(np.maximum(size, 0.0))
+
+
+def _degrees_of_freedom(learnt: np.ndarray, joint: np.ndarray, point: np.ndarray, pose: np.ndarray) -> float:
+    """Degrees of freedom of a sum of squares of correlated normalised errors (Satterthwaite): tr(S)^2 / tr(S^2) of their covariance S.
+
+    learnt (m, 3, g), joint (m, 3, n), point (m, 3, 3): factors of the three parts of S; what was learnt is shared by all centres, joint
+    noise by those of a pose (m,), noise of points by none.
+    """
+    of_pose = [np.flatnonzero(pose == p) for p in np.unique(pose)]
+    shared = learnt.reshape(-1, learnt.shape[2])
+    squares = np.sum((shared.T @ shared) ** 2)
+    for rows in of_pose:
+        B, J = (part[rows].reshape(3 * len(rows), -1) for part in (learnt, joint))
+        within = B @ B.T
+        whole = within + J @ J.T
+        for k, block in enumerate(point[rows] @ np.swapaxes(point[rows], 1, 2)):
+            whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += block
+        squares += np.sum(whole**2) - np.sum(within**2)
+    return float((3 * len(pose)) ** 2 / squares)
 
 
 def _without_stations(X: np.ndarray, moved: np.ndarray, station: np.ndarray, split: int) -> tuple[np.ndarray, np.ndarray]:

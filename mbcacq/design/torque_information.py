@@ -64,7 +64,7 @@ class TorqueInformation:
         nothing = np.zeros(len(group.joints))
         for candidate in catalogue.motion_candidates(group, runs):
             if candidate.usual and not candidate.extends:
-                hyper = None if candidate.hyper is None else float(candidate.hyper[len(candidate.hyper) // 2])
+                hyper = None if candidate.hyper is None else float(candidate.hyper.values[len(candidate.hyper.values) // 2])
                 model.selected.append(SelectedEffect(Variant(candidate, hyper, model.add(candidate, hyper)), 0.0, nothing, nothing))
         chosen = model.chosen()
         weights = model.weights(chosen)

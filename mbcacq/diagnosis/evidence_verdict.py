@@ -9,13 +9,14 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis, undecided
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
 from mbcacq.diagnosis.result import TOGETHER, Alternative, EffectFound, NotSeparable
+from mbcacq.effects.effect_term import UNKNOWN
 
 
 def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
@@ -47,16 +48,16 @@ def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[Ef
     out = []
     for effect in effects:
         found: dict[str, float] = {}
-        for where in effect.where if effect.name != UNMODELLED else effect.where[:1]:
+        for where in effect.where if effect.name != UNKNOWN else effect.where[:1]:
             for label in labels_of(reported, effect.name, where):
                 for other in alternatives_of(fit, reported, label):
                     found[other.label] = max(other.odds, found.get(other.label, 0.0))
         best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
         ranked = [alternative(label, odds) for label, odds in best]
-        if full.everywhere and effect.name == UNMODELLED:
+        if full.everywhere and effect.name == UNKNOWN:
             first, *others = full.cells
             odds_of = [(c.location, float(np.exp(c.log_bayes_factor - first.log_bayes_factor))) for c in others[: OPTIONS.beam]]
-            ranked = [Alternative(UNMODELLED, (at,), 0.0, odds) for at, odds in odds_of]
+            ranked = [Alternative(UNKNOWN, (at,), 0.0, odds) for at, odds in odds_of]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return out
 
@@ -100,7 +101,7 @@ def alternatives_to(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
 def _describes_the_same(reported: Hypothesis, other: Hypothesis) -> bool:
     ours, theirs = reported.labels - other.labels, other.labels - reported.labels
     places = [{label.partition(":")[2] for label in labels} for labels in (ours, theirs)]
-    if places[0] != places[1] or any(label.partition(":")[0] != UNMODELLED for label in theirs):
+    if places[0] != places[1] or any(label.partition(":")[0] != UNKNOWN for label in theirs):
         return False
     return bool(np.isclose(correlation(displaced(reported, reported, ours), displaced(reported, other, theirs)), 1.0))
 
@@ -123,6 +124,6 @@ def sized(hypothesis: Hypothesis, labels: frozenset[str]) -> SizedEffect | None:
     """The first catalogued effect of these labels with its coefficients."""
     found = coefficients(hypothesis)
     for m, p in zip(hypothesis.members, found.slices, strict=True):
-        if m.label in labels and m.candidate.name != UNMODELLED:
+        if m.label in labels and m.candidate.name != UNKNOWN:
             return SizedEffect(m.candidate, m.hyper, found.mean[p])
     return None

@@ -18,7 +18,7 @@ from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
 from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, ParameterEstimate, Parameters
-from mbcacq.effects.functions import Column, DescribedPart, Function, Product
+from mbcacq.effects.functions import of, times
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
@@ -128,9 +128,8 @@ def differing(candidates: Sequence[Candidate], obs: Observations) -> list[Candid
 def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
     """The candidate with one coefficient for each recording."""
     count = obs.n_recordings
-    here = [Function(RECORDING, "is", (float(r),)) for r in range(count)]
-    written = [p for p in candidate.parts() if isinstance(p, DescribedPart)]
-    parts = [replace(p, columns=tuple(_times(p.columns[0], one) for one in here)) for p in written]
+    here = [of(RECORDING, "is", r) for r in range(count)]
+    parts = [replace(p, columns=tuple(times(one, p.columns[0]) for one in here)) for p in candidate.parts()]
 
     def report(c: np.ndarray, v: np.ndarray, hyper: float | None) -> Parameters:
         each = [candidate.report(c[r : r + 1], v[r : r + 1, r : r + 1], hyper) for r in range(count)]
@@ -141,10 +140,6 @@ def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
 
     typical = np.repeat(candidate.typical, count)
     return replace(candidate, described=parts, report=report, typical=typical, positive=False, variant=EACH_RECORDING)
-
-
-def _times(column: Column, function: Function) -> Column:
-    return tuple(Product(p.factor, (function, *p.functions)) for p in column)
 
 
 def _first(value: float | tuple[float, ...]) -> float:

@@ -54,7 +54,7 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
     found = effects_by_contribution(full, contributions, proof)
     effects, mismatch = with_alternatives(full, found), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
-    model = kept_model(setup, full, effects) or None
+    model = kept_model(full, effects) or None
     return JudgedFit(
         full=full,
         proof=proof,

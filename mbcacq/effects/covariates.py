@@ -15,16 +15,20 @@ import numpy as np
 
 from mbcacq.effects.artefact_normals import artefact_normals
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.functions import INCIDENCE
+from mbcacq.effects.functions import INCIDENCE, SIGHT
 from mbcacq.geometry import gravity
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
 RECORDING = "recording"  # number of the recording, of several of one arm
 LEAN = ("lean_x", "lean_y", "lean_z")
-TILT = "tilt"  # of the artefact against the scanner's axis, by which what depends on LEAN is reported
+TILT = "tilt"  # of the artefact against the scanner's axis, by which what depends on LEAN or AXIS is reported
+AXIS = ("axis_x", "axis_y", "axis_z")  # of the artefact (its z), in the scanner's axes, where the geometry was fitted
+UNSTATED = (RECORDING, *AXIS)  # no other recording has them
 OF_RECORDING = ("time", "pose", "station", RECORDING)  # they have no meaning in another recording
-_INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|gravity_torque_)([1-9][0-9]*)$")
+_INDEXED = re.compile(r"^(q|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_)([1-9][0-9]*)$")
+LEAST_TRAVEL = 0.002  # rad, over less of which nothing that a motion leaves behind fades
+FAR = 1e3  # rad of travel, beyond any over which something fades
 _MOMENT = re.compile(r"^gravity_moment_([0-9]+)_([xyz])$")
 _DIRECTION = re.compile(r"^gravity_direction_([0-9]+)_([xyz])$")
 _PAYLOAD_TORQUE = re.compile(r"^payload_torque_([1-9][0-9]*)_(mass|x|y|z)$")
@@ -161,8 +165,29 @@ class Covariates:
         """
         if self.scanner_on_flange or self.obs.rotation is None:
             raise Missing("no orientation of a target measured")
-        line = self.obs.xyz / np.maximum(np.linalg.norm(self.obs.xyz, axis=1, keepdims=True), 1e-9)
-        return np.einsum("mji,mj->mi", self.obs.rotation, line)
+        return np.einsum("mji,mj->mi", self.obs.rotation, self.sight)
+
+    @cached_property
+    def sight(self) -> np.ndarray:
+        """(M, 3) direction from the instrument to each measured point, in the instrument's axes."""
+        return self.obs.xyz / np.maximum(np.linalg.norm(self.obs.xyz, axis=1, keepdims=True), 1e-9)
+
+    @cached_property
+    def last_motions(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P, n) rad of each joint's last motion before the pose, and (P, n) its direction of rotation; the first pose came from far away.
+
+        Lost motion fades with it where grease, wind-up or a pre-sliding regime let it. Raises Missing where no directions are recorded.
+        """
+        if self.obs.direction is None:
+            raise Missing("no direction recorded")
+        listed = np.argsort(self.order, kind="stable")
+        q, direction = self.obs.q[listed], self.obs.direction[listed].astype(float)
+        travel = np.full(q.shape, FAR)
+        travel[1:] = np.abs(np.diff(q, axis=0))
+        last = np.maximum.accumulate(np.where(travel > LEAST_TRAVEL, np.arange(len(q))[:, None], 0), axis=0)
+        out = np.empty(q.shape), np.empty(q.shape)
+        out[0][listed], out[1][listed] = np.take_along_axis(travel, last, axis=0), np.take_along_axis(direction, last, axis=0)
+        return out
 
     def value(self, name: str) -> np.ndarray:
         """A covariate by its name: (P,), or (M,) of those in OF_CENTRES. Raises Missing where the recording lacks it."""
@@ -179,18 +204,21 @@ class Covariates:
             return plain[name]()
         if name in ("x", "y", "z"):
             return obs.xyz[:, "xyz".index(name)]
-        if name in INCIDENCE:
-            return self.incidence[:, INCIDENCE.index(name)]
-        if name in LEAN and self.scanner_on_flange:
-            return self.lean[:, LEAN.index(name)]
         if name in obs.temperatures:
             return np.asarray(obs.temperatures[name], dtype=float)
-        found = self._of_joint(name)
-        if found is None:
-            found = self._of_gravity(name)
-        if found is None:
-            raise Missing(f"no {name} recorded")
-        return found
+        for of_kind in (self._of_joint, self._of_gravity, self._of_direction):
+            found = of_kind(name)
+            if found is not None:
+                return found
+        raise Missing(f"no {name} recorded")
+
+    def _of_direction(self, name: str) -> np.ndarray | None:
+        """Components of what an instrument sees an artefact, a target or a point from; None for another name."""
+        if name in INCIDENCE:
+            return self.incidence[:, INCIDENCE.index(name)]
+        if name in SIGHT and not self.scanner_on_flange:
+            return self.sight[:, SIGHT.index(name)]
+        return self.lean[:, LEAN.index(name)] if name in LEAN and self.scanner_on_flange else None
 
     @property
     def _recording(self) -> np.ndarray:
@@ -210,6 +238,8 @@ class Covariates:
             "tau": lambda: self.obs.torque,
             "direction_": lambda: self.obs.direction,
             "movement_": lambda: self.obs.movement,
+            "travel_": lambda: self.last_motions[0],
+            "travel_direction_": lambda: self.last_motions[1],
             "gravity_torque_": lambda: self.gravity_torque,
         }
         values = recorded[kind]()

@@ -7,14 +7,34 @@ from functools import cache
 
 import numpy as np
 
-from mbcacq.effects.covariates import RECORDING, Covariates
-from mbcacq.effects.effect import Candidate, Written
-from mbcacq.effects.functions import OF_CENTRES, DescribedPart, Values, evaluate
+from mbcacq.effects.covariates import UNSTATED, Covariates
+from mbcacq.effects.effect import Candidate
+from mbcacq.effects.functions import OF_CENTRES, Column, DescribedPart, Values, evaluate
 from mbcacq.estimation.terms import PER_POSE, Part
 
 
-def evaluated(covariates: Covariates, parts: Sequence[Written], value: Values | None = None) -> list[Part]:
-    """The parts with their basis at the poses, or centres, of a recording; those that have their basis already stay as they are.
+class Evaluation:
+    """Columns evaluated at the poses, or the centres, of a recording; what several columns have in common is computed once.
+
+    value: name of a covariate -> its values, where they are not those of the recording.
+    """
+
+    def __init__(self, covariates: Covariates, value: Values | None = None):
+        self.obs, self.value = covariates.obs, value or cache(covariates.value)
+        self._known: dict[bool, dict[int, np.ndarray]] = {True: {}, False: {}}
+
+    def __call__(self, columns: Sequence[Column], per_pose: bool) -> np.ndarray:
+        """(P, k) at the poses, or (M, k) at the centres. Raises Missing where the recording lacks a covariate."""
+        values, rows = (self.value, self.obs.n_poses) if per_pose else (self.at_centres, self.obs.n_centres)
+        return evaluate(columns, values, rows, self._known[per_pose])
+
+    def at_centres(self, name: str) -> np.ndarray:
+        """(M,) values of a covariate."""
+        return self.value(name) if name in OF_CENTRES else self.value(name)[self.obs.pose]
+
+
+def evaluated(covariates: Covariates, parts: Sequence[DescribedPart], value: Values | None = None) -> list[Part]:
+    """The parts with their basis at the poses, or centres, of a recording.
 
     Parameters
     ----------
@@ -30,17 +50,8 @@ def evaluated(covariates: Covariates, parts: Sequence[Written], value: Values | 
     Missing
         If the recording lacks a covariate.
     """
-    obs, value = covariates.obs, value or cache(covariates.value)
-
-    def at_centres(name: str) -> np.ndarray:
-        return value(name) if name in OF_CENTRES else value(name)[obs.pose]
-
-    def basis(part: DescribedPart) -> np.ndarray:
-        if part.place in PER_POSE:
-            return evaluate(part.columns, value, obs.n_poses)
-        return evaluate(part.columns, at_centres, obs.n_centres)
-
-    return [p if isinstance(p, Part) else Part(p.place, p.index, p.component, basis(p)) for p in parts]
+    basis = Evaluation(covariates, value)
+    return [Part(p.place, p.index, p.component, basis(p.columns, p.place in PER_POSE)) for p in parts]
 
 
 def parts_of(candidate: Candidate, here: Covariates, hyper: float | None = None) -> list[Part]:
@@ -54,5 +65,5 @@ def functions_of(candidate: Candidate, here: Covariates, values: np.ndarray) -> 
 
 
 def can_be_kept(candidate: Candidate, hyper: float | None = None) -> bool:
-    """Whether an effect means the same in another recording: it is written down, and does not tell several recordings apart."""
-    return all(isinstance(p, DescribedPart) and RECORDING not in p.covariates for p in candidate.parts(hyper))
+    """Whether an effect means the same in another recording: it does not tell several recordings apart, nor follow a fitted geometry."""
+    return all(p.covariates.isdisjoint(UNSTATED) for p in candidate.parts(hyper))

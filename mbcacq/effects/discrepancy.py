@@ -16,8 +16,8 @@ import numpy as np
 
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.effect_term import SMOOTH, UNKNOWN, EffectTerm, key_of, learnt_ranges
-from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine
+from mbcacq.effects.effect_term import SMOOTH, EffectTerm
+from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine, times
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ def pairs(here: Covariates) -> list[EffectTerm]:
     moving = _moving(here)
     out = []
     for a, b in combinations(moving, 2):
-        columns = tuple(_product(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
+        columns = tuple(times(x, y) for x in _first(f"q{a + 1}") for y in _first(f"q{b + 1}"))
         sigma = np.full(len(columns), OPTIONS.start_rad / 3)
         out += [_term(here, j, f"q{a + 1}*q{b + 1}", columns, sigma) for j in moving]
     return out
@@ -150,10 +150,6 @@ def _first(name: str) -> Iterator[Column]:
     yield cosine(name, 1)
 
 
-def _product(left: Column, right: Column) -> Column:
-    return tuple(Product(a.factor * b.factor, (*a.functions, *b.functions)) for a in left for b in right)
-
-
 def _term(
     here: Covariates,
     j: int,
@@ -163,25 +159,5 @@ def _term(
     variant: str = SMOOTH,
     clamped: tuple[str, ...] = (),
 ) -> EffectTerm:
-    where, k = f"A{j + 1}", len(columns)
-    label = key_of(UNKNOWN, (where,), depends_on, variant, {})
     parts = (DescribedPart("joint", j, 0, tuple(columns)),)
-    names = tuple(f"{label}[{i}]" for i in range(k))
-    none = np.zeros(k)
-    ranges = learnt_ranges(here, parts)
-    return EffectTerm(
-        name=UNKNOWN,
-        where=(where,),
-        depends_on=depends_on,
-        parts=parts,
-        names=names,
-        units=("rad",) * k,
-        coefficients=none,
-        std=none,
-        sigma=sigma,
-        typical=sigma,
-        variant=variant,
-        hyper={},
-        ranges=ranges,
-        clamped=clamped,
-    )
+    return EffectTerm.of_group(here, (f"A{j + 1}",), depends_on, parts, sigma, ("rad",) * len(columns), variant=variant, clamped=clamped)

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from mbcacq.effects.functions import OF_CENTRES, ZERO, Column, DescribedPart
-from mbcacq.estimation.terms import Part
 from mbcacq.model.json_text import Number
 from mbcacq.quantities import K, measured, split_unit
 
@@ -32,7 +31,6 @@ __all__ = [
     "ORDER",
     "ParameterEstimate",
     "Parameters",
-    "Part",
     "number",
     "parameter_in_words",
     "plain_effect",
@@ -57,9 +55,10 @@ class Missing(Exception):
 class Hyperparameter:
     """A bounded parameter in which an effect is not linear.
 
-    values: to try first, (H,). independent: the number of statistically independent choices among all values. refine: whether the best
-    of the values is a start for a continuous search. preferred: values that are more probable beforehand than all others. kind: MOMENT,
-    ORDER, BREAKPOINT or FADING, empty for any other.
+    name: under which it is reported, empty where it is not. values: to try first, (H,). independent: the number of statistically
+    independent choices among all values. refine: whether the best of the values is a start for a continuous search. preferred: values that
+    are more probable beforehand than all others. kind: MOMENT, ORDER, BREAKPOINT or FADING, empty for any other. from_none: the first
+    value stands for no such effect at all, and is no bound of what was tried.
     """
 
     name: str
@@ -68,6 +67,7 @@ class Hyperparameter:
     refine: bool = True
     preferred: tuple[float, ...] = ()
     kind: str = ""
+    from_none: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,7 @@ def parameter_in_words(name: str, estimate: ParameterEstimate) -> str:
 
 Parameters = Mapping[str, ParameterEstimate]
 Report = Callable[[np.ndarray, np.ndarray, float | None], Parameters]
-Written = DescribedPart | Part
-Described = Sequence[Written] | Callable[[Any], Sequence[Written]]
+Described = Sequence[DescribedPart] | Callable[[Any], Sequence[DescribedPart]]
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ class Candidate:
         """Identifies the candidate among all of a recording."""
         return f"{self.name}:{'+'.join(self.where)}:{self.depends_on}:{self.variant}"
 
-    def parts(self, hyper: Any = None) -> tuple[Written, ...]:
+    def parts(self, hyper: Any = None) -> tuple[DescribedPart, ...]:
         """The parts at a value of the hyper-parameter, or at an array (H, 1) of values."""
         return tuple(self.described(hyper) if callable(self.described) else self.described)
 
@@ -165,7 +164,7 @@ class Candidate:
         """
         if self.hyper is None:
             return ()
-        parts = [p for p in self.parts(float(self.hyper.values[0])) if isinstance(p, DescribedPart)]
+        parts = self.parts(float(self.hyper.values[0]))
         f = self.k // max(len(parts), 1)
         if not parts or f * len(parts) != self.k or any(p.covariates & set(OF_CENTRES) for p in parts):
             return ()
@@ -176,7 +175,6 @@ class Candidate:
     def functions(self, values: np.ndarray) -> tuple[Column, ...]:
         """The functions by which each component of an effect with ``components`` is multiplied, at values (H,) of the hyper-parameter."""
         (first, *_) = self.parts(values[:, None])
-        assert isinstance(first, DescribedPart), "only effects that are written down have components"
         return first.columns[: self.k // len(self.components)]
 
     @property

@@ -24,7 +24,9 @@ from mbcacq.model.json_text import Limits, Number, first_fault, from_fields
 FORMAT = "mbcacq-effect-model/1"
 
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
-_OF_JOINT = re.compile(r"^(?:q|qd|tau|direction_|movement_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$")
+_OF_JOINT = re.compile(
+    r"^(?:q|qd|tau|direction_|movement_|travel_|travel_direction_|gravity_torque_|payload_torque_)([0-9]+)(?:_(?:mass|x|y|z))?$"
+)
 _OF_FRAME = re.compile(r"^gravity_(?:moment|direction)_([0-9]+)_[xyz]$")
 Three = tuple[Number, Number, Number]
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, FiniteFloat
@@ -13,13 +13,14 @@ from pydantic import Field, FiniteFloat
 from mbcacq.effects.covariates import OF_RECORDING, Covariates
 from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect import Missing
-from mbcacq.effects.functions import OF_CENTRES, DescribedPart
+from mbcacq.effects.functions import OF_CENTRES, REPEATING, DescribedPart
 from mbcacq.estimation.terms import PER_POSE, Part, Term, term
 from mbcacq.model.json_text import EveryKey, InJson, Number, Vector, as_list
 from mbcacq.model.observations import Observations
 
 UNKNOWN = "unknown"
 MOVEMENT = "movement_"
+TRAVEL = "travel_"  # covariates of a joint's last motion
 STANDSTILL = ("qd", "direction_", MOVEMENT)  # covariates that are zero where nothing is recorded of them
 GAP = np.radians(5.0)  # between visited angles from which the angles between count as not visited
 MARGIN = 0.02  # of a range, by which a value may leave it
@@ -32,21 +33,24 @@ COMMON_PATTERN = "common pattern"  # variant of what several joints share: each 
 
 @dataclass(frozen=True)
 class LearntRange:
-    """Values of a covariate in the recording learnt from: intervals that were visited (of an angle, modulo a turn), and the mean."""
+    """Values of a covariate in the recording learnt from: intervals that were visited, and the mean. Those of an angle are modulo a turn,
+    unless turns count (``counts_turns``), since a function of it does not repeat.
+    """
 
     intervals: Annotated[tuple[tuple[FiniteFloat, FiniteFloat], ...], Field(min_length=1)]
     mean: FiniteFloat
+    counts_turns: bool = False
 
     @classmethod
-    def of(cls, name: str, values: np.ndarray) -> LearntRange:
+    def of(cls, name: str, values: np.ndarray, counts_turns: bool) -> LearntRange:
         """The range of values (k,)."""
         mean = float(np.mean(values))
         if not is_angle(name):
             return cls(((float(np.min(values)), float(np.max(values))),), mean)
-        turned = np.sort(np.mod(values, 2 * np.pi))
-        ends = np.flatnonzero(np.diff(turned) > GAP)
-        begin, end = np.r_[turned[0], turned[ends + 1]], np.r_[turned[ends], turned[-1]]
-        return cls(tuple((float(a), float(b)) for a, b in zip(begin, end, strict=True)), mean)
+        visited = np.sort(values if counts_turns else np.mod(values, 2 * np.pi))
+        ends = np.flatnonzero(np.diff(visited) > GAP)
+        begin, end = np.r_[visited[0], visited[ends + 1]], np.r_[visited[ends], visited[-1]]
+        return cls(tuple((float(a), float(b)) for a, b in zip(begin, end, strict=True)), mean, counts_turns)
 
     @property
     def low(self) -> float:
@@ -63,11 +67,12 @@ class LearntRange:
     def beyond(self, name: str, values: np.ndarray) -> np.ndarray:
         """(k,) distance of values from the nearest interval, less the margin that is taken to belong to it."""
         angle = is_angle(name)
-        x = np.mod(values, 2 * np.pi) if angle else np.asarray(values, dtype=float)
+        repeats = angle and not self.counts_turns
+        x = np.mod(values, 2 * np.pi) if repeats else np.asarray(values, dtype=float)
         margin = GAP if angle else MARGIN * (self.high - self.low) + 1e-12
         distance = np.full(np.shape(x), np.inf)
         for low, high in self.intervals:
-            for turn in (-2 * np.pi, 0.0, 2 * np.pi) if angle else (0.0,):
+            for turn in (-2 * np.pi, 0.0, 2 * np.pi) if repeats else (0.0,):
                 distance = np.minimum(distance, np.maximum(np.maximum(low + turn - x, x - high - turn), 0.0))
         return np.maximum(distance - margin, 0.0)
 
@@ -159,6 +164,36 @@ class EffectTerm(EveryKey):
     ranges: Mapping[str, LearntRange] = field(default_factory=dict)
     clamped: tuple[str, ...] = ()
     held: bool = False
+
+    @classmethod
+    def of_group(
+        cls,
+        here: Covariates,
+        where: tuple[str, ...],
+        depends_on: str,
+        parts: Sequence[DescribedPart],
+        sigma: np.ndarray,
+        units: tuple[str, ...],
+        variant: str = "",
+        **fields: Any,
+    ) -> EffectTerm:
+        """A group of basis functions of which the recording has not said anything yet. sigma: (k,) prior; fields: clamped, hyper."""
+        label, nothing = key_of(UNKNOWN, where, depends_on, variant, {}), np.zeros(len(sigma))
+        return cls(
+            name=UNKNOWN,
+            where=where,
+            depends_on=depends_on,
+            parts=tuple(parts),
+            names=tuple(f"{label}[{j}]" for j in range(len(sigma))),
+            units=units,
+            coefficients=nothing,
+            std=nothing,
+            sigma=np.asarray(sigma, dtype=float),
+            typical=np.asarray(sigma, dtype=float),
+            variant=variant,
+            ranges=learnt_ranges(here, parts),
+            **fields,
+        )
 
     @property
     def k(self) -> int:
@@ -281,8 +316,10 @@ def key_of(name: str, where: Iterable[str], depends_on: str, variant: str, hyper
 
 def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str, LearntRange]:
     """The range of every covariate of some parts in a recording; without those that have a meaning there alone."""
-    names = frozenset().union(*(part.covariates for part in parts)) - {*OF_RECORDING, "ball"}
-    return {name: LearntRange.of(name, here.value(name)) for name in sorted(names) if not name.startswith(MOVEMENT)}
+    functions = [f for part in parts for column in part.columns for product in column for f in product.functions]
+    counting_turns = {f.covariate for f in functions if f.kind not in REPEATING}
+    names = {f.covariate for f in functions if not f.covariate.startswith((MOVEMENT, TRAVEL))} - {*OF_RECORDING, "ball"}
+    return {name: LearntRange.of(name, here.value(name), name in counting_turns) for name in sorted(names)}
 
 
 def _times(part: Part, factor: np.ndarray) -> Part:

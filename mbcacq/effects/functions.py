@@ -6,7 +6,7 @@ stand in JSON as they stand here; ``docs/reference/effect-model.md`` evaluates t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -17,7 +17,8 @@ from mbcacq.model.json_text import EveryKey, InJson
 
 Values = Callable[[str], np.ndarray]  # name of a covariate -> its values, one a row
 INCIDENCE = ("incidence_x", "incidence_y", "incidence_z")
-OF_CENTRES = ("x", "y", "z", "ball", *INCIDENCE)  # covariates with a value for each centre; all others have one for each pose
+SIGHT = ("sight_x", "sight_y", "sight_z")
+OF_CENTRES = ("x", "y", "z", "ball", *INCIDENCE, *SIGHT)  # covariates with a value for each centre; all others have one for each pose
 
 # Name of a function -> its value for a covariate x and its numbers.
 FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
@@ -26,6 +27,8 @@ FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
     "cos": lambda x, order: np.cos(order * x),
     "sign": lambda x: np.sign(x),
     "tanh": lambda x, width: np.tanh(x / width),
+    "sigmoid": lambda x, at, width: np.tanh((x - at) / width),
+    "distance": lambda x, at: np.abs(x - at),
     "clip": lambda x, at: np.clip(x, -at, at),
     "lever": lambda x, at, ratio: np.sin(x - at) / np.sqrt(1 + ratio**2 - 2 * ratio * np.cos(x - at)),
     "stretch": lambda x, at, ratio: (np.sqrt(1 + ratio**2 - 2 * ratio * np.cos(x - at)) - (1 - ratio)) / (2 * ratio),
@@ -34,6 +37,7 @@ FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
     "cosine": lambda x, low, high, k: np.cos(np.pi * k * (x - low) / (high - low)),
     "is": lambda x, value: (x == value).astype(float),
 }
+REPEATING = ("sin", "cos", "lever", "stretch")  # functions of an angle to which a full turn is the same place
 
 
 def _written(value: Any) -> Any:
@@ -135,15 +139,40 @@ def scaled(column: Column, factor: float) -> Column:
     return tuple(Product(factor * product.factor, product.functions) for product in column)
 
 
-def evaluate(columns: tuple[Column, ...], values: Values, rows: int) -> np.ndarray:
-    """(rows, k) values of the columns; (H, rows, k) of columns whose numbers or factors are arrays (H, 1)."""
-    out = []
+def times(*columns: Column) -> Column:
+    """The product of columns."""
+    first, *others = columns
+    for other in others:
+        first = tuple(Product(p.factor * q.factor, (*p.functions, *q.functions)) for p in first for q in other)
+    return first
+
+
+def standardized(column: Column, mean: float, spread: float) -> Column:
+    """(column - mean) / spread."""
+    return (*scaled(column, 1 / spread), Product(-mean / spread))
+
+
+def evaluate(columns: Sequence[Column], values: Values, rows: int, known: dict[int, np.ndarray] | None = None) -> np.ndarray:
+    """(rows, k) values of the columns; (H, rows, k) of columns whose numbers or factors are arrays (H, 1).
+
+    known: values of the functions of products that stand in several columns, by identity; those of another call for the same values.
+    """
+    known = {} if known is None else known
+    out: list[Any] = [np.zeros(rows)]
     for column in columns:
-        total = np.zeros(rows)
-        for product in column:
-            value = product.factor * np.ones(rows)
-            for function in product.functions:
-                value = value * function(values)
-            total = total + value
-        out.append(total)
-    return np.stack(np.broadcast_arrays(*out), axis=-1) if out else np.zeros((rows, 0))
+        products = [product.factor * _of_functions(product.functions, values, known) for product in column]
+        out.append(sum(products[1:], products[0]) if products else 0.0)
+    return np.stack(np.broadcast_arrays(*out)[1:], axis=-1) if columns else np.zeros((rows, 0))
+
+
+def _of_functions(functions: tuple[Function, ...], values: Values, known: dict[int, np.ndarray]) -> np.ndarray | float:
+    """The product of functions, computed once for all columns that have the same tuple of them."""
+    if not functions:
+        return 1.0
+    if id(functions) not in known:
+        first, *others = functions
+        value = first(values)
+        for function in others:
+            value = value * function(values)
+        known[id(functions)] = value
+    return known[id(functions)]

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
-from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.effect import Hyperparameter, ParameterEstimate
 from mbcacq.model.cell import RobotModel
 
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
@@ -84,13 +83,11 @@ Report = Callable[[np.ndarray, np.ndarray, float | None, float], Parameters]
 class MotionCandidate:
     """columns(run, joint, hyper) -> (T, k), with the same k coefficients for all of ``joints``.
 
-    report(coefficients (k,), covariance (k, k), hyper, its standard deviation) -> parameters. hyper: values to try, or None.
-    positive: physics demands a positive first coefficient. trials: number of independent hyper values that share the prior.
+    report(coefficients (k,), covariance (k, k), hyper, its standard deviation) -> parameters. hyper: as of a candidate of poses; with
+    ``refine`` it is estimated with the coefficients, and at the first or last of its values it is a bound of what was tried, no estimate.
+    positive: physics demands a positive first coefficient.
     extends: a refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
-    hyper_parameter: name of the reported parameter that is the hyper-parameter; at the first or last value of ``hyper`` it is a bound of
-    what was tried, no estimate. no_lower_bound: the first value stands for none at all.
-    form: distinguishes several forms of one effect at one location.
-    continuous: the hyper-parameter is continuous and is estimated with the coefficients. shares_hyper: it is that of the effect extended.
+    shares_hyper: its hyper-parameter is that of the effect extended. variant: distinguishes several forms of one effect at one location.
     channel_delay: the hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the
     remaining delay.
     follows_load: its columns follow the load, which is known better the further the torque is explained.
@@ -106,21 +103,17 @@ class MotionCandidate:
     joints: tuple[int, ...]
     columns: Columns
     report: Report
-    hyper: np.ndarray | None = None
+    hyper: Hyperparameter | None = None
     positive: bool = False
-    trials: float = 1.0
     extends: bool = False
-    continuous: bool = True
     shares_hyper: bool = False
     sigma: float | tuple[float, ...] = np.inf
     channel_delay: bool = False
     follows_load: bool = False
-    form: str = ""
+    variant: str = ""
     usual: bool = False
     tested: int | None = None
     load_parameters: tuple[tuple[str, float], ...] = ()
-    hyper_parameter: str = ""
-    no_lower_bound: bool = False
 
     @property
     def location(self) -> tuple[str, tuple[str, ...]]:
@@ -168,6 +161,8 @@ def low_pass(signal: np.ndarray, time_constant_s: float, step_s: float) -> np.nd
         return signal
     finer = FILTER_OVERSAMPLING if time_constant_s < SHORT_TIME_CONSTANT * step_s else 1
     if finer > 1:
+        from scipy.interpolate import CubicSpline  # takes a fifth of a second, which most commands do not need
+
         time = np.arange(len(signal))
         signal = CubicSpline(time, signal)(np.arange((len(signal) - 1) * finer + 1) / finer)
         # A chord lies above a curve by a twelfth of its second difference, on average.

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.declaration import PeriodicInMotion
+from mbcacq.effects.effect import Hyperparameter
 from mbcacq.effects.motion_effect import Columns, MotionCandidate, MotionSignals, Parameters, Report
 
 HIGHEST_ORDER = 1500.0  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
@@ -40,9 +41,8 @@ def periodic_component(
         (joint,),
         _columns(observed),
         _report(f"A{joint + 1}", declared.amplitude, declared.scale),
-        hyper=order + spacing * np.array([-0.5, 0.0, 0.5]),
-        trials=trials,
-        form=f"{order:.4g}",
+        Hyperparameter("", order + spacing * np.array([-0.5, 0.0, 0.5]), trials),
+        variant=f"{order:.4g}",
     )
 
 

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.effects.covariates import LEAN, TILT, Covariates
-from mbcacq.effects.effect import Candidate
-from mbcacq.effects.effect_term import COMMON_PATTERN, UNKNOWN, EffectTerm, is_angle, learnt_ranges
-from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Function, Product, cosine, linear, of, of_second_degree, sine
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.effect_term import COMMON_PATTERN, GIVES_WAY, EffectTerm, is_angle
+from mbcacq.effects.functions import INCIDENCE, Column, DescribedPart, Product, cosine, linear, of, of_second_degree, sine
 
 DEVIATION = "deviation"
 
@@ -43,11 +42,6 @@ class UnmodelledOptions:
 
 
 OPTIONS = UnmodelledOptions()
-# Covariates that are a direction: its components, the prior sigma of each function of them in mm or mrad, and which are clamped.
-DIRECTIONS: dict[str, tuple[tuple[str, str, str], float, tuple[str, ...]]] = {
-    "incidence": (INCIDENCE, 1e3 * OPTIONS.orientation_rad, ()),
-    TILT: (LEAN, 1.0, LEAN),
-}
 
 
 def order_weight(order: np.ndarray) -> np.ndarray:
@@ -56,14 +50,16 @@ def order_weight(order: np.ndarray) -> np.ndarray:
 
 
 def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
-    """The group at a location (A1.., link1.., base, mount, scanner, target, the only station) by a covariate; None where there is none."""
+    """The group at a location (A1.., link1.., base, mount, target, the only station) by a covariate: the angle of a joint, its movement
+    from the pose before, a gravity torque, the order of the poses, the incidence on the target. None where there is none.
+    """
     keys = keys_of(here, location)
     if not keys:
         return None
     if covariate.startswith("gravity_torque_"):
         return _by_gravity(here, location, covariate, keys)
-    columns, weight, clamped = _functions(here, location, covariate)
-    return _grown(here, location, covariate, keys, columns, weight, clamped) if columns else None
+    columns, weight = _functions(here, location, covariate)
+    return _grown(here, location, covariate, keys, columns, weight) if columns else None
 
 
 def everywhere(here: Covariates) -> list[EffectTerm]:
@@ -84,14 +80,6 @@ def everywhere(here: Covariates) -> list[EffectTerm]:
         found += [group(here, f"station{s.id}", "pose") for s in here.obs.cell.stations]
         found += [group(here, "target", "incidence")] if here.obs.rotation is not None else []
     return [g for g in found if g is not None]
-
-
-def process(here: Covariates, candidate: Candidate, sigma: np.ndarray) -> EffectTerm:
-    """A Gaussian process that was found, with its prior sigma (k,). Its covariates are held at the end of their learnt range."""
-    parts = [p for p in candidate.parts() if isinstance(p, DescribedPart)]
-    units = [next(unit_of(p) for p in parts if p.columns[j]) for j in range(candidate.k)]
-    covariates = tuple(sorted(frozenset().union(*(p.covariates for p in parts))))
-    return _term(here, (candidate.where, candidate.depends_on), parts, sigma, units, covariates, candidate.variant)
 
 
 def unit_of(part: DescribedPart) -> str:
@@ -123,14 +111,17 @@ def common_pattern(here: Covariates, offset: Sequence[float], direction: Sequenc
     where = tuple(f"A{i + 1}" for i in joints)
     hyper = {f"offset_A{i + 1}_rad": float(o) for i, o in zip(joints, offset, strict=True)}
     hyper |= {f"direction_A{i + 1}": float(d) for i, d in zip(joints, direction, strict=True)}
-    return _term(here, (where, f"q{joints[0] + 1}"), parts, pattern_sigma(), "rad", (), variant=COMMON_PATTERN, hyper=hyper)
+    sigma = pattern_sigma()
+    units = ("rad",) * len(sigma)
+    return EffectTerm.of_group(here, where, f"q{joints[0] + 1}", parts, sigma, units, variant=COMMON_PATTERN, hyper=hyper)
 
 
 def deviation(here: Covariates, joint: int) -> EffectTerm:
     """What a joint's own error differs from a common pattern by."""
     orders, name = np.arange(1, OPTIONS.own_order + 1).astype(float), f"q{joint + 1}"
     part = DescribedPart("joint", joint, 0, (*(sine(name, k) for k in orders), *(cosine(name, k) for k in orders)))
-    return _term(here, ((f"A{joint + 1}",), name), [part], deviation_sigma(), "rad", (), DEVIATION)
+    sigma = deviation_sigma()
+    return EffectTerm.of_group(here, (f"A{joint + 1}",), name, [part], sigma, ("rad",) * len(sigma), variant=DEVIATION)
 
 
 def pattern_sigma() -> np.ndarray:
@@ -165,18 +156,17 @@ def keys_of(here: Covariates, location: str) -> list[tuple[str, int, int]]:
         orientation = here.scanner_on_flange or here.obs.shows_target_orientation
         components = range(6) if location != "mount" or orientation else range(3)
         return [("frame", frames[location], c) for c in components]
-    return [("point", 0, c) for c in range(3)] if location == "scanner" and here.scanner_on_flange else []
+    return []
 
 
-def _functions(here: Covariates, location: str, covariate: str) -> tuple[list[Column], np.ndarray, tuple[str, ...]]:
-    """Columns by a covariate, their relative prior sigma, and which covariates are clamped."""
-    if covariate in DIRECTIONS:
-        names, size, clamped = DIRECTIONS[covariate]
-        functions = list(of_second_degree(names))
-        return functions, np.full(len(functions), size), clamped
+def _functions(here: Covariates, location: str, covariate: str) -> tuple[Sequence[Column], np.ndarray]:
+    """Columns by a covariate, and their relative prior sigma."""
+    if covariate == "incidence":
+        functions = of_second_degree(INCIDENCE)
+        return functions, np.full(len(functions), 1e3 * OPTIONS.orientation_rad)
     values = np.asarray(here.value(covariate), dtype=float)
     if np.ptp(values) < 1e-9 * max(float(np.abs(values).max()), 1e-30):
-        return [], np.zeros(0), ()
+        return [], np.zeros(0)
     if is_angle(covariate):
         own = location == f"A{covariate[1:]}"
         behind = location in (f"link{covariate[1:]}", "mount" if covariate == f"q{here.n}" else "")
@@ -184,18 +174,13 @@ def _functions(here: Covariates, location: str, covariate: str) -> tuple[list[Co
         highest = OPTIONS.few_order if here.obs.n_poses < OPTIONS.many_poses else OPTIONS.own_order if own else other
         orders = np.arange(1, highest + 1).astype(float)
         weight = order_weight(orders) if own else 1 / (1 + (orders / 3) ** 2)
-        return [sine(covariate, k) for k in orders] + [cosine(covariate, k) for k in orders], np.tile(weight, 2), ()
-    if covariate in ("time", "pose"):
+        return [sine(covariate, k) for k in orders] + [cosine(covariate, k) for k in orders], np.tile(weight, 2)
+    if covariate == "pose":
         low, high = float(values.min()), float(values.max())
         orders = np.arange(1, OPTIONS.clock_functions + 1)
-        size = OPTIONS.drift_mm / np.sqrt(orders) if location.startswith("station") else 1.0 / orders
-        return [of(covariate, "cosine", low, high, float(k)) for k in orders], size, ()
-    if covariate.startswith("movement_"):
-        ends = np.radians(OPTIONS.movement_deg)
-        return [of(covariate, "clip", end, factor=1 / end) for end in ends], np.full(len(ends), OPTIONS.movement_size), ()
-    middle, spread = float(values.mean()), float(values.std())
-    standard: Column = (Product(1 / spread, (Function(covariate),)), Product(-middle / spread))
-    return [standard], np.ones(1), (covariate,)
+        return [of(covariate, "cosine", low, high, float(k)) for k in orders], OPTIONS.drift_mm / np.sqrt(orders)
+    ends = np.radians(OPTIONS.movement_deg)
+    return [of(covariate, "clip", end, factor=1 / end) for end in ends], np.full(len(ends), OPTIONS.movement_size)
 
 
 def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tuple[str, int, int]]) -> EffectTerm | None:
@@ -204,7 +189,9 @@ def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tupl
     if place == "joint":
         own = f"gravity_torque_{index + 1}"
         parts = [DescribedPart("joint", index, 0, (linear(own),))]
-        return _term(here, ((location,), covariate), parts, np.array([OPTIONS.compliance_rad_per_Nm]), "rad/Nm", (own,))
+        return EffectTerm.of_group(
+            here, (location,), covariate, parts, np.array([OPTIONS.compliance_rad_per_Nm]), (GIVES_WAY,), clamped=(own,)
+        )
     if place != "frame" or len(keys) < 6:
         return None
     names = [f"gravity_moment_{index}_{axis}" for axis in "xyz"]
@@ -215,59 +202,23 @@ def _by_gravity(here: Covariates, location: str, covariate: str, keys: list[tupl
         columns = tuple(linear(names[c]) if i == j else () for i in range(len(used)))
         parts.append(DescribedPart("frame", index, 3 + c, columns))
     sigma = np.full(len(used), OPTIONS.tilt_rad_per_Nm)
-    return _term(here, ((location,), covariate), parts, sigma, "rad/Nm", tuple(names[c] for c in used))
+    clamped = tuple(names[c] for c in used)
+    return EffectTerm.of_group(here, (location,), covariate, parts, sigma, (GIVES_WAY,) * len(used), clamped=clamped)
 
 
 def _grown(
-    here: Covariates,
-    location: str,
-    covariate: str,
-    keys: list[tuple[str, int, int]],
-    columns: list[Column],
-    weight: np.ndarray,
-    clamped: tuple[str, ...],
+    here: Covariates, location: str, covariate: str, keys: list[tuple[str, int, int]], columns: Sequence[Column], weight: np.ndarray
 ) -> EffectTerm:
     """Every component multiplied by every function, component by component; rotations a thousandth of the translations in size."""
     f, zero = len(columns), ()
-    parts, sigma, units = [], [], []
+    parts, sigma, units = list[DescribedPart](), [], list[str]()
     for j, (place, index, component) in enumerate(keys):
         own = [zero] * (j * f) + list(columns) + [zero] * ((len(keys) - 1 - j) * f)
         parts.append(DescribedPart(place, index, component, tuple(own)))
         unit = unit_of(parts[-1])
         sigma.append(weight * (1e-3 if unit == "rad" else 1.0))
         units += [unit] * f
-    return _term(here, ((location,), covariate), parts, np.concatenate(sigma), units, clamped)
-
-
-def _term(
-    here: Covariates,
-    at: tuple[tuple[str, ...], str],
-    parts: Sequence[DescribedPart],
-    sigma: np.ndarray,
-    units: Sequence[str] | str,
-    clamped: tuple[str, ...],
-    variant: str = "",
-    hyper: dict[str, float] | None = None,
-) -> EffectTerm:
-    """at: locations and covariate."""
-    (where, covariate), k = at, len(sigma)
-    label = f"{UNKNOWN}:{'+'.join(where)}:{covariate}" + (f":{variant}" if variant else "")
-    return EffectTerm(
-        name=UNKNOWN,
-        where=where,
-        depends_on=covariate,
-        parts=tuple(parts),
-        names=tuple(f"{label}[{j}]" for j in range(k)),
-        units=(units,) * k if isinstance(units, str) else tuple(units),
-        coefficients=np.zeros(k),
-        std=np.zeros(k),
-        sigma=np.asarray(sigma, dtype=float),
-        typical=np.asarray(sigma, dtype=float),
-        variant=variant,
-        hyper=hyper or {},
-        ranges=learnt_ranges(here, parts),
-        clamped=clamped,
-    )
+    return EffectTerm.of_group(here, (location,), covariate, parts, np.concatenate(sigma), tuple(units))
 
 
 def _sum(*weighted: tuple[float, Column]) -> Column:

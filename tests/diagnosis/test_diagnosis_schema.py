@@ -33,7 +33,7 @@ def content(plan, tmp_path_factory):
     folder = tmp_path_factory.mktemp("set")
     write_observation_set(plan, folder)
     here = Covariates(plan)
-    groups = [unmodelled.group(here, at, on) for at, on in (("A2", "q2"), ("base", "gravity_torque_2"), ("mount", "time"))]
+    groups = [unmodelled.group(here, at, on) for at, on in (("A2", "q2"), ("base", "gravity_torque_2"), ("link3", "q3"))]
     model = EffectModel(plan.cell.robot, tuple(groups), LearntRecording.of(plan))
     found = DiagnosisResult(poses=replace(FOUND, model=model), provenance=provenance(folder, (), {"workers": 1}))
     return json.loads(found.to_json())

@@ -13,7 +13,7 @@ import mbcacq
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, with_effects
 from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
 from mbcacq.calibration.transfer import check_transfer
-from mbcacq.diagnosis.output.kept_model import kept_group, partly_covered, term_of
+from mbcacq.diagnosis.output.kept_model import partly_covered, term_of
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import Covariates
@@ -108,7 +108,8 @@ def test_an_arm_and_its_effects_hold_on_another_day(plan, recording, fitted):
     assert tried.with_effects.rms_mm < 0.5 * tried.geometry_alone.rms_mm
     assert {e.name for e in tried.effects} == {"joint_compliance", "gear_transmission_error"}
     assert all(e.gain > 0 for e in tried.effects)
-    assert tried.normalised_error.rms < 1.3
+    low, high = tried.normalised_error.usual
+    assert 0.7 < low < tried.normalised_error.rms < high < 1.3
     assert type(tried).from_dict(json.loads(json.dumps(tried.to_dict()))) == tried
 
 
@@ -261,11 +262,6 @@ def test_leaving_the_learnt_range_is_said(recording, fitted):
     assert first.poses == tuple(beyond.pose_id[first_left(fitted, beyond)])
     assert f"(numbers {first.poses[0]}, " in str(first)
     assert not fitted.effects.departures(recording)
-
-
-def test_an_unmodelled_effect_by_the_tilt_has_no_group_that_can_be_kept(plan):
-    """The tilt of the artefact to the scanner follows from the fitted stations: no other recording states it."""
-    assert kept_group(Covariates(plan), "scanner", "tilt") is None
 
 
 def gear_of_joint_four(plan, degrees):

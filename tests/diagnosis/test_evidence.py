@@ -137,9 +137,9 @@ def test_blocks_made_of_sums_equal_those_made_of_whitened_columns(small):
     projected = plain.conditioned_on([(plain.block(effect, None), effect.typical**-2.0)])
     evidence = EvidenceMap(projected, setup.design_blocks.groups).evaluate(projected)
     basis = np.concatenate([projected.Q, projected.conditioned], axis=1)
-    for block, log in list(zip(evidence.blocks, evidence.log_bayes_factor, strict=True))[::60]:
-        X = projected.whiten(setup.linear.columns(block.location.parts(block.rows, block.shape.values)))
-        typical = np.tile(block.shape.weight, len(block.rows)) / np.linalg.norm(X, axis=0)
+    for number, log in list(enumerate(evidence.log_bayes_factor))[::60]:
+        X = projected.whiten(candidate_columns(setup.linear, setup.design_blocks.candidate(number)))
+        typical = setup.design_blocks.candidate(number).typical / np.linalg.norm(X, axis=0)
         S, b = X.T @ X - (basis.T @ X).T @ (basis.T @ X), X.T @ projected.r
         assert log == pytest.approx(log_bayes_factors((S * np.outer(typical, typical))[None], (b * typical)[None])[0], rel=1e-5, abs=1e-4)
 

@@ -10,7 +10,6 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.formulas.propose import holds_up, located, propose, refused
 from mbcacq.diagnosis.formulas.search import FormulaSearch, FormulaSpace
@@ -18,6 +17,7 @@ from mbcacq.diagnosis.result import Diagnosis, EffectFound
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects import catalogue
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.variance_components import pack
@@ -41,7 +41,7 @@ def hose_between_two_angles(s):
 
 
 def found_at(where, on):
-    return EffectFound(name=UNMODELLED, where=(where,), parameters={}, p_value=0.0, held_out_gain=1.0, depends_on=on)
+    return EffectFound(name=UNKNOWN, where=(where,), parameters={}, p_value=0.0, held_out_gain=1.0, depends_on=on)
 
 
 def terms_at(problem, places):

@@ -6,9 +6,9 @@ import numpy as np
 import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.nonparametric.basis_functions import travelled
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
+from mbcacq.effects.covariates import FAR
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import Displacements
 
@@ -26,15 +26,15 @@ def test_travel_follows_time_and_persists_while_a_joint_stands(plan):
     four = plan.select(np.arange(plan.n_poses) < 4)
     s = context_of(replace(four, q=q, direction=direction, time_s=np.array([30.0, 10.0, 40.0, 50.0])))
 
-    travel, reported = travelled(s)
+    travel, reported = s.last_motions
 
-    np.testing.assert_allclose(travel[:, 0], [0.4, np.inf, 0.4, 0.3])
+    np.testing.assert_allclose(travel[:, 0], [0.4, FAR, 0.4, 0.3])
     np.testing.assert_array_equal(reported[:, 0], [1, 1, 1, 1])
-    assert np.all(np.isinf(travel[:, 1]))
+    assert np.all(travel[:, 1] == FAR)
 
 
 def short_memory_of_joint_four(s):
-    travel, direction = travelled(s)
+    travel, direction = s.last_motions
     joint = np.zeros(s.obs.q.shape)
     joint[:, 3] = -8e-4 * direction[:, 3] * np.exp(-travel[:, 3] / 0.2)
     return Displacements(joint=joint)

@@ -1,6 +1,9 @@
 """An unmodelled effect is located where it acts, without wrong parametric effects, and predicts poses left out."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import simulated
 
 import mbcacq
@@ -12,9 +15,13 @@ from mbcacq.diagnosis.evidence.pose_search import PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
+from mbcacq.diagnosis.output.kept_model import unmodelled_terms
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
-from mbcacq.effects.functions import evaluate
+from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import parts_of
+from mbcacq.effects.effect_term import LearntRecording, learnt_ranges
+from mbcacq.effects.functions import DescribedPart, evaluate, of, sine
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.variance_components import pack
 
@@ -125,15 +132,61 @@ def test_an_effect_of_two_angles_is_predicted_better_by_a_process_of_both_than_b
 def test_what_a_process_describes_is_kept_for_other_places(plan):
     observed = simulated.observe(plan, 125, [pull_on_joint_five_where_five_and_six_meet])
     elsewhere = np.isin(observed.station, np.unique(observed.station)[::3])
+    learnt_from = observed.select(~elsewhere)
 
-    found = mbcacq.diagnose(observed.select(~elsewhere), check=[observed.select(elsewhere)])
+    found = mbcacq.diagnose(learnt_from, check=[observed.select(elsewhere)])
 
     assert found.model is not None
     (kept,) = [t for t in found.model.terms if t.variant.startswith("process")]
     assert kept.where == ("A5",)
     assert set(kept.clamped) == kept.covariates == {"q5", "q6"}
+    assert np.all(learnt_from.q[:, 5].min() < 0 < learnt_from.q[:, 5].max())
+    here = Covariates(learnt_from)
+    (part,) = kept.parts_at(here, found.model.learnt)
+    np.testing.assert_allclose(part.basis, evaluate(kept.parts[0].columns, here.value, learnt_from.n_poses))
     (check,) = found.checks
     assert check.with_effects.rms_mm < 0.5 * check.geometry_alone.rms_mm
+
+
+def test_what_is_kept_displaces_what_was_judged():
+    """Blocks of several locations and a process of two angles, on joints that turn to both sides of their zero."""
+    setup = model_fit.prepare(simulated.observe(simulated.plan(6, 2, 6), 125, [pull_on_joint_five_where_five_and_six_meet]))
+    blocks, obs = UnmodelledEffects(setup.design_blocks), setup.linear.obs
+    point = NoisePoint(setup.linear, setup.prior_noise, pack(setup.noise))
+    judged = [m for _, m in blocks.evidence(point.projected)]
+    process = blocks.process(point.projected, next(m for m in judged if m.candidate.where == ("A5",)))
+    found = estimated((*judged, process), point, 0.0)
+
+    here, learnt = Covariates(obs), LearntRecording.of(obs)
+    assert process.candidate.depends_on in ("q5", "q6")
+    assert np.all(obs.q[:, 4:].min(axis=0) < 0)
+    for member, kept in zip(found.members, unmodelled_terms(here, found), strict=True):
+        for part, own in zip(kept.parts_at(here, learnt), parts_of(member.candidate, here), strict=True):
+            np.testing.assert_allclose(part.basis, own.basis, atol=1e-8 * np.abs(own.basis).max())
+
+
+@pytest.mark.parametrize(("function", "known"), [(sine("q1", 2.0), True), (of("q1", "cosine", -3.0, 3.0, 2.0), False)])
+def test_another_turn_is_the_same_place_to_what_repeats_alone(plan, function, known):
+    """A hose that was wound up by half a turn says nothing of a turn and a half, a gear error of two periods a turn does."""
+    observed = simulated.observe(plan, 125, [])
+    q = observed.q.copy()
+    q[:, 0] = np.linspace(-2.0, 2.0, len(q))
+    covariates = Covariates(replace(observed, q=q))
+    learnt = learnt_ranges(covariates, [DescribedPart("joint", 4, 0, (function,))])["q1"]
+    assert not learnt.outside("q1", q[:, 0]).any()
+    assert learnt.outside("q1", np.array([1.0 + 2 * np.pi]))[0] == (not known)
+    assert learnt.outside("q1", np.array([3.0]))[0]
+
+
+def test_a_process_is_tried_where_its_functions_can_stand_for_it():
+    """Over 52 lengths of one angle and 17 of another, ninety functions carry two fifths of the prior variance."""
+
+    def process(length, q6):
+        return Process("q5", (("q5", -1.7, 1.7), ("q6", -q6, q6)), length, 1.0)
+
+    assert not process(0.2, 5.2).is_represented
+    assert process(0.8, 5.2).is_represented
+    assert process(0.4, 1.7).is_represented
 
 
 def test_a_name_that_mends_a_shape_is_left_out_for_a_more_general_shape():

@@ -14,7 +14,7 @@ from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
-from mbcacq.effects.functions import DescribedPart, cosine, linear, of, sine
+from mbcacq.effects.functions import DescribedPart, cosine, linear, of, sine, times
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import RobotModel
 
@@ -66,6 +66,9 @@ def result(postures: np.ndarray) -> dict:
     wanted = [("A5", "q5"), ("link2", "q2"), ("base", "gravity_torque_2"), ("link3", "gravity_torque_4"), ("A3", "gravity_torque_3")]
     found = [unmodelled.group(here, at, on) for at, on in wanted]
     found.append(unmodelled.common_pattern(here, [0.3, 1.2, 2.0], [1, -1, 1], [0, 2, 4]))
+    sags = [of("q2", "cosine", -1.5, 1.5, 3), times(of("q4", "sigmoid", 0.2, 0.3), of("q2", "distance", -0.1))]
+    bump = named("unknown", [DescribedPart("frame", 3, 3, tuple(sags))], [2e-4, 1e-4])
+    found.append(replace(bump, sigma=np.full(2, 1e-4), clamped=("q2", "q4")))
     grown = [replace(g, coefficients=g.sigma * rng.standard_normal(g.k)) for g in found if g is not None]
     errors = rng.normal(0, [1e-3, 0.3, 0.3, 1e-3, 1e-3], (6, 5))
     chains = {"nominal": arm.chain, "calibrated": arm.chain.with_errors(errors)}
@@ -88,7 +91,7 @@ def result(postures: np.ndarray) -> dict:
 def test_the_page_computes_what_the_program_computes_within_a_nanometre():
     rng = np.random.default_rng(5)
     content = json.loads(json.dumps(result(rng.uniform(-1.0, 1.0, (40, 6)))))
-    q = rng.uniform(-2.5, 2.5, (60, 6))  # also outside of what was learnt
+    q = rng.uniform(-2.5, 2.5, (60, 6)) + 2 * np.pi * rng.integers(-1, 2, (60, 6))  # also outside of what was learnt, and turns further on
     page: dict = {}
     exec(re.search(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[1], page)  # noqa: S102
     cell = CalibratedCell.from_dict(content)

@@ -60,7 +60,7 @@ def group(name, joints=tuple(range(N))):
 
 
 def candidate(module, channel, run, where, form=""):
-    found = [c for c in module.motion_candidates(group(channel), (run,)) if c.where == where and c.form == form]
+    found = [c for c in module.motion_candidates(group(channel), (run,)) if c.where == where and c.variant == form]
     assert len(found) == 1
     return found[0]
 

@@ -7,6 +7,7 @@ import pytest
 
 from mbcacq.diagnosis.motion.assemble import HeldOutTable
 from mbcacq.diagnosis.motion.determination import at_bound
+from mbcacq.effects.effect import Hyperparameter
 from mbcacq.effects.kinds.drive_lag import LAGS_S, LOOPS_S
 
 
@@ -31,10 +32,10 @@ def test_effects_of_a_joint_remove_together_what_the_table_says():
 
 @pytest.mark.parametrize(("hyper", "bound"), [(LOOPS_S[-1], True), (LOOPS_S[0], True), (2.2, False)])
 def test_a_value_at_the_end_of_what_was_tried_is_a_bound(hyper, bound):
-    candidate = SimpleNamespace(hyper_parameter="A1.time_constant_s", hyper=LOOPS_S, no_lower_bound=False)
+    candidate = SimpleNamespace(hyper=Hyperparameter("A1.time_constant_s", LOOPS_S, 4.0))
     assert at_bound(SimpleNamespace(candidate=candidate, variant=SimpleNamespace(hyper=hyper))) == bound
 
 
 def test_no_lag_at_all_is_a_value():
-    candidate = SimpleNamespace(hyper_parameter="A1.time_constant_s", hyper=LAGS_S, no_lower_bound=True)
+    candidate = SimpleNamespace(hyper=Hyperparameter("A1.time_constant_s", LAGS_S, 4.0, from_none=True))
     assert not at_bound(SimpleNamespace(candidate=candidate, variant=SimpleNamespace(hyper=LAGS_S[0])))

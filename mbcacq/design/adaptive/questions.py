@@ -9,21 +9,19 @@ squared length of its displacement beyond the geometry: a decision takes 20 to 3
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
-from mbcacq.diagnosis.evidence.coefficients import coefficients, displacements
-from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
+from mbcacq.diagnosis.evidence.coefficients import coefficients, prior_sigma
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import nested
 from mbcacq.diagnosis.interim import InterimEvidence
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
-from mbcacq.effects import catalogue, unmodelled
+from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
-from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Candidate
-from mbcacq.effects.functions import DescribedPart
 from mbcacq.estimation.linear_problem import LinearProblem
 
 
@@ -197,17 +195,9 @@ def _sets(look: InterimEvidence, linear: LinearProblem) -> tuple[list[SetToTell]
 
 def _of_set(h: Hypothesis, linear: LinearProblem) -> tuple[np.ndarray, np.ndarray]:
     """(M, R) displaced by a set with its coefficients, and (M, R, k) its columns in prior sigmas."""
-    found, moved, own = coefficients(h), np.zeros(linear.residual.shape), [np.zeros((*linear.residual.shape, 0))]
-    measured = displacements(h)
-    for member, at, before in zip(h.members, found.slices, measured, strict=True):
-        candidate = member.candidate
-        if all(isinstance(p, DescribedPart) for p in candidate.parts(member.hyper)):
-            columns, values = candidate_columns(linear, candidate, member.hyper), found.mean[at]
-        else:
-            candidate, columns, values = _smooth(member, linear, before)
-        moved = moved + columns @ values
-        own.append(columns * (member.size * candidate.typical if candidate is member.candidate else candidate.typical))
-    return moved, np.concatenate(own, axis=2)
+    nothing = np.zeros((*linear.residual.shape, 0))
+    columns = np.concatenate([nothing, *(candidate_columns(linear, m.candidate, m.hyper) for m in h.members)], axis=2)
+    return columns @ coefficients(h).mean, columns * prior_sigma(h.members)
 
 
 def _largest_combinations(X: np.ndarray) -> np.ndarray:
@@ -219,25 +209,6 @@ def _largest_combinations(X: np.ndarray) -> np.ndarray:
     rows = X.reshape(-1, X.shape[2])
     _, vectors = np.linalg.eigh(rows.T @ rows)
     return X @ vectors[:, -OPTIONS.columns :]
-
-
-def _smooth(member: Member, linear: LinearProblem, displaced: np.ndarray) -> tuple[Candidate, np.ndarray, np.ndarray]:
-    """An unmodelled effect by functions that are known at planned poses too, with the coefficients that follow what it displaced
-    (M', R) at those that were measured.
-    """
-    at, covariate = member.candidate.where[0], member.candidate.depends_on
-    term = unmodelled.group(Covariates(linear.obs), at, covariate)
-    nothing = Candidate(UNMODELLED, member.candidate.where, covariate, [], lambda c, v, h: {}, np.zeros(0))
-    if term is None:
-        return nothing, np.zeros((*linear.residual.shape, 0)), np.zeros(0)
-    parts = [p for p in term.parts if isinstance(p, DescribedPart)]
-    shape = replace(nothing, described=parts, typical=np.ones(len(parts[0].columns) if parts else 0))
-    columns = candidate_columns(linear, shape)
-    rows = columns[: len(displaced)].reshape(-1, columns.shape[2])
-    size = np.sqrt(np.maximum(np.sum(rows * rows, axis=0), 1e-300))
-    normal = (rows / size).T @ (rows / size) + 1e-6 * np.eye(len(size))
-    values = np.linalg.solve(normal, (rows / size).T @ displaced.reshape(-1)) / size
-    return replace(shape, typical=np.maximum(np.abs(values), np.sqrt(np.mean(values**2)))), columns, values
 
 
 def _hidden(look: InterimEvidence | None, linear: LinearProblem, timeless: bool) -> tuple[list[str], list[float], list[np.ndarray]]:

@@ -18,7 +18,6 @@ from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect_term import UNKNOWN
 
-UNMODELLED = UNKNOWN
 LARGEST_STEP = 1.0  # of a logarithm of the noise in one round
 
 
@@ -138,11 +137,11 @@ class Hypothesis(Generic[P]):
 
     @property
     def unmodelled(self) -> tuple[Member, ...]:
-        return tuple(m for m in self.members if m.candidate.name == UNMODELLED)
+        return tuple(m for m in self.members if m.candidate.name == UNKNOWN)
 
     @property
     def catalogued(self) -> tuple[Member, ...]:
-        return tuple(m for m in self.members if m.candidate.name != UNMODELLED)
+        return tuple(m for m in self.members if m.candidate.name != UNKNOWN)
 
     @cached_property
     def conditioned(self) -> Any:
@@ -242,7 +241,7 @@ class SetPrior:
         return self._of_kind_and_location(candidate, present) + float(np.log(candidate.rarity))
 
     def _of_kind_and_location(self, candidate: SearchedEffect, present: Sequence[SearchedEffect]) -> float:
-        unmodelled = candidate.name == UNMODELLED
+        unmodelled = candidate.name == UNKNOWN
         locations = self.unmodelled_locations if unmodelled else max(self.locations[candidate.name], 1)
         kind = OPTIONS.unmodelled if unmodelled else 1.0 / max(len(self.locations), 1)
         if not present:

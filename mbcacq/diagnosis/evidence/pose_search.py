@@ -9,7 +9,7 @@ from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSea
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through
-from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import GivenEffect
@@ -17,6 +17,7 @@ from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling
 from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect_term import UNKNOWN
 
 
 @dataclass(kw_only=True)
@@ -149,10 +150,10 @@ class PoseSearch(EvidenceSearch):
         """
         last = best.members[-1]
         there = log_e_value(self.ranked()) > LEAST_LOG_E_VALUE
-        if last.candidate.name != UNMODELLED or not there:
+        if last.candidate.name != UNKNOWN or not there:
             return best
         rest = tuple(m for m in best.members if m.label != last.label)
-        if any(m.candidate.name == UNMODELLED for m in rest):
+        if any(m.candidate.name == UNKNOWN for m in rest):
             return best  # what is unmodelled at several locations is not described by more detail at one
         process = self.unmodelled.process(best.point.conditioned(rest), last)
         if process is None:

@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.nonparametric import gaussian_process, locations
 from mbcacq.diagnosis.nonparametric.bayes_factor import relative_sizes
-from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks
+from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, unmodelled_candidate
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapEvidence, without_rounding
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.effects.described import can_be_kept
-from mbcacq.effects.effect import Candidate, Written
+from mbcacq.effects.effect import Candidate
 
 
 @dataclass
@@ -44,9 +43,7 @@ class UnmodelledEffects:
         out = []
         for at, log in [(at, log) for at, log in found.locations.items() if log > least][: OPTIONS.estimated]:
             best = found.best_at(at)
-            block = found.blocks[best]
-            parts, weight = block.location.parts(block.rows, block.shape.values), np.tile(block.shape.weight, len(block.rows))
-            candidate = _candidate(at, block.shape.depends_on, parts, weight, f"{best}")
+            candidate = self.design_blocks.candidate(best)
             out.append((log, relative_to_best_determined(projected, candidate, log - float(found.log_bayes_factor[best]))))
         return out
 
@@ -73,30 +70,14 @@ class UnmodelledEffects:
         together = [rows for rows in location.variants if len(rows) > 1]
         if together:
             found = compared([process], together)
-            if found.log_bayes_factor.max() > logs.max():
-                rows = found.blocks[found.best_at(at)].rows
+            rows = found.blocks[found.best_at(at)].rows
             logs = np.concatenate([logs, found.log_bayes_factor])
         average = float(np.logaddexp.reduce(logs)) - float(np.log(len(location.variants) * len(possible)))
         columns, sigma = process.functions(gaussian_process.MOST_FUNCTIONS)
         parts = location.described(rows, columns)
         sigma, label = np.tile(sigma, len(rows)), f"{process.label} at {rows}"
-        candidate = _candidate(at, process.depends_on, parts, sigma, label)
+        candidate = unmodelled_candidate(at, process.depends_on, parts, sigma, label)
         return relative_to_best_determined(projected, candidate, average - float(logs.max()))
-
-    def processes(self, best: Hypothesis) -> list[Member]:
-        """The Gaussian process at each location of the unmodelled effects of a set: the one that it has, or would be the most probable."""
-        found = {m.label: m for m in best.unmodelled if can_be_kept(m.candidate)}
-        for member in best.unmodelled:
-            if member.label not in found:
-                others = [m for m in best.members if m.label != member.label]
-                process = self.process(best.point.conditioned(others), member)
-                found |= {member.label: process} if process is not None else {}
-        return list(found.values())
-
-
-def _candidate(at: str, depends_on: str, parts: Sequence[Written], weight: np.ndarray, variant: str) -> Candidate:
-    """An unmodelled effect, which has no parameters to report."""
-    return Candidate(UNMODELLED, (at,), depends_on, parts, lambda c, v, h: {}, weight, several=True, variant=variant)
 
 
 def relative_to_best_determined(projected: CandidateScoring, candidate: Candidate, log_mass: float = 0.0) -> Member:

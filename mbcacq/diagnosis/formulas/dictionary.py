@@ -15,6 +15,7 @@ import numpy as np
 from mbcacq.diagnosis.formulas.options import OPTIONS
 from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
+from mbcacq.effects import functions
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import LEAN
 from mbcacq.effects.effect import Missing
@@ -145,8 +146,5 @@ def power(one: DictionaryEntry, exponent: int) -> DictionaryEntry:
 
 def times(a: DictionaryEntry, b: DictionaryEntry) -> DictionaryEntry:
     """Every column of one times every column of the other."""
-    columns = {
-        f"{s} {t}": tuple(Product(p.factor * q.factor, (*p.functions, *q.functions)) for p, q in product(c, d))
-        for (s, c), (t, d) in product(a.columns.items(), b.columns.items())
-    }
+    columns = {f"{s} {t}": functions.times(c, d) for (s, c), (t, d) in product(a.columns.items(), b.columns.items())}
     return DictionaryEntry(f"{a.shape}*{b.shape}", columns)

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import UNMODELLED, Member
+from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
@@ -28,7 +28,7 @@ from mbcacq.diagnosis.validation.folds import split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, held_out_score
 from mbcacq.effects import unmodelled
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect_term import EffectTerm, learnt_ranges
+from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, learnt_ranges
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.variance_components import pack
 
@@ -109,7 +109,7 @@ def propose(
 
     One effect that no smooth function describes often takes several smooth ones at several locations: a formula replaces all of them.
     """
-    where = located(problem.context, [e for e in effects if e.name == UNMODELLED])
+    where = located(problem.context, [e for e in effects if e.name == UNKNOWN])
     if not where:
         return Proposed()
     progress("searching for formulas of the unmodelled effects")
@@ -167,7 +167,7 @@ def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
         known["scanner"] = locations.scanner()
     found: dict[str, Location] = {}
     for effect in effects:
-        other = [w for a in effect.alternatives if a.name == UNMODELLED and (a.odds or 0.0) > DIAGNOSIS.undecided for w in a.where]
+        other = [w for a in effect.alternatives if a.name == UNKNOWN and (a.odds or 0.0) > DIAGNOSIS.undecided for w in a.where]
         for name in (name for name in (*effect.where, *effect.equivalent, *other) if name in known):
             behind = name if name == "scanner" else f"A{min(known[name].frame + 1, context.n)}"
             found |= {name: known[name], behind: known[behind]}

@@ -19,7 +19,7 @@ class CandidatePool:
 
     def _of(self, candidate: MotionCandidate, only: float | None = None) -> list[Variant]:
         """One variant for each value of the hyper-parameter that is tried, or for ``only`` one."""
-        hypers: list[float | None] = [None] if candidate.hyper is None else list(candidate.hyper)
+        hypers: list[float | None] = [None] if candidate.hyper is None else list(candidate.hyper.values)
         if only is not None:
             hypers = [only]
         if len(candidate.joints) > 1:
@@ -61,9 +61,9 @@ class CandidatePool:
         """Offer the refinements of an effect that was selected; its columns and theirs stay."""
         candidate = effect.candidate
         if not candidate.extends:
-            offered = {(v[0].candidate.location, v[0].candidate.form) for v in self.forms}
+            offered = {(v[0].candidate.location, v[0].candidate.variant) for v in self.forms}
             for refinement in self.candidates:
-                known = (refinement.location, refinement.form) in offered
+                known = (refinement.location, refinement.variant) in offered
                 here = refinement.extends and refinement.location == candidate.location
                 if here and not known and self._can_be_tested(refinement, candidate):
                     self.forms.append(self._of(refinement, effect.variant.hyper if refinement.shares_hyper else None))
@@ -72,9 +72,9 @@ class CandidatePool:
     def _can_be_tested(self, refinement: MotionCandidate, candidate: MotionCandidate) -> bool:
         """A deviation that accumulates with time can only be tested on another motion, not on other moments of the same."""
         several = len({s.run for s in self._model.store.segments}) >= 2
-        return not refinement.shares_hyper or (several and not candidate.continuous)
+        return not refinement.shares_hyper or (several and candidate.hyper is not None and not candidate.hyper.refine)
 
 
 def _middle(candidate: MotionCandidate) -> float:
     assert candidate.hyper is not None
-    return float(candidate.hyper[len(candidate.hyper) // 2])
+    return float(candidate.hyper.values[len(candidate.hyper.values) // 2])

@@ -11,11 +11,11 @@ BOUND = 1e-6  # relative distance from the first or last value tried within whic
 
 def at_bound(effect: SelectedEffect) -> bool:
     """The reported hyper-parameter is at the first or last value that was tried."""
-    candidate, hyper = effect.candidate, effect.variant.hyper
-    if not candidate.hyper_parameter or candidate.hyper is None or hyper is None:
+    tried, hyper = effect.candidate.hyper, effect.variant.hyper
+    if tried is None or not tried.name or hyper is None:
         return False
-    first, last = float(np.min(candidate.hyper)), float(np.max(candidate.hyper))
-    return hyper >= last * (1.0 - BOUND) or (not candidate.no_lower_bound and hyper <= first * (1.0 + BOUND))
+    first, last = float(np.min(tried.values)), float(np.max(tried.values))
+    return hyper >= last * (1.0 - BOUND) or (not tried.from_none and hyper <= first * (1.0 + BOUND))
 
 
 def canonical_correlation(spread: np.ndarray, own: list[int], other: list[int]) -> float:

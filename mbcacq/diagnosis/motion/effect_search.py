@@ -120,7 +120,8 @@ class MotionSearch(EvidenceSearch):
         The prior is shared by as many values as were compared to find these.
         """
         best = int(logs.argmax())
-        total = float(np.logaddexp.reduce(logs)) - float(np.log(max(forms[0].variant.candidate.trials, len(forms))))
+        hyper = forms[0].variant.candidate.hyper
+        total = float(np.logaddexp.reduce(logs)) - float(np.log(max(1.0 if hyper is None else hyper.independent, len(forms))))
         term = forms[best]
         return total + self.prior.log_probability(term, present), Member(term, None, total - float(logs[best]), term.sizes)
 

@@ -65,7 +65,7 @@ class EffectSelection:
         self.pool.forget_step()
 
     def _forms(self) -> frozenset:
-        return frozenset((e.candidate.location, e.candidate.form) for e in self.model.selected)
+        return frozenset((e.candidate.location, e.candidate.variant) for e in self.model.selected)
 
     @staticmethod
     def _selected(variant: Variant) -> SelectedEffect:
@@ -81,7 +81,7 @@ class EffectSelection:
         colour = model.colour(chosen)
         own = [[e.variant] for e in model.selected]
         every = [*pool.forms, *pool.periodic(weights, chosen)]
-        offered = [v for v in every if (v[0].candidate.location, v[0].candidate.form) not in self._left_out]
+        offered = [v for v in every if (v[0].candidate.location, v[0].candidate.variant) not in self._left_out]
         problem, prior = GramProblem.of(model, colour), np.array(store.prior)
         information = np.diag(problem.weighted(weights * colour, corrected=True))[:-1]
         terms = [tuple(term_of(v, prior, information) for v in variants) for variants in offered]
@@ -127,7 +127,7 @@ class EffectSelection:
 
     def _take(self, best: Hypothesis) -> None:
         """Make a set that of the model, and linearise anew."""
-        model, known = self.model, {(e.candidate.location, e.candidate.form): e for e in self.model.selected}
+        model, known = self.model, {(e.candidate.location, e.candidate.variant): e for e in self.model.selected}
         kept, new = [], []
         for member in best.members:
             term = member.candidate
@@ -160,7 +160,7 @@ class EffectSelection:
             return
         reported = reported_hypothesis(sets) if sets.significant else sets.none
         forms = {m.candidate.form: m for m in reported.members}
-        model.selected = [e for e in model.selected if (e.candidate.location, e.candidate.form) in forms]
+        model.selected = [e for e in model.selected if (e.candidate.location, e.candidate.variant) in forms]
         if not any(e.candidate.channel_delay for e in model.selected):
             model.store.correct_delay(0.0)
         chosen = model.chosen()
@@ -168,7 +168,7 @@ class EffectSelection:
         normals = model.fold_normals(weights)
         after = model.held_out_mean_square(chosen, normals)
         for effect in model.selected:
-            member = forms[effect.candidate.location, effect.candidate.form]
+            member = forms[effect.candidate.location, effect.candidate.variant]
             rest = tuple(m for m in reported.members if m is not member)
             lost = reported.log_evidence - estimated(rest, reported.point, 0.0).log_evidence
             effect.p_value = float(np.exp(-max(lost, 0.0)))
@@ -187,7 +187,7 @@ class EffectSelection:
 
 
 def _relinearises(candidate: MotionCandidate) -> bool:
-    return (candidate.hyper is not None and candidate.continuous) or candidate.channel_delay or candidate.follows_load
+    return (candidate.hyper is not None and candidate.hyper.refine) or candidate.channel_delay or candidate.follows_load
 
 
 def _alternative(label: str, odds: float) -> AlternativeEffect:

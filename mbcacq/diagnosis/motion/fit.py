@@ -174,10 +174,10 @@ def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.nda
     parameters = candidate.report(c, v, effect.variant.hyper, hyper_std)
     notes = []
     if candidate.hyper is not None and at_bound(effect):
-        del parameters[candidate.hyper_parameter]
-        tried = np.sort(candidate.hyper)
+        del parameters[candidate.hyper.name]
+        tried = np.sort(candidate.hyper.values)
         limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
-        notes = [f"{candidate.hyper_parameter} is not determined: the best fit is at the end of what was tried, {limits}"]
+        notes = [f"{candidate.hyper.name} is not determined: the best fit is at the end of what was tried, {limits}"]
     return FittedEffect(
         name=candidate.name,
         where=candidate.where,

@@ -47,11 +47,11 @@ class MotionTerm:
     @property
     def form(self) -> tuple:
         """Name, location and form: what a set can have once."""
-        return self.variant.candidate.location, self.variant.candidate.form
+        return self.variant.candidate.location, self.variant.candidate.variant
 
     @property
     def key(self) -> str:
-        return f"{self.name}:{'+'.join(self.where)}:{self.variant.candidate.form}:{self.variant.hyper!r}"
+        return f"{self.name}:{'+'.join(self.where)}:{self.variant.candidate.variant}:{self.variant.hyper!r}"
 
     @property
     def k(self) -> int:

@@ -57,12 +57,13 @@ def _improved_orders(model: MotionModel) -> bool:
 
 def _is_order(effect: SelectedEffect) -> bool:
     """The values that are tried are a few about one that was found among many."""
-    return effect.candidate.hyper is not None and effect.candidate.trials > len(effect.candidate.hyper)
+    hyper = effect.candidate.hyper
+    return hyper is not None and hyper.independent > len(hyper.values)
 
 
 def continuous_effects(model: MotionModel) -> list[SelectedEffect]:
     """The selected effects whose hyper-parameter is estimated."""
-    return [e for e in model.selected if e.variant.hyper is not None and e.candidate.continuous]
+    return [e for e in model.selected if e.candidate.hyper is not None and e.candidate.hyper.refine]
 
 
 def add_derivatives(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> list[np.ndarray]:
@@ -106,7 +107,7 @@ def update_load(model: MotionModel) -> None:
 def _neighbours(effect: SelectedEffect) -> tuple[float, float]:
     """The values tried next to the present one; beyond the largest, one more step. An order has no first or last value."""
     assert effect.candidate.hyper is not None
-    values = np.sort(effect.candidate.hyper)
+    values = np.sort(effect.candidate.hyper.values)
     if _is_order(effect):
         step = float(values[1] - values[0])
         return effect.variant.value - step, effect.variant.value + step

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric import basis_functions, locations
-from mbcacq.diagnosis.nonparametric.basis_functions import Shape, shapes
+from mbcacq.diagnosis.nonparametric.basis_functions import Basis, Shape
 from mbcacq.diagnosis.nonparametric.locations import Location, components
 from mbcacq.effects.context import Context
+from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect_term import UNKNOWN
+from mbcacq.effects.functions import DescribedPart, Product, linear, of, times
 
 
 @dataclass(frozen=True)
@@ -83,46 +87,77 @@ class BlockGroup:
 
 @dataclass(frozen=True)
 class DesignBlocks:
-    """All design blocks of one recording, made when they are first asked for."""
+    """All design blocks of one recording, made when they are first asked for, in another process anew."""
 
     context: Context
+
+    def __reduce__(self) -> tuple:
+        return DesignBlocks, (self.context,)
 
     @cached_property
     def groups(self) -> list[BlockGroup]:
         s = self.context
-        common = basis_functions.of_poses(s)
-        angles = [shape for i in basis_functions.turning(s) for shape in basis_functions.thresholds(f"q{i + 1}", s.obs.q[:, i])]
-        out = [BlockGroup(at, [*common, *basis_functions.at_location(s, at, angles)]) for at in locations.of_arm(s)]
-        return out + of_stations(s) + of_scanner(s)
+        by_pose, by_centre = Basis.of(s), Basis.of(s, per_pose=False)
+        common = basis_functions.of_poses(by_pose)
+        angles = [shape for i in basis_functions.turning(s) for shape in by_pose.thresholds(f"q{i + 1}")]
+        out = [BlockGroup(at, [*common, *basis_functions.at_location(by_pose, at, angles)]) for at in locations.of_arm(s)]
+        return out + of_stations(by_pose) + of_scanner(by_centre)
+
+    @cached_property
+    def blocks(self) -> list[DesignBlock]:
+        """Of all groups."""
+        return [block for group in self.groups for block in group.blocks]
 
     @property
     def locations(self) -> set[str]:
-        return {block.at for group in self.groups for block in group.blocks}
+        return {block.at for block in self.blocks}
+
+    def candidate(self, number: int) -> Candidate:
+        """One of the blocks as an effect of a set, the same at every call."""
+        if number not in self._candidates:
+            block = self.blocks[number]
+            parts = block.location.described(block.rows, block.shape.columns)
+            weight = np.tile(block.shape.weight, len(block.rows))
+            self._candidates[number] = unmodelled_candidate(block.at, block.shape.depends_on, parts, weight, f"block {number}")
+        return self._candidates[number]
+
+    @cached_property
+    def _candidates(self) -> dict[int, Candidate]:
+        return {}
 
 
-def of_stations(s: Context) -> list[BlockGroup]:
+def unmodelled_candidate(at: str, depends_on: str, parts: Sequence[DescribedPart], weight: np.ndarray, variant: str) -> Candidate:
+    """An unmodelled effect, which has no parameters to report. weight: (k,) relative prior sigma of its coefficients."""
+    return Candidate(UNKNOWN, (at,), depends_on, parts, lambda c, v, h: {}, weight, several=True, variant=variant)
+
+
+def of_stations(basis: Basis) -> list[BlockGroup]:
     """Each station moving while it is measured, where enough was measured to see it; they share their components."""
-    (name, clock), found = basis_functions.clock(s), list[Shape]()
+    s = basis.here
+    name, found = basis_functions.clock(s), list[Shape]()
     measured, poses = np.unique(s.obs.station, return_counts=True)
     for k in measured[poses > 6] if len(measured) > 1 else ():
-        here, at = s.obs.station == k, f"station{s.obs.cell.stations[k].id}"
-        x = np.where(here, clock - clock[here].mean(), 0.0)
-        found += shapes(name, x, at=at) + shapes(name, np.stack([x, x * x], axis=1), falling=True, at=at)
+        here, at = of("station", "is", k), f"station{s.obs.cell.stations[k].id}"
+        middle = float(basis.values(name)[s.obs.station == k].mean())
+        away = of(name, "distance", middle)
+        columns = times(here, (*linear(name), Product(-middle))), times(here, away, away)
+        found += basis.shapes(name, columns[:1], at=at) + basis.shapes(name, columns, falling=True, at=at)
     location = Location("station", components("station"), np.eye(6), ((0, 1, 2), tuple(range(6))))
     return [BlockGroup(location, found)] if found else []
 
 
-def of_scanner(s: Context) -> list[BlockGroup]:
+def of_scanner(basis: Basis) -> list[BlockGroup]:
     """Errors of the measured point by where it is, and when; and each ball of an artefact of several."""
-    obs, owner = s.obs, s.obs.cell.ball_artefact
-    out = [BlockGroup(locations.scanner(), basis_functions.of_centres(s))] if np.ptp(obs.xyz, axis=0).max() > 0 else []
+    obs, owner = basis.here.obs, basis.here.obs.cell.ball_artefact
+    out = [BlockGroup(locations.scanner(), basis_functions.of_centres(basis))] if np.ptp(obs.xyz, axis=0).max() > 0 else []
     station, shifted = obs.station[obs.pose], list[Shape]()
     for k, ball in enumerate(obs.cell.ball_ids):
         here = obs.ball == k
         if here.sum() < 3 or np.sum(owner == owner[k]) < 3:
             continue
-        shift = shapes("x", here, at=f"ball{ball}")  # none where no other ball was measured: it is that of all points
-        at_each_station = np.stack([here & (station == j) for j in np.unique(station[here])], axis=1)
-        shifted += shift + (shapes("station", at_each_station, at=f"ball{ball}") if shift and at_each_station.shape[1] > 1 else [])
+        own, at = of("ball", "is", ball), f"ball{ball}"
+        shift = basis.shapes("x", [own], at=at)  # none where no other ball was measured: it is that of all points
+        at_each_station = [times(own, of("station", "is", j)) for j in np.unique(station[here])]
+        shifted += shift + (basis.shapes("station", at_each_station, at=at) if shift and len(at_each_station) > 1 else [])
     balls = Location("ball", components("ball", count=3), np.eye(3), ((0, 1, 2),))  # they share their components
     return [*out, BlockGroup(balls, shifted)] if shifted else out

@@ -22,6 +22,9 @@ from mbcacq.effects.functions import Column, Function, Product, evaluate
 LENGTHS = (0.2, 0.4, 0.8)  # rad, or of the largest moment: from a local bump to what few harmonics nearly are
 COMPARED = 30  # functions of each process, while these are compared
 MOST_FUNCTIONS = 90  # of the one chosen: what fewer leave of it would be taken for noise of the joints
+# Share of its prior variance that so many functions must carry. Of a process over many lengths of two covariates they carry a fifth to a
+# half: then they fit the poses, and state 5 um of uncertainty between these where the error was 40 (a taut hose over 10 rad of A6).
+REPRESENTED = 0.9
 SMOOTHNESS = 2.5  # of the kernel: twice differentiable
 
 
@@ -41,21 +44,32 @@ class Process:
         """Tells processes at one location apart."""
         return f"process of {', '.join(name for name, _, _ in self.box)} over {self.length}"
 
+    @property
+    def is_represented(self) -> bool:
+        """Whether the functions of a process that is kept carry nearly all of its prior variance."""
+        _, variance = self._spectrum()
+        return bool(variance[:MOST_FUNCTIONS].sum() > REPRESENTED * variance.sum())
+
     def functions(self, most: int) -> tuple[tuple[Column, ...], np.ndarray]:
         """At most so many products of cosines, and the relative prior sigma (f,) of each, largest first."""
+        orders, variance = self._spectrum()
+        chosen = slice(min(most, int(np.sum(variance > OPTIONS.varies**2 * variance[0]))))
+        return tuple(self._cosines(row) for row in orders[chosen]), np.sqrt(variance[chosen] / variance[0])
+
+    def _spectrum(self) -> tuple[np.ndarray, np.ndarray]:
+        """Orders (f, d) of the products of cosines and their prior variance (f,) but for a factor, largest first."""
         width = np.array([(high - low) / (self.unit * self.length) for _, low, high in self.box])
         exponent, smallest = SMOOTHNESS + len(width) / 2, OPTIONS.varies**2  # of the first one's variance
         fastest = np.sqrt(2 * SMOOTHNESS * (smallest ** (-1 / exponent) - 1))
         orders = np.indices(np.ceil(fastest * width / np.pi).astype(int) + 1).reshape(len(width), -1).T[1:]
         variance = (1 + np.sum((np.pi * orders / width) ** 2, axis=1) / (2 * SMOOTHNESS)) ** -exponent
-        chosen = np.argsort(-variance, kind="stable")[:most]
-        chosen = chosen[variance[chosen] > smallest * variance[chosen[0]]]
-        return tuple(self._cosines(row) for row in orders[chosen]), np.sqrt(variance[chosen] / variance[chosen[0]])
+        largest_first = np.argsort(-variance, kind="stable")
+        return orders[largest_first], variance[largest_first]
 
     def shape(self, s: Context) -> Shape:
         """The functions at the poses of a recording, while processes are compared; named by the label."""
         columns, sigma = self.functions(COMPARED)
-        return Shape(self.label, evaluate(columns, s.value, s.obs.n_poses), sigma)
+        return Shape(self.label, columns, evaluate(columns, s.value, s.obs.n_poses), sigma)
 
     def _cosines(self, orders: np.ndarray) -> Column:
         each = (Function(name, "cosine", (low, high, float(k))) for (name, low, high), k in zip(self.box, orders, strict=True) if k)
@@ -85,9 +99,10 @@ def processes(s: Context, location: Location, depends_on: str) -> list[Process]:
     attitude = [f"gravity_direction_{location.frame}_{axis}" for axis, x in zip("xyz", down.T, strict=True) if np.ptp(x) > OPTIONS.varies]
     out += [(gravity, [name], 1.0) for name in attitude]
     out += [(gravity, attitude, 1.0)] if len(attitude) > 1 else []
-    return [
+    every = [
         Process(on, tuple(walls(s, name, unit * length) for name in names), length, unit) for on, names, unit in out for length in LENGTHS
     ]
+    return [one for one in every if one.is_represented]
 
 
 def walls(s: Context, name: str, away: float) -> tuple[str, float, float]:

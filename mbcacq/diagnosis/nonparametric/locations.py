@@ -14,7 +14,7 @@ import numpy as np
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.context import Context
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, scaled
-from mbcacq.estimation.terms import PER_POSE, Part
+from mbcacq.estimation.terms import PER_POSE
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,8 @@ class Location:
         """Whether it moves a pose as a whole, by functions of the pose; else single centres, by functions of the centre."""
         return self.keys[0][0] in PER_POSE
 
-    def parts(self, rows: Sequence[int], functions: np.ndarray) -> list[Part]:
-        """Some components by functions (P, f), or (M, f) of the centre, component by component."""
-        moved = zip(self.keys, self.mix[list(rows)].T, strict=True)
-        return [Part(*key, (mix[:, None] * functions[:, None]).reshape(len(functions), -1)) for key, mix in moved if np.any(mix)]
-
     def described(self, rows: Sequence[int], columns: Sequence[Column]) -> list[DescribedPart]:
-        """The same by functions that are written down."""
+        """Some components by functions of the pose, or of the centre, component by component."""
         moved = zip(self.keys, self.mix[list(rows)].T, strict=True)
         return [
             DescribedPart(*key, tuple(scaled(f, float(m)) if m else ZERO for m in mix for f in columns)) for key, mix in moved if any(mix)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
-from mbcacq.diagnosis.nonparametric.basis_functions import artefact_tilt
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.problem import DiagnosisProblem
@@ -103,7 +102,7 @@ def plot_data(
 def at_centres(context: Context, name: str) -> np.ndarray | None:
     """(M,) values of a covariate; None where the recording lacks it, or where it is always the same."""
     try:
-        values = artefact_tilt(context) if name == "tilt" else context.value(name)
+        values = context.value(name)
     except Missing:
         return None
     values = values[context.obs.pose] if len(values) == context.obs.n_poses else values

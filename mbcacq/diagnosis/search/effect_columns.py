@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.context import Context
 from mbcacq.effects.described import functions_of, parts_of
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.terms import Part
 
 
-def covariates(linear: LinearProblem) -> Covariates:
+def covariates(linear: LinearProblem) -> Context:
     """Covariates of the recording, computed once for a linearisation."""
-    return linear.computed_once("covariates", lambda: Covariates(linear.obs))
+    return linear.computed_once("covariates", lambda: Context(linear.obs, linear.state, linear.prediction))
 
 
 def candidate_parts(linear: LinearProblem, candidate: Candidate, hyper: float | None = None) -> list[Part]:

@@ -82,8 +82,8 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
         out.append(MotionCandidate(NAME, (axis,), f"direction_{j + 1}", (j,), _by_direction, by_direction, positive=True))
         if all(run.load is not None for run in runs) and _changes_flank(runs, j):
             by_load = plain_report(width, scale=degrees, hyper_name=f"{axis}.crossing_s")
-            hyper = {"hyper": CROSSING_S, "hyper_parameter": f"{axis}.crossing_s", "trials": 2.0}
-            out.append(MotionCandidate(NAME, (axis,), f"tau{j + 1}", (j,), _by_load, by_load, positive=True, form="load", **hyper))
+            hyper = Hyperparameter(f"{axis}.crossing_s", CROSSING_S, 2.0)
+            out.append(MotionCandidate(NAME, (axis,), f"tau{j + 1}", (j,), _by_load, by_load, hyper, positive=True, variant="load"))
     return out
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import Hyperparameter
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, available
 
 NAME = "channel_latency"
@@ -23,7 +24,14 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     columns, depends = (_torque, "rate") if group.name == "tau" else (_encoder, "qd")
     return [
         MotionCandidate(
-            NAME, (group.name,), depends, group.joints, columns, _report, hyper=np.array([0.0]), continuous=False, channel_delay=True
+            NAME,
+            (group.name,),
+            depends,
+            group.joints,
+            columns,
+            _report,
+            Hyperparameter("", np.array([0.0]), 1.0, refine=False),
+            channel_delay=True,
         )
     ]
 

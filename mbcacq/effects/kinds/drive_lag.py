@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import Hyperparameter
 from mbcacq.effects.motion_effect import (
     ChannelGroup,
     Columns,
@@ -45,14 +45,13 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     for j in group.joints:
         axis = f"A{j + 1}"
         here = ((axis,), f"qd{j + 1}", (j,))
-        lag = {"hyper": LAGS_S, "positive": True, "form": "fast", "no_lower_bound": True}
-        loop = {"hyper": LOOPS_S, "continuous": False, "form": "slow", "sigma": LOOP_SIGMA}
-        common = {"trials": 4.0, "hyper_parameter": f"{axis}.time_constant_s"}
-        out.append(MotionCandidate(NAME, *here, _lag, _lag_report(axis), **lag, **common))
-        out.append(MotionCandidate(NAME, *here, _loop, _loop_report(axis), **loop, **common))
+        lag = Hyperparameter(f"{axis}.time_constant_s", LAGS_S, 4.0, from_none=True)
+        loop = Hyperparameter(f"{axis}.time_constant_s", LOOPS_S, 4.0, refine=False)
+        out.append(MotionCandidate(NAME, *here, _lag, _lag_report(axis), lag, positive=True, variant="fast"))
+        out.append(MotionCandidate(NAME, *here, _loop, _loop_report(axis), loop, variant="slow", sigma=LOOP_SIGMA))
         for name, columns, unit in _disturbances(runs):
             report = plain_report(f"{axis}.{name}_push_{unit}")
-            out.append(MotionCandidate(NAME, *here, columns, report, extends=True, shares_hyper=True, continuous=False, form=name))
+            out.append(MotionCandidate(NAME, *here, columns, report, extends=True, shares_hyper=True, variant=name))
     return out
 
 
@@ -68,6 +67,8 @@ def _disturbances(runs: tuple[MotionSignals, ...]) -> list[tuple[str, Columns, s
 
 def _lag(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
     """Deviation (T, 1) that a dead time and a lag cause, by one second of both together."""
+    from scipy.interpolate import CubicSpline  # takes a fifth of a second, which most commands do not need
+
     assert lag is not None
     q_set, time = available(run.q_set)[:, joint], run.step_s * np.arange(len(run.q))
     dead = max(_total_delay(run, joint) - lag, 0.0)

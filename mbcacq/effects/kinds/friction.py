@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import Hyperparameter
 from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
 
 NAME = "friction"
@@ -36,7 +37,6 @@ def _of_joint(j: int, fastest: float, with_load: bool) -> list[MotionCandidate]:
     stribeck = plain_report(f"{axis}.stribeck_Nm", hyper_name=f"{axis}.stribeck_speed_rad_per_s")
     uneven = plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad")
     load = plain_report(f"{axis}.load_dependent")
-    speeds = STRIBECK_SPEEDS * fastest
     out = [
         MotionCandidate(NAME, *here, _plain, plain, positive=True, usual=True),
         MotionCandidate(
@@ -44,16 +44,14 @@ def _of_joint(j: int, fastest: float, with_load: bool) -> list[MotionCandidate]:
             *here,
             _stribeck,
             stribeck,
-            hyper=speeds,
-            hyper_parameter=f"{axis}.stribeck_speed_rad_per_s",
-            trials=3.0,
+            Hyperparameter(f"{axis}.stribeck_speed_rad_per_s", STRIBECK_SPEEDS * fastest, 3.0),
             extends=True,
-            form="stribeck",
+            variant="stribeck",
         ),
-        MotionCandidate(NAME, *here, _uneven, uneven, extends=True, form="direction"),
+        MotionCandidate(NAME, *here, _uneven, uneven, extends=True, variant="direction"),
     ]
     if with_load:
-        out.append(MotionCandidate(NAME, *here, _load, load, extends=True, form="load", follows_load=True))
+        out.append(MotionCandidate(NAME, *here, _load, load, extends=True, variant="load", follows_load=True))
     return out
 
 

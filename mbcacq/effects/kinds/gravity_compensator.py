@@ -87,8 +87,8 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     first = plain_report("A2.sin_Nm", "A2.cos_Nm", "A2.sin2_Nm", "A2.cos2_Nm")
     third = plain_report("A2.sin3_Nm", "A2.cos3_Nm")
     out = [
-        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(1, 2), first, sigma=weight, form="series"),
-        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(3), third, extends=True, form="third", sigma=THIRD_HARMONIC * weight),
+        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(1, 2), first, sigma=weight, variant="series"),
+        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(3), third, extends=True, variant="third", sigma=THIRD_HARMONIC * weight),
     ]
     robot = runs[0].robot
     upright = None if robot is None else upright_angle(robot.chain, robot.gravity)
@@ -102,10 +102,9 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
                 (1,),
                 _balancing(upright),
                 _balancing_report(upright),
-                hyper=LEVER_RATIOS,
+                Hyperparameter("", LEVER_RATIOS, 1.0, refine=False),
                 positive=True,
-                continuous=False,
-                form="balancing",
+                variant="balancing",
                 sigma=sigma,
                 usual=True,
                 load_parameters=(("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0)),
