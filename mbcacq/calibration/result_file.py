@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import ConfigDict, Field, FiniteFloat
 
-from mbcacq.calibration.observation_fit import EstimatedNoise, ObservationFit, Parameter, Rejected
+from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter, Rejected
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.scan_scale import ScanScale
@@ -128,21 +128,6 @@ class FitInResult(EveryKey):
     rank: int
     iterations: int | None = None
     expected_accuracy_mm: Figure | None = None
-
-    @classmethod
-    def of(cls, fit: ObservationFit, expected_accuracy_mm: float) -> Self:
-        """The figures of a fit."""
-        return cls(
-            poses=fit.used_poses,
-            centres=int(fit.used.sum()),
-            rms_mm=fit.rms_mm,
-            chi2=fit.chi2,
-            dof=fit.dof,
-            chi2_dof=fit.chi2 / fit.dof if fit.dof > 0 else None,
-            rank=fit.rank,
-            iterations=fit.iterations,
-            expected_accuracy_mm=expected_accuracy_mm,
-        )
 
 
 @dataclass(frozen=True)

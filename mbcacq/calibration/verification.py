@@ -54,7 +54,7 @@ class VerifiedPair:
 
 @dataclass(frozen=True)
 class LengthErrors:
-    """Of all places, mm: mean and largest size, mean with its sign, and each."""
+    """Errors (mm) at all places: mean and largest size, mean with its sign, and each."""
 
     mean_mm: float
     max_mm: float

@@ -19,8 +19,9 @@ from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
 from mbcacq.interim_check.measured_day import fit_stations, refuse_incomplete, residuals_of
 from mbcacq.interim_check.options import OPTIONS, UsualChanges
 from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
-from mbcacq.interim_check.verdict import CheckResult, CheckVerdict, verdict_of
+from mbcacq.interim_check.verdict import CheckVerdict, verdict_of
 from mbcacq.interim_check.words import sentence_of
+from mbcacq.model.json_text import fields_as_json
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.recording.run_folder.lock import write_lock
@@ -65,8 +66,18 @@ class InterimCheck:
         return sentence_of(self.verdict, self.history)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON content, format 'mbcacq-check-result/1'."""
-        return CheckResult.of(self.verdict, self.history, {"history": str(self.file), "recording": str(self.run)}).to_dict()
+        """JSON content, format 'mbcacq-check-result/1'; angles in rad."""
+        times, since, between = [day.time for day in self.history.days], self.verdict.since, self.verdict.between
+        return {
+            "format": "mbcacq-check-result/1",
+            **fields_as_json(self.verdict),
+            "checks": len(times),
+            "log_e_by_check": [day.log_e for day in self.history.days],
+            "since": None if since is None else times[since],
+            "since_between": None if between is None else [times[k] for k in between],
+            "before_first_check": since == 0,
+            "files": {"history": str(self.file), "recording": str(self.run)},
+        }
 
     def refuse_changed(self) -> None:
         """Raises CellChanged where the cell is not as it was."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
@@ -17,7 +17,7 @@ from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS, CheckOptions
 from mbcacq.interim_check.planned_check import PlannedCheck
 from mbcacq.interim_check.possible_changes import SCANNER, UNNAMED, PossibleChange, rows_of, twist_columns
-from mbcacq.model.json_text import AsJson, keyed
+from mbcacq.model.json_text import keyed
 
 AS_BEFORE, CHANGED = "as_before", "changed"
 LEAST_COMMON = 0.5  # of the centres of a check: with fewer it is another check
@@ -44,6 +44,9 @@ class Suspect:
         return f"{self.name.replace('_', ' ')} ({self.where})"
 
 
+Noticed = Annotated[tuple[str, str, float, str], keyed("name", "where", "size", "unit")]
+
+
 @dataclass(frozen=True, kw_only=True)
 class CheckVerdict:
     """verdict: 'as_before' or 'changed'. log_e: of the e-process since the first check; log_e_calibration: of that since the
@@ -54,14 +57,14 @@ class CheckVerdict:
 
     verdict: str
     log_e: float
-    log_e_calibration: float
+    log_e_calibration: Annotated[float, Field(alias="log_e_since_calibration")]
     log_threshold: float
     suspects: tuple[Suspect, ...]
-    since: int | None
-    between: tuple[int, int] | None
-    noticed: tuple[tuple[str, str, float, str], ...]
-    noise: float
-    day: float
+    since: Annotated[int | None, Field(exclude=True)]
+    between: Annotated[tuple[int, int] | None, Field(exclude=True)]
+    noticed: Annotated[tuple[Noticed, ...], Field(alias="noticed_within_a_week")]
+    noise: Annotated[float, Field(alias="noise_level")]
+    day: Annotated[float, Field(alias="day_level")]
 
     @property
     def changed(self) -> bool:
@@ -268,46 +271,3 @@ def noticed(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tu
             for p, v, u in zip(change.parameters, size, change.units, strict=True)
         ]
     return tuple(out)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckResult(AsJson):
-    """The JSON content of a verdict, format 'mbcacq-check-result/1'; angles in rad. since, since_between: times of checks; files: of the
-    history, and the folder of the recording."""
-
-    format: Literal["mbcacq-check-result/1"] = "mbcacq-check-result/1"
-    verdict: str
-    checks: int
-    log_e: float
-    log_e_since_calibration: float
-    log_threshold: float
-    log_e_by_check: tuple[float | None, ...]
-    suspects: tuple[Suspect, ...]
-    since: str | None
-    since_between: tuple[str, str] | None
-    before_first_check: bool
-    noticed_within_a_week: tuple[Annotated[tuple[str, str, float, str], keyed("name", "where", "size", "unit")], ...]
-    noise_level: float
-    day_level: float
-    files: Mapping[str, str]
-
-    @classmethod
-    def of(cls, verdict: CheckVerdict, history: CheckHistory, files: Mapping[str, str]) -> Self:
-        """The verdict with what the history says of its days."""
-        times = [day.time for day in history.days]
-        return cls(
-            verdict=verdict.verdict,
-            checks=len(times),
-            log_e=verdict.log_e,
-            log_e_since_calibration=verdict.log_e_calibration,
-            log_threshold=verdict.log_threshold,
-            log_e_by_check=tuple(day.log_e for day in history.days),
-            suspects=verdict.suspects,
-            since=None if verdict.since is None else times[verdict.since],
-            since_between=None if verdict.between is None else (times[verdict.between[0]], times[verdict.between[1]]),
-            before_first_check=verdict.since == 0,
-            noticed_within_a_week=verdict.noticed,
-            noise_level=verdict.noise,
-            day_level=verdict.day,
-            files=files,
-        )

@@ -109,7 +109,13 @@ class AsJson:
 
 def keyed(*keys: str) -> InJson:
     """For the annotation of a tuple, which stands in JSON as an object with these keys."""
-    return InJson(dict[str, Any], lambda content: tuple(content[key] for key in keys), lambda value: dict(zip(keys, value, strict=True)))
+
+    def read(content: Mapping[str, Any]) -> tuple[Any, ...]:
+        if missing := [key for key in keys if key not in content]:
+            raise ValueError(f"the key '{missing[0]}' is missing")
+        return tuple(content[key] for key in keys)
+
+    return InJson(dict[str, Any], read, lambda value: dict(zip(keys, value, strict=True)))
 
 
 def _as_array(values: Any) -> np.ndarray:

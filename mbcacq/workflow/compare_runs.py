@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
@@ -19,7 +19,7 @@ from mbcacq.calibration.without_prior import without_prior
 from mbcacq.errors import ConfigError, command_line
 from mbcacq.geometry import se3
 from mbcacq.model.cell import RobotModel
-from mbcacq.model.json_text import damage
+from mbcacq.model.json_text import AsJson, damage, keyed
 from mbcacq.quantities import K, fixed, measured, p_value, significant, symbol
 from mbcacq.report.sources.coefficients import names_in_words
 
@@ -29,8 +29,11 @@ DETERMINED = {"free", "prior"}
 REGULAR = 1e-12  # least eigenvalue of the normalised covariance of all changes that counts as known
 
 
+WithU = Annotated[tuple[float, float | None], keyed("value", "U")]
+
+
 @dataclass(frozen=True)
-class Change:
+class Change(AsJson):
     """One quantity in both recordings, with expanded uncertainties (k = 2); None where a recording does not determine it.
 
     what: 'parameter', 'hand-eye', 'effect' or 'figure'. significant: the change is beyond what chance makes of that many rows.
@@ -39,9 +42,9 @@ class Change:
     what: str
     name: str
     unit: str
-    before: tuple[float, float | None] | None
-    after: tuple[float, float | None] | None
-    change: tuple[float, float | None] | None
+    before: WithU | None
+    after: WithU | None
+    change: WithU | None
     significant: bool = False
     why_not: str = ""
 
@@ -51,13 +54,6 @@ class Change:
         if self.name.startswith("unknown:"):
             return self.name.replace("unknown:", "unmodelled ").replace(":", " ").replace("_", " ").replace("[", " [")
         return self.name.replace("hand_eye.", "hand-eye ")
-
-    def to_dict(self) -> dict[str, Any]:
-        def value(pair: tuple[float, float | None] | None) -> dict[str, float | None] | None:
-            return None if pair is None else {"value": pair[0], "U": pair[1]}
-
-        shown = {"before": value(self.before), "after": value(self.after), "change": value(self.change)}
-        return {"what": self.what, "name": self.name, "unit": self.unit, **shown, "significant": self.significant, "why_not": self.why_not}
 
 
 @dataclass(frozen=True, kw_only=True)

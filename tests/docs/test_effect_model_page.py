@@ -73,8 +73,11 @@ def result(postures: np.ndarray) -> dict:
     errors = rng.normal(0, [1e-3, 0.3, 0.3, 1e-3, 1e-3], (6, 5))
     chains = {"nominal": arm.chain, "calibrated": arm.chain.with_errors(errors)}
     rows = {w: {p: getattr(c, p).tolist() for p in PARAMETERS} for w, c in chains.items()}
+    rows["errors"] = {p: errors[:, i].tolist() for i, p in enumerate(PARAMETERS)}
     return {
         "format": "mbcacq-result/1",
+        "method": "ml",
+        "fit": {"poses": 40, "centres": 40, "rms_mm": 0.0, "chi2": 0.0, "dof": 1, "rank": 0},
         "robot": {"name": arm.name, "sign": arm.chain.sign.tolist(), "limits": arm.limits.tolist(), **rows},
         "T_flange_scanner": np.eye(4).tolist(),
         "preliminary": {"T_flange_scanner": np.eye(4).tolist()},

@@ -108,13 +108,13 @@ def test_a_calibration_knows_which_poses_took_part(cell, data):
 
 
 def test_verification_goes_to_json_and_back(cell):
-    from mbcacq.calibration.verification import VerifiedPair
+    from mbcacq.calibration.verification import JudgedFigure, VerifiedPair
 
     made = mbcacq.Verification(
         places=(VerifiedPair(station="b1", balls=(1, 2), certified_mm=735.0, before_mm=0.4, after_mm=0.02, expected_mm=0.03),),
         limit_mm=0.1,
         independent=True,
-        figures=({"name": "x"},),
+        figures=(JudgedFigure(name="x", value_mm=0.02, count=1, uncertainty_mm=None, limit_mm=0.1, verdict="pass"),),
     )
     assert mbcacq.Verification.from_dict(json.loads(json.dumps(made.to_dict()))) == made
     assert mbcacq.Verification.from_dict(mbcacq.Verification(places=()).to_dict()) == mbcacq.Verification(places=())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, ResponseShape, UnmodelledMotionEffect
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.output.text import describe
 from mbcacq.diagnosis.result import EffectFound
@@ -68,6 +68,6 @@ def test_the_same_of_poses():
 
 def test_an_unmodelled_effect_has_a_size():
     x, y = (0.0, 1.0), (3.0, -4.0)
-    assert "rms 3.54 N·m, as a function of q2" in text_of(UnmodelledMotionEffect(("A2",), "tau", "q2", 1e-9, 0.1, x, y))
+    assert "rms 3.54 N·m, as a function of q2" in text_of(UnmodelledMotionEffect(("A2",), "tau", "q2", 1e-9, 0.1, ResponseShape(x, y)))
     angle = tuple(np.radians(y).tolist())
-    assert "rms 3.54°, as a function of q2" in text_of(UnmodelledMotionEffect(("A2",), "q_set", "q2", 1e-9, 0.1, x, angle))
+    assert "rms 3.54°, as a function of q2" in text_of(UnmodelledMotionEffect(("A2",), "q_set", "q2", 1e-9, 0.1, ResponseShape(x, angle)))

@@ -8,6 +8,7 @@ from mbcacq.diagnosis.motion.result import (
     MotionDiagnosis,
     MotionEffect,
     MotionMismatch,
+    ResponseShape,
     UnmodelledMotionEffect,
 )
 from mbcacq.diagnosis.result import Alternative
@@ -126,7 +127,7 @@ def motion(seed=0):
             MotionEffect(
                 "friction", ("A2",), "qd2", "tau", parameters, 1e-90, 0.8, 0.9, (Alternative("backlash", ("A2",), 0.1, 1e-3),), ()
             ),
-            UnmodelledMotionEffect(("A4",), "q_set", "q4", 1e-9, 0.1, (0.0, 1.0), (0.01, -0.01)),
+            UnmodelledMotionEffect(("A4",), "q_set", "q4", 1e-9, 0.1, ResponseShape((0.0, 1.0), (0.01, -0.01))),
         ),
         channels=tuple(channels),
         split="time block",

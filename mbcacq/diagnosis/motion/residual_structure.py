@@ -9,7 +9,7 @@ from scipy.special import chdtrc, stdtr
 
 from mbcacq.diagnosis.motion.fit import MotionFit
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.diagnosis.motion.result import MotionMismatch, UnmodelledMotionEffect
+from mbcacq.diagnosis.motion.result import MotionMismatch, ResponseShape, UnmodelledMotionEffect
 from mbcacq.effects.motion_effect import MotionSignals
 
 FEWEST_BINS = 3  # a table of fewer has no shape
@@ -45,7 +45,7 @@ def residual_structure(
         segments = NUMBERS.residual_segments
         return MotionMismatch(axis, channel, "time", weight, float(chdtrc(segments, segments * mean_square / floor**2))), None
     share = best.share * weight
-    effect = UnmodelledMotionEffect((axis,), channel, best.covariate, best.p_value, share, best.x, best.y)
+    effect = UnmodelledMotionEffect((axis,), channel, best.covariate, best.p_value, share, ResponseShape(best.x, best.y))
     return MotionMismatch(axis, channel, best.covariate, share, best.p_value), effect
 
 

@@ -79,38 +79,20 @@ class ResponseShape:
 
 @dataclass(frozen=True)
 class UnmodelledMotionEffect:
-    """Structure in a residual that no effect of the catalogue explains: its mean ``y`` over bins ``x`` of the covariate ``depends_on``,
-    in SI units. It is named 'unknown'."""
+    """Structure in a residual that no effect of the catalogue explains: its ``shape`` over the covariate ``depends_on``. It is
+    named 'unknown'."""
 
     where: tuple[str, ...]
     channel: str
     depends_on: str
     p_value: Number
     held_out_gain: Number
-    x: Annotated[tuple[float, ...], Field(exclude=True)]
-    y: Annotated[tuple[float, ...], Field(exclude=True)]
+    shape: ResponseShape
+    name: str = field(init=False, default=UNKNOWN)
+    parameters: Mapping[str, Mapping[str, Any]] = field(init=False, default_factory=dict)
+    alternatives: tuple[Alternative, ...] = field(init=False, default=())
 
     trend = ""
-
-    @computed_field
-    @property
-    def name(self) -> str:
-        return UNKNOWN
-
-    @computed_field
-    @property
-    def parameters(self) -> Mapping[str, Mapping[str, Any]]:
-        return {}
-
-    @computed_field
-    @property
-    def shape(self) -> ResponseShape:
-        return ResponseShape(self.x, self.y)
-
-    @computed_field
-    @property
-    def alternatives(self) -> tuple[Alternative, ...]:
-        return ()
 
 
 @dataclass(frozen=True)
@@ -204,9 +186,7 @@ class FitOfMotion:
 
 
 def _effect(content: Any) -> MotionEffect | UnmodelledMotionEffect:
-    if content["name"] == UNKNOWN:
-        return from_fields(UnmodelledMotionEffect, {**content, **content["shape"]})
-    return from_fields(MotionEffect, content)
+    return from_fields(UnmodelledMotionEffect if content["name"] == UNKNOWN else MotionEffect, content)
 
 
 EitherEffect = Annotated[MotionEffect | UnmodelledMotionEffect, InJson(Any, _effect, fields_as_json)]

@@ -97,7 +97,7 @@ def _values(name: str, parameter: Mapping[str, Any]) -> str:
 def size_of_shape(effect: UnmodelledMotionEffect) -> str:
     """Its size. The bins hold equally many samples, so that the mean square over them is that over the recording."""
     torque = effect.channel == "tau"
-    rms = float(np.sqrt(np.mean(np.square(effect.y))))
+    rms = float(np.sqrt(np.mean(np.square(effect.shape.y))))
     size = f"{significant(rms)} N·m" if torque else f"{significant(float(np.degrees(rms)))}°"
     return f"rms {size}, as a function of {effect.depends_on} ({CHANNELS[effect.channel]})"
 
