@@ -2,6 +2,8 @@
 
     python benchmarks/effects_loop.py loop [--plan plans/kuka-effects.yaml] [--seeds 3] [--protocols] [--write]
     python benchmarks/effects_loop.py steered [--drivers simulated,kuka-rsi,kuka-eki] [--out runs/corrected-benchmark]
+    OMP_NUM_THREADS=1 python benchmarks/effects_loop.py elsewhere --write
+    OMP_NUM_THREADS=1 python benchmarks/effects_loop.py elsewhere --cells 4 --first 100
 
 Each command says more with --help.
 """
@@ -16,7 +18,8 @@ from typing import Any
 
 import bench
 import numpy as np
-from bench import HERE, PLANS, changed_plan, option, put, writes
+from bench import HERE, PLANS, changed_plan, keeps, option, put, writes
+from effects_loop.elsewhere import cells
 from mbcacq_fakes.cell.build_world import make_world
 from mbcacq_fakes.world.description import from_cell
 from mbcacq_fakes.world.options import parse
@@ -30,11 +33,12 @@ from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.exports.scan_correction import place_scan
+from mbcacq.files.atomic_write import write_files
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, expand
-from mbcacq.recording.rrd.scan_export import write_scans
+from mbcacq.recording.rrd.scan_export import scans_to_write
 from mbcacq.spheres import read_cloud
 from mbcacq.workflow.corrected_targets import corrected_targets, improvement_of_run
 
@@ -62,7 +66,7 @@ def recorded(plan: Path, seed: int, folder: Path | None, shifted: bool = False, 
 
 def spacing_of_scans(run: Path, bars: Observations, cell: mbcacq.CalibratedCell, folder: Path) -> float:
     """Mean absolute sphere spacing error (mm) of the bars in clouds that were brought into the base as ``mbcacq apply`` does."""
-    write_scans(run, folder)
+    write_files(folder, scans_to_write(run))
     result = cell.to_dict()
     radius = dict(zip(bars.cell.ball_ids, np.concatenate([a.diameters for a in bars.cell.artefacts]) / 2, strict=True))
     certified = dict(zip(bars.cell.ball_ids, bars.cell.ball_centres, strict=True))
@@ -286,10 +290,12 @@ def steered(given: argparse.Namespace) -> None:
 if __name__ == "__main__":
     PLAN = option("--plan", type=Path, default=Path("plans/kuka-effects.yaml"))
     LOOP = [PLAN, option("--seeds", type=int, default=3), option("--protocols", action="store_true")]
+    COUNT = [option("--cells", type=int, default=40), option("--first", type=int, default=1)]
     bench.main(
         __doc__,
         {
             "loop": (loop, [*LOOP, writes("benchmarks/effects_loop.md")]),
+            "elsewhere": (cells, [*COUNT, keeps("elsewhere.jsonl"), writes("benchmarks/elsewhere.md")]),
             "steered": (
                 steered,
                 [

@@ -1,8 +1,11 @@
-"""An arm in motion: challenges and their score, a motion designed to tell two effects apart, pictures of the KR 300.
+"""An arm in motion: challenges and their score, a motion designed to tell two effects apart, runs with it, models of MuJoCo, the KR 300.
 
     python benchmarks/motion.py score --challenges 100 --jobs 2 --json trajectories.json
     OMP_NUM_THREADS=1 python benchmarks/motion.py excitation --write
     python benchmarks/motion.py figures ../shared/data/kr300-trajectory-a ../shared/data/kr300-trajectory-b --out docs/data
+    OMP_NUM_THREADS=1 python benchmarks/motion.py concealed --write
+    OMP_NUM_THREADS=1 python benchmarks/motion.py concealed --tools 12 --seeds 1
+    python benchmarks/motion.py mujoco --write
 
 Each command says more with --help.
 """
@@ -18,8 +21,10 @@ from typing import Any
 
 import bench
 import numpy as np
-from bench import HERE, PLANS, curve, line, option, svg, text, writes
+from bench import HERE, PLANS, curve, keeps, line, option, svg, text, writes
 from mbcacq_fakes.dynamics.recorded import recorded
+from motion.mujoco_models import mujoco_models
+from motion.run_and_motion import concealed
 from motion_challenge import MotionChallengeResult, draw, run_challenge
 
 from mbcacq.design.excitation import Excitation, FourierMotion, at_rest, design_excitation
@@ -224,11 +229,18 @@ def figures(given: argparse.Namespace) -> None:
 
 if __name__ == "__main__":
     SCORE = [option("--challenges", type=int, default=100), option("--first", type=int, default=1000, help="seed of the first challenge")]
+    NO_PEER = option("--no-peer", action="store_true", help="leave mujoco.sysid out")
+    CELLS = [option("--tools", type=float, nargs="+", default=[0.0, 12.0, 25.0]), option("--seeds", type=int, default=2)]
     bench.main(
         __doc__,
         {
             "score": (score, [*SCORE, option("--jobs", type=int, default=1), option("--json", type=Path)]),
             "excitation": (excitation, [option("--seeds", type=int, nargs="*", default=SEEDS), writes("benchmarks/excitation.md")]),
             "figures": (figures, [option("folders", nargs="+", type=Path), option("--out", type=Path, required=True)]),
+            "concealed": (concealed, [*CELLS, keeps("run_and_motion.jsonl"), writes("benchmarks/run_and_motion.md")]),
+            "mujoco": (
+                mujoco_models,
+                [option("--no-peer", action="store_true", help="leave mujoco.sysid out"), writes("benchmarks/mujoco_models.md")],
+            ),
         },
     )

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mbcacq.design.adaptive.investigation import Decision
+from mbcacq.model.json_text import from_fields
 
 OUT = Path(__file__).parents[1] / "investigation.svg"
 WIDTH, LEFT, TOP, LINE = 760, 150, 46, 16
@@ -57,7 +58,7 @@ def _end(d: Decision) -> str:
 
 def main() -> None:
     content = json.loads((Path(sys.argv[1]) / "investigation.json").read_text(encoding="utf-8"))
-    OUT.write_text(draw([Decision.from_dict(one) for one in content["decisions"]]), encoding="utf-8")
+    OUT.write_text(draw([from_fields(Decision, one) for one in content["decisions"]]), encoding="utf-8")
 
 
 if __name__ == "__main__":

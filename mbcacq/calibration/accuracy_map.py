@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.uncertainty import without_rigid_motion
 from mbcacq.estimation.identifiability import base_columns, typical_points
+from mbcacq.model.json_text import AsJson, Matrix, Vector, as_list
 
 
-@dataclass(frozen=True)
-class AccuracyMap:
-    """centres: (C, 3) mm of the cells that are reached; sigma_mm: (C,) 3D standard uncertainty of a point, rms over the postures that get
-    there, a rigid motion of the whole base aside; postures: (C,) how many were tried there; cell_mm: edge length."""
+@dataclass(frozen=True, kw_only=True)
+class AccuracyMap(AsJson):
+    """cell_mm: edge length of a cell; centres_mm: (C, 3) of the cells that are reached; sigma_mm: (C,) 3D standard uncertainty of a point,
+    rms over the postures that get there, a rigid motion of the whole base aside; postures: (C,) how many were tried there."""
 
-    centres: np.ndarray
-    sigma_mm: np.ndarray
-    postures: np.ndarray
     cell_mm: float
-
-    def to_dict(self) -> dict:
-        return {
-            "cell_mm": self.cell_mm,
-            "centres_mm": self.centres.tolist(),
-            "sigma_mm": self.sigma_mm.tolist(),
-            "postures": self.postures.tolist(),
-        }
+    centres_mm: Matrix
+    sigma_mm: Vector
+    postures: Annotated[np.ndarray, as_list(list[int])]
 
 
 def accuracy_map(calibrated: CalibratedCell, cell_mm: float = 250.0, postures: int = 4000, seed: int = 1) -> AccuracyMap:
@@ -42,4 +36,4 @@ def accuracy_map(calibrated: CalibratedCell, cell_mm: float = 250.0, postures: i
     place = np.floor(points / cell_mm).astype(int)
     cells, group, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
     sigma = np.sqrt(np.bincount(group.ravel(), variance) / count)
-    return AccuracyMap((cells + 0.5) * cell_mm, sigma, count, cell_mm)
+    return AccuracyMap(cell_mm=cell_mm, centres_mm=(cells + 0.5) * cell_mm, sigma_mm=sigma, postures=count)

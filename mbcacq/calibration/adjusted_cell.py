@@ -63,9 +63,15 @@ def positive_inverse(H: np.ndarray) -> np.ndarray:
 
 def _rejected(obs: Observations, solution: Solution, weights: Weights) -> tuple[Rejected, ...]:
     size = np.linalg.norm(solution.linear.residual[:, :3], axis=1)
-    out = [Rejected(int(obs.pose_id[p]), None, float(size[obs.pose == p].max(initial=0.0))) for p in np.flatnonzero(weights.pose == 0)]
+    out = [
+        Rejected(pose=int(obs.pose_id[p]), distance_mm=float(size[obs.pose == p].max(initial=0.0)))
+        for p in np.flatnonzero(weights.pose == 0)
+    ]
     single = np.flatnonzero((weights.centre == 0) & (weights.pose[obs.pose] > 0))
-    return (*out, *(Rejected(int(obs.pose_id[obs.pose[m]]), obs.cell.ball_ids[obs.ball[m]], float(size[m])) for m in single))
+    return (
+        *out,
+        *(Rejected(pose=int(obs.pose_id[obs.pose[m]]), ball=obs.cell.ball_ids[obs.ball[m]], distance_mm=float(size[m])) for m in single),
+    )
 
 
 def _correlated(names: Sequence[str], C: np.ndarray) -> tuple[tuple[str, str, float], ...]:

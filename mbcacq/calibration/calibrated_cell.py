@@ -13,6 +13,20 @@ from mbcacq.calibration import notebook, result_io, verification
 from mbcacq.calibration.length_budget import EndVariance, length_budget
 from mbcacq.calibration.observability import arm_indices
 from mbcacq.calibration.observation_fit import ObservationFit, Parameter
+from mbcacq.calibration.result_file import (
+    FORMAT,
+    THE_RESULT,
+    BallInResult,
+    Correlated,
+    FitInResult,
+    NoiseInResult,
+    Preliminary,
+    ResultFile,
+    RobotInResult,
+    StationInResult,
+    damaged,
+    result_of,
+)
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.sealed_json import sealed_text, unsealed
 from mbcacq.calibration.uncertainty import fill_effect_columns, measuring_terms, single_points, without_rigid_motion
@@ -23,9 +37,11 @@ from mbcacq.estimation import identifiability
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.estimation.scan_scale import scale_in_words, scan_scale
+from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.json_text import damage, fields_as_json, read_json
+from mbcacq.model.json_text import fields_as_json, from_fields, read_json
 from mbcacq.model.observations import Observations
 
 if TYPE_CHECKING:
@@ -122,32 +138,26 @@ class CalibratedCell:
         )
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any], source: str = "the calibration result") -> CalibratedCell:
+    def from_dict(cls, content: dict[str, Any], source: str = THE_RESULT) -> CalibratedCell:
         """The cell of a result's content. source: how a message calls it. Raises ConfigError where this is no result of a calibration, or
         a damaged one."""
-        state = result_io.state_from_dict(content)
-        try:
-            nominal, T = result_io.chain_of(content, "nominal"), result_io.transform(content["preliminary"]["T_flange_scanner"])
-            layout = result_io.layout_from_dict(content)
-            covariance = np.array(content["covariance"], dtype=float).reshape(layout.size, layout.size)
-            noise = result_io.noise_from_dict(content["noise"])
-            robot, limits = str(content["robot"]["name"]), content["robot"].get("limits")
-            limits = None if limits is None else np.array(limits, dtype=float).reshape(nominal.n, 2)
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"{source} is damaged ({damage(error)}); write it anew with mbcacq calibrate") from error
+        file = result_of(content, source)
+        if file.preliminary is None:
+            raise damaged(source, "the key 'preliminary' is missing")
+        state, nominal = file.state, file.robot.nominal_chain
         return cls(
-            robot=robot,
+            robot=file.robot.name,
             nominal=nominal,
-            limits=limits,
+            limits=file.robot.limits,
             state=state,
-            preliminary=CellState(nominal, T, state.T_base_station, state.balls),
-            stations=tuple(str(s["id"]) for s in content["stations"]),
-            ball_ids=tuple(b["id"] for b in content["balls"]),
-            layout=layout,
-            covariance=covariance,
-            noise=noise,
+            preliminary=CellState(nominal, file.preliminary.T_flange_scanner, state.T_base_station, state.balls),
+            stations=tuple(s.id for s in file.stations),
+            ball_ids=tuple(b.id for b in file.balls),
+            layout=result_io.layout_of(file, source),
+            covariance=file.covariance.reshape(len(file.names), len(file.names)),
+            noise=file.noise.noise,
             effects=result_io.effects_of(content),
-            simulated=bool(content.get("simulated")),
+            simulated=file.simulated,
             extra=content,
         )
 
@@ -156,40 +166,49 @@ class CalibratedCell:
         """The cell of a result's JSON text, of a result.json, or of a run folder that holds one; of one of several recordings by its number
         (``result.json#2``), or without where ``any_of_them`` will do, since they share the arm. Raises ConfigError."""
         if isinstance(source, str) and source.lstrip().startswith("{"):
-            content = read_json(source, "the calibration result", "give the content of a result.json")
-            return cls.from_dict(unsealed(content, Path("the calibration result")))
+            content = read_json(source, THE_RESULT, "give the content of a result.json")
+            return cls.from_dict(unsealed(content, Path(THE_RESULT)))
         return cls.from_dict(result_io.read_result(Path(source), any_of_them=any_of_them), str(source))
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of result.json, format 'mbcacq-result/1'; see ``mbcacq.calibration.result_io``."""
-        if self.own_fit is None:
-            return dict(self.extra)
-        fit, cell = self.own_fit, self.own_fit.observations.cell
-        places = self.station_places
-        return {
-            "format": result_io.FORMAT,
-            "method": fit.options.method,
-            "measurement": cell.measurement,
-            **({"simulated": True} if self.simulated else {}),
-            "robot": result_io.robot_content(cell.robot, self.state.chain),
-            "T_flange_scanner": self.state.T_flange_scanner.tolist(),
-            "stations": [
-                result_io.station_content(s, places[s.id], fit.station_covariance[i]) for i, s in enumerate(cell.stations) if s.id in places
-            ],
-            "balls": [{"id": b, "centre_mm": self.state.balls[i].tolist()} for i, b in enumerate(self.ball_ids)],
-            "preliminary": {"T_flange_scanner": self.preliminary.T_flange_scanner.tolist()},
-            "parameters": [fields_as_json(p) for p in self.parameters],
-            "names": list(self.names),
-            "covariance": self.covariance.tolist(),
-            "noise": result_io.noise_content(self.noise, cell, oriented=fit.residual.shape[1] == 6),
-            "fit": result_io.fit_content(fit) | {"expected_accuracy_mm": self.expected_accuracy()},
-            "observability": self.observability,
-            **result_io.scale_content(fit, self.noise),
-            "held": self.layout.held,
-            **result_io.doubts_content(fit),
-            **({"effects": self.effects.to_dict()} if self.effects else {}),
-            **self.extra,
-        }
+        """The content of result.json, format 'mbcacq-result/1'; see ``mbcacq.calibration.result_file``."""
+        return dict(self.extra) if self.own_fit is None else {**fields_as_json(self.file), **self.extra}
+
+    @property
+    def file(self) -> ResultFile:
+        """The cell as a file holds it. Raises ConfigError as ``fit``."""
+        fit, cell, places = self.fit, self.fit.observations.cell, self.station_places
+        noise = NoiseInResult.of(self.noise, oriented=fit.oriented)
+        if cell.noise_mm is not None:
+            noise = replace(noise, check_factor=tuple((self.noise.point / first_noise(cell).point).tolist()))
+        stations = [
+            StationInResult(id=s.id, artefact=s.artefact, T_base_station=places[s.id], std=np.sqrt(np.diag(covariance)))
+            for s, covariance in zip(cell.stations, fit.station_covariance, strict=True)
+            if s.id in places
+        ]
+        return ResultFile(
+            format=FORMAT,
+            method=fit.options.method,
+            measurement=cell.measurement,
+            simulated=self.simulated,
+            robot=RobotInResult.of(cell.robot, self.state.chain),
+            T_flange_scanner=self.state.T_flange_scanner,
+            stations=tuple(stations),
+            balls=tuple(BallInResult(b, self.state.balls[i]) for i, b in enumerate(self.ball_ids)),
+            preliminary=Preliminary(self.preliminary.T_flange_scanner),
+            parameters=tuple(self.parameters),
+            names=self.names,
+            covariance=self.covariance,
+            noise=noise,
+            fit=FitInResult.of(fit, self.expected_accuracy()),
+            observability=self.observability,
+            scan_scale=scan_scale(fit.observations, fit.used, self.noise.point),
+            scale=scale_in_words(fit.observations),
+            held=self.layout.held,
+            correlated=tuple(Correlated((a, b), r) for a, b, r in fit.correlated),
+            rejected=fit.rejected,
+            effects=self.effects.to_dict() if self.effects else None,
+        )
 
     def to_json(self) -> str:
         """``to_dict`` as JSON text, with its checksum."""
@@ -223,7 +242,7 @@ class CalibratedCell:
     def parameters(self) -> list[Parameter]:
         """Every parameter, blocks in order; of the balls only the free ones."""
         if self.own_fit is None:
-            return [Parameter(**{key: p[key] for key in Parameter.__annotations__ if key in p}) for p in self.extra["parameters"]]
+            return [from_fields(Parameter, p) for p in self.extra["parameters"]]
         return result_io.parameters_of(self.own_fit, self.layout, self.state, self.covariance)
 
     @property
@@ -335,7 +354,7 @@ class CalibratedCell:
         took_part = self.took_part(verification_poses(observations))
         found = replace(found, independent=None if took_part is None else not took_part)
         figures = judge(observations, self.state, self.effects, Limits(sphere_spacing_error_mm=found.limit_mm), found)
-        return replace(found, figures=tuple(f.to_dict() for f in figures))
+        return replace(found, figures=tuple(figures))
 
     def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> CalibratedCell:
         """The same recording calibrated with effects as terms of the cell. found: a model of effects, or a diagnosis that holds one.

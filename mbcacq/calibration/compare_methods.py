@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, overload
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, overload
 
 import numpy as np
 
@@ -17,11 +17,10 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import select_phases
-from mbcacq.model.json_text import fields_as_json, from_fields
+from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 
-FORMAT = "mbcacq-comparison/1"
 FOLDS = 5
 SAME_POSTURE = np.radians(0.1)
 
@@ -43,9 +42,10 @@ class ComparisonRow:
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison(Sequence[ComparisonRow]):
+class Comparison(AsJson, Sequence[ComparisonRow]):
     """The rows of a comparison, in the order of the methods; a sequence of them."""
 
+    format: Literal["mbcacq-comparison/1"] = field(default="mbcacq-comparison/1", kw_only=True)
     rows: tuple[ComparisonRow, ...]
 
     @overload
@@ -59,15 +59,6 @@ class Comparison(Sequence[ComparisonRow]):
 
     def __len__(self) -> int:
         return len(self.rows)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON form, read back by ``from_dict``."""
-        return {"format": FORMAT, "rows": [fields_as_json(row) for row in self.rows]}
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> Comparison:
-        """The comparison that ``to_dict`` wrote."""
-        return cls(tuple(from_fields(ComparisonRow, row) for row in content["rows"]))
 
     def __repr__(self) -> str:
         judged = [row for row in self.rows if row.held_out_mm is not None]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from mbcacq.estimation.adjustment import Adjustment, thin
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.solver import Weights, solve
 from mbcacq.estimation.variance_components import first_noise
+from mbcacq.model.json_text import AsJson, Vector
 from mbcacq.model.observations import Observations
 
 BLOCKS = 5
@@ -31,7 +31,7 @@ BEYOND = 2.0  # standard errors by which a method must predict better: blocks li
 
 
 @dataclass(frozen=True)
-class HeldOutComparison:
+class HeldOutComparison(AsJson):
     """What calibrations of one recording predict of its held-out blocks.
 
     Attributes
@@ -42,16 +42,12 @@ class HeldOutComparison:
         Name of the calibration that is to be published.
     """
 
-    rms_mm: Mapping[str, np.ndarray]
     chosen: str
+    rms_mm: Mapping[str, Vector]
 
     def pooled(self, name: str) -> float:
         """The rms (mm, 3D) of all blocks together."""
         return float(np.sqrt(np.mean(self.rms_mm[name] ** 2)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content: which was chosen, and the rms of each block."""
-        return {"chosen": self.chosen, "rms_mm": {name: rms.tolist() for name, rms in self.rms_mm.items()}}
 
     def sentence(self, own: str) -> str:
         """For whoever gets another calibration than ``own``, which was asked for."""
@@ -97,7 +93,7 @@ def compared_on_held_out(
                     return None
                 del distances[name]
     rms = _rms_without_gross(distances)
-    return HeldOutComparison(rms, _chosen(rms, own))
+    return HeldOutComparison(_chosen(rms, own), rms)
 
 
 def plain_least_squares(alone: Adjustment) -> Adjustment:

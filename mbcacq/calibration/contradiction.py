@@ -7,8 +7,7 @@ allowed; it is about 1 for any cell that is as described, within a factor, and g
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
 from mbcacq.estimation.solver import Solution, Weights, evaluated, reweighted, solve
 from mbcacq.model.cell import Cell
+from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 
 
@@ -42,7 +42,7 @@ OPTIONS = ContradictionOptions()
 
 
 @dataclass(frozen=True)
-class Contradiction:
+class Contradiction(AsJson):
     """scanner, joint, link: ratios, root of the mean square over what is allowed; rejected: share of the centres that were rejected;
     cause: a sentence, '' where none was found that explains it; misdescribed: whether it is a sign, a unit or the like."""
 
@@ -52,9 +52,6 @@ class Contradiction:
     rejected: float
     cause: str = ""
     misdescribed: bool = False
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
     def sentence(self, cell: Cell) -> str:
         """What contradicts, by how much, and why where that is known."""

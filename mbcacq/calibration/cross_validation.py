@@ -7,7 +7,7 @@ the figure is their spread about it, with the six (or fewer) degrees of freedom 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import select_phases
+from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 
 SPLITS = ("station", "random", "block")
@@ -23,7 +24,7 @@ GROSS = 10.0  # times the median: such distances are counted apart
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeldOut:
+class HeldOut(AsJson):
     """split: how; fits: number of fits; poses, centres: held out in total.
 
     rms_mm: 3D rms of all held-out centres, freedom of refitted stations accounted for. spread_mm ('station' only): 3D rms distance of
@@ -43,9 +44,6 @@ class HeldOut:
     rms_without_gross_mm: float
     per_fit_mm: tuple[float, ...]
     seed: int
-
-    def to_dict(self) -> dict:
-        return asdict(self) | {"per_fit_mm": list(self.per_fit_mm)}
 
 
 def held_out(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import computed_field
 
 from mbcacq.model.cell import Artefact
 from mbcacq.model.observations import Observations
@@ -54,10 +55,28 @@ class LengthBudget:
     probing_mm: float
     repeatability_mm: float
 
+    @computed_field
     @property
     def combined_mm(self) -> float:
         terms = self.certificate_mm, self.temperature_mm, self.probing_mm, self.repeatability_mm
         return float(np.sqrt(np.sum(np.square(terms))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArtefactTemperature(Temperature):
+    """With that of the certificate, and the expansion (1e-6/K), which is assumed where the artefact's file does not state it."""
+
+    reference_C: float
+    expansion_ppm_per_K: float
+    expansion_stated: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class LargestBudget(LengthBudget):
+    """The budget of the station where the combined uncertainty is largest, and what is known of the temperature there."""
+
+    station: str
+    temperature: ArtefactTemperature
 
 
 def artefact_temperature(obs: Observations, artefact: Artefact) -> Temperature:
@@ -134,31 +153,18 @@ def repeated_variance(obs: Observations, found_mm2: float) -> float:
     return min(found_mm2, stated) if found_mm2 > 0 else stated
 
 
-def budget_content(obs: Observations, stations: Sequence[int], budgets: Sequence[LengthBudget]) -> dict[str, Any]:
-    """The budget as result.json holds it: of the place with the largest combined uncertainty, and what is known of the temperature."""
+def largest_budget(obs: Observations, stations: Sequence[int], budgets: Sequence[LengthBudget]) -> LargestBudget:
+    """The largest of the budgets of lengths at these stations."""
     at = int(np.argmax([b.combined_mm for b in budgets]))
     artefact = obs.cell.artefact(obs.cell.stations[stations[at]].artefact)
-    temperature, one = artefact_temperature(obs, artefact), budgets[at]
-    stated = artefact.expansion_ppm_per_K is not None
-    return {
-        "station": obs.cell.stations[stations[at]].id,
-        "length_mm": one.length_mm,
-        "certificate_mm": one.certificate_mm,
-        "temperature_mm": one.temperature_mm,
-        "probing_mm": one.probing_mm,
-        "repeatability_mm": one.repeatability_mm,
-        "combined_mm": one.combined_mm,
-        "temperature": {
-            "low_C": temperature.low_C,
-            "high_C": temperature.high_C,
-            "sensor_C": temperature.sensor_C,
-            "reference_C": float(artefact.reference_temperature_C),
-            "source": temperature.source,
-            "what": temperature.what,
-            "expansion_ppm_per_K": artefact.expansion_ppm_per_K if stated else STEEL_PPM_PER_K,
-            "expansion_stated": stated,
-        },
-    }
+    expansion = artefact.expansion_ppm_per_K
+    temperature = ArtefactTemperature(
+        **vars(artefact_temperature(obs, artefact)),
+        reference_C=float(artefact.reference_temperature_C),
+        expansion_ppm_per_K=STEEL_PPM_PER_K if expansion is None else expansion,
+        expansion_stated=expansion is not None,
+    )
+    return LargestBudget(**vars(budgets[at]), station=obs.cell.stations[stations[at]].id, temperature=temperature)
 
 
 def temperature_sentence(budget: Mapping[str, Any]) -> str:

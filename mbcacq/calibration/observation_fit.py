@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import WithJsonSchema
 
 from mbcacq.estimation.identifiability import Undetermined
-from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.solver import Weights
 from mbcacq.model.json_text import EveryKey
 from mbcacq.model.observations import Observations
 
-Status = Annotated[str, WithJsonSchema({"enum": ["free", "prior", "marginal", "held"]})]
+Status = Literal["free", "prior", "marginal", "held"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,13 +36,38 @@ class Parameter(EveryKey):
     prior_mean: float = 0.0
 
 
-@dataclass(frozen=True)
-class Rejected:
+@dataclass(frozen=True, kw_only=True)
+class Rejected(EveryKey):
     """A measurement that was rejected as an outlier. pose: number as recorded; ball: certificate id, or None for the whole pose."""
 
+    left_out = ("ball",)
+
     pose: int
-    ball: int | None
+    ball: int | None = None
     distance_mm: float
+
+
+@dataclass(frozen=True)
+class EstimatedNoise(EveryKey):
+    """Standard deviations. scanner_mm: (3,) of a centre along the instrument's axes; joint_rad: (n,) repeatability of each axis; turn_rad:
+    of a measured orientation about each axis, None where none was measured."""
+
+    left_out = ("turn_rad",)
+
+    scanner_mm: tuple[float, float, float]
+    joint_rad: tuple[float, ...]
+    turn_rad: float | None = None
+
+    @classmethod
+    def of(cls, noise: Noise, *, oriented: bool) -> Self:
+        """oriented: whether orientations were measured."""
+        return cls(tuple(noise.point.tolist()), tuple(noise.joint.tolist()), noise.turn if oriented else None)
+
+    @property
+    def noise(self) -> Noise:
+        """As the estimation takes it."""
+        point, joint = np.array(self.scanner_mm, dtype=float), np.array(self.joint_rad, dtype=float)
+        return Noise(point, joint) if self.turn_rad is None else Noise(point, joint, self.turn_rad)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +119,11 @@ class ObservationFit:
     def used(self) -> np.ndarray:
         """(M,) bool: centres that took part."""
         return (self.weights.centre > 0) & (self.weights.pose[self.observations.pose] > 0)
+
+    @property
+    def oriented(self) -> bool:
+        """Whether orientations were measured, and not points alone."""
+        return self.residual.shape[1] == 6
 
     @property
     def used_stations(self) -> np.ndarray:

@@ -8,9 +8,7 @@ arm with corrected targets misses (after). Both are of the same poses, of one re
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +17,7 @@ from mbcacq.estimation.forward_model import predict, residual
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.terms import unit
 from mbcacq.geometry import se3
-from mbcacq.model.json_text import fields_as_json, from_fields
+from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed
 
@@ -42,7 +40,7 @@ class MissedBy:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmImprovement:
+class ArmImprovement(AsJson):
     """What corrected targets changed, at poses of one recording. before, after: over the poses that count; noise_mm: rms that the scanner
     and the joints' repeatability alone would leave; poses: how many count; new: whether none of these places took part in the
     calibration (None: not known). pose, before_mm, after_mm: of each pose that counts."""
@@ -71,15 +69,6 @@ class ArmImprovement:
             f"The arm misses its places by {before} mm rms with its controller's model, by {after} mm with corrected targets "
             f"(noise alone: {noise} mm), at {self.poses} poses; {self.where}."
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content."""
-        return fields_as_json(self)
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> ArmImprovement:
-        """What ``to_dict`` wrote. Raises ValueError where it is damaged."""
-        return from_fields(cls, content)
 
 
 def arm_improvement(

@@ -6,9 +6,8 @@ nothing at all where its places are known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -28,7 +27,7 @@ from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.json_text import Number, fields_as_json, from_fields
+from mbcacq.model.json_text import AsJson, Number
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import fixed, micrometres
 
@@ -83,7 +82,7 @@ class NormalisedError:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Transfer:
+class Transfer(AsJson):
     """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
     recording itself leaves, the best that geometry alone can do there; None where it cannot be had. normalised_error: None with known
     places, since a result does not hold how the errors of its arm and of its places go together. warnings: sentences.
@@ -99,15 +98,6 @@ class Transfer:
     normalised_error: NormalisedError | None
     warnings: tuple[str, ...] = ()
     recording: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content."""
-        return fields_as_json(self)
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> Transfer:
-        """The transfer that ``to_dict`` wrote. Raises ValueError where it is damaged."""
-        return from_fields(cls, content)
 
     @property
     def text(self) -> str:
@@ -319,7 +309,7 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
 
 
 def _root(C: np.ndarray) -> np.ndarray:
-    """A square root of a covariance (g, g) of any rank: C = root root'. Parameters are of many units, so it is that of correlations."""
+    """A square root of a covariance (g, g) of any rank: C = root root'. Units differ, so that it is taken of correlations."""
     deviation = np.sqrt(np.diag(C))
     scale = np.where(deviation > 0, deviation, 1.0)
     size, directions = np.linalg.eigh(C / np.outer(scale, scale))

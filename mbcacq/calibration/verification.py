@@ -10,18 +10,20 @@ clearly exceeds it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
+from pydantic import computed_field
 
 from mbcacq.calibration import notebook
-from mbcacq.calibration.length_budget import LengthBudget, budget_content
+from mbcacq.calibration.length_budget import LargestBudget, LengthBudget, largest_budget
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
+from mbcacq.model.json_text import EveryKey, fields_as_json, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, measured, signed, uncertainty
 
@@ -50,58 +52,89 @@ class VerifiedPair:
         return beyond_expected(self.after_mm, self.expected_mm)
 
 
+@dataclass(frozen=True)
+class LengthErrors:
+    """Of all places, mm: mean and largest size, mean with its sign, and each."""
+
+    mean_mm: float
+    max_mm: float
+    signed_mean_mm: float
+    errors_mm: tuple[float, ...]
+
+    @classmethod
+    def of(cls, errors: np.ndarray) -> Self:
+        size = np.abs(errors)
+        return cls(float(size.mean()), float(size.max()), float(errors.mean()), tuple(errors.tolist()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedFigure:
+    """value_mm: largest of ``count`` values; uncertainty_mm: standard uncertainty of measuring it, None if unknown;
+    verdict: 'pass', 'fail', 'undecided' (within the uncertainty of the limit) or 'none' (no limit or no data)."""
+
+    name: str
+    value_mm: float | None
+    count: int
+    uncertainty_mm: float | None
+    limit_mm: float | None
+    verdict: str
+
+
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Verification:
+class Verification(EveryKey):
     """Sphere spacing errors at every station, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
-    independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``, as dicts. common_mm:
+    independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``. common_mm:
     standard uncertainty of the mean signed error after, as far as it comes from the calibration and is common to all places. budget: the
-    terms of the uncertainty of judging, of the place where it is largest (``length_budget.budget_content``)."""
+    terms of the uncertainty of judging, of the place where it is largest. The keys of its JSON are these fields and properties."""
+
+    left_out = ("budget",)
+    later = ("common_mm",)
 
     places: tuple[VerifiedPair, ...]
     limit_mm: float | None = None
     independent: bool | None = True
-    figures: tuple[dict, ...] = ()
+    figures: tuple[JudgedFigure, ...] = ()
     common_mm: float | None = None
-    budget: dict[str, Any] | None = None
+    budget: LargestBudget | None = None
 
     def errors(self, which: str) -> np.ndarray:
         """(places,) signed errors in mm, 'before' or 'after'."""
         return np.array([getattr(p, f"{which}_mm") for p in self.places])
 
-    def to_dict(self) -> dict | None:
-        """JSON form; None where there was nothing to verify on."""
-        if not self.places:
-            return None
-        out: dict = {which: _summary(self.errors(which)) for which in ("before", "after")}
-        expected = [p.expected_mm for p in self.places if p.expected_mm is not None]
-        if expected:
-            # For a normal error the mean of |error| is sqrt(2 / pi) of its standard deviation.
-            out["expected_mean_mm"] = float(np.sqrt(2 / np.pi) * np.mean(expected))
-        out["common_mm"] = self.common_mm
-        out["limit_mm"] = self.limit_mm
-        out["verdict"] = self.verdict
-        if self.budget is not None:
-            out["budget"] = self.budget
-        out["independent"] = self.independent
-        out["figures"] = list(self.figures)
-        out["places"] = [asdict(p) | {"balls": list(p.balls)} for p in self.places]
-        return out
+    @computed_field
+    @property
+    def before(self) -> LengthErrors:
+        """With the nominal arm and the preliminary hand-eye."""
+        return LengthErrors.of(self.errors("before"))
 
+    @computed_field
+    @property
+    def after(self) -> LengthErrors:
+        """Calibrated."""
+        return LengthErrors.of(self.errors("after"))
+
+    @computed_field
+    @property
+    def expected_mean_mm(self) -> float | None:
+        """Mean size of error that is expected; None where no uncertainty is known."""
+        expected = [p.expected_mm for p in self.places if p.expected_mm is not None]
+        # For a normal error the mean of |error| is sqrt(2 / pi) of its standard deviation.
+        return float(np.sqrt(2 / np.pi) * np.mean(expected)) if expected else None
+
+    @computed_field
     @property
     def verdict(self) -> str:
         """'pass', 'fail', 'undecided' or 'none': the places held against the limit, each with its own uncertainty."""
         return verdict_of_places(self.errors("after"), [p.judging_mm for p in self.places], self.limit_mm)
 
+    def to_dict(self) -> dict[str, Any] | None:
+        """JSON content; None where there was nothing to verify on."""
+        return fields_as_json(self) if self.places else None
+
     @classmethod
-    def from_dict(cls, content: Mapping[str, Any] | None) -> Verification:
-        """The verification that ``to_dict`` wrote; without pairs where it was None."""
-        if content is None:
-            return cls(places=())
-        pairs = tuple(VerifiedPair(**{**p, "balls": tuple(p["balls"])}) for p in content["places"])
-        figures, common, budget = tuple(content["figures"]), content.get("common_mm"), content.get("budget")
-        return cls(
-            places=pairs, limit_mm=content["limit_mm"], independent=content["independent"], figures=figures, common_mm=common, budget=budget
-        )
+    def from_dict(cls, content: Any) -> Self:
+        """What ``to_dict`` wrote. Raises ValueError where it is damaged."""
+        return cls(places=()) if content is None else from_fields(cls, content)
 
     def __repr__(self) -> str:
         if not self.places:
@@ -189,7 +222,7 @@ def verification_of(
         )
         for i, p in enumerate(pairs)
     )
-    budget = budget_content(obs, [p.station for p in pairs], budgets) if pairs else None
+    budget = largest_budget(obs, [p.station for p in pairs], budgets) if pairs else None
     return Verification(places=places, limit_mm=limit_mm, budget=budget)
 
 
@@ -233,15 +266,6 @@ def _pairs(obs: Observations, where) -> list[tuple[int, int, int]]:
     return [(s, a, b) for i, (s, a) in enumerate(keys) for t, b in keys[i + 1 :] if t == s]
 
 
-def _summary(errors: np.ndarray) -> dict:
-    return {
-        "mean_mm": float(np.abs(errors).mean()),
-        "max_mm": float(np.abs(errors).max()),
-        "signed_mean_mm": float(errors.mean()),
-        "errors_mm": [float(e) for e in errors],
-    }
-
-
 @dataclass(frozen=True)
 class Limits:
     """Largest permitted errors in mm; None: not judged."""
@@ -250,22 +274,6 @@ class Limits:
     probing_error_form_mm: float | None = None
     probing_error_size_mm: float | None = None
     length_measuring_error_mm: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class JudgedFigure:
-    """value_mm: largest of ``count`` values; uncertainty_mm: standard uncertainty of measuring it, None if unknown;
-    verdict: 'pass', 'fail', 'undecided' (within the uncertainty of the limit) or 'none' (no limit or no data)."""
-
-    name: str
-    value_mm: float | None
-    count: int
-    uncertainty_mm: float | None
-    limit_mm: float | None
-    verdict: str
-
-    def to_dict(self) -> dict:
-        return asdict(self)
 
 
 def judge(
@@ -281,7 +289,7 @@ def judge(
     """
     obs = verification_poses(observations)
     spacing, judging = verification.errors("after"), [p.judging_mm for p in verification.places]
-    sigma = None if verification.budget is None else float(verification.budget["combined_mm"])
+    sigma = None if verification.budget is None else verification.budget.combined_mm
     form = 4 * float(np.nanmax(obs.rms_mm)) if obs.rms_mm is not None and obs.n_centres and np.any(np.isfinite(obs.rms_mm)) else None
     points = 0.0 if obs.n_points is None or not obs.n_centres else float(np.min(obs.n_points))
     form_sigma = form / np.sqrt(2 * points) if form is not None and points > 1 else None

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbcacq.effects.catalogue import declaration, effects
 from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import AsJson
 
 OUTSIDE = (
     "axis_wobble",
@@ -41,7 +41,7 @@ def needing(column: str) -> set[str]:
 
 
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(AsJson):
     """kind: 'none', 'two', or the name of the effect. seed: of the cell. names: of the effects; effect_seed: of their place and shape.
 
     excess: by how much they should raise chi2 per degree of freedom, once geometry has absorbed what it can. outliers: share of
@@ -56,9 +56,6 @@ class Scenario:
     excess: float
     outliers: float = 0.0
     missing: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def draw(seed: int, count: int, kinds: Sequence[str], outliers: float = 0.0, missing: Sequence[str] = ()) -> list[Scenario]:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import Any
 
 import numpy as np
 
 from mbcacq.effects.catalogue import declaration
+from mbcacq.model.json_text import AsJson
 
 WITHIN = 3.0  # stated standard deviations within which a parameter counts as right
 ORDER_TOLERANCE = 0.1  # periods a turn within which a reported order is the injected one
 
 
 @dataclass(frozen=True, kw_only=True)
-class Score:
+class Score(AsJson):
     """The score of one challenge.
 
     truth, reported: effects as ``name:where``. achievable: share of the held-out chi2 that the true model removes. counts: whether that
@@ -42,10 +43,6 @@ class Score:
     share: float | None
     sigmas: dict[str, float] = field(default_factory=dict)
     improvement: float = 0.0
-
-    def to_dict(self) -> dict[str, Any]:
-        """The fields by their names."""
-        return asdict(self)
 
 
 def score(

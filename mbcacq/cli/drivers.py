@@ -8,6 +8,7 @@ import click
 
 from mbcacq.cli.next_step import command_line, say_next
 from mbcacq.cli.terminal import echo
+from mbcacq.model.json_text import fields_as_json
 
 
 @click.command("drivers")
@@ -21,7 +22,7 @@ def command(as_json: bool) -> None:
 
     found = list(survey())
     if as_json:
-        echo(json.dumps({"format": "mbcacq-drivers/1", "drivers": [driver.to_dict() for driver in found]}))
+        echo(json.dumps({"format": "mbcacq-drivers/1", "drivers": [fields_as_json(driver) for driver in found]}))
         return
     rows = [("kind", "name", "package", "usable", "tried on hardware")]
     rows += [

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from mbcacq.design.options import DesignOptions
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
@@ -20,44 +21,37 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
+from mbcacq.model.json_text import AsJson, keyed
 from mbcacq.plan import LoadedPlan, PlannedPose, Transit
+
+Alike = Annotated[tuple[str, str, float], keyed("a", "b", "correlation")]
 
 
 @dataclass(frozen=True)
-class EffectDetectability:
+class EffectDetectability(AsJson):
     """Detectability of one effect at one location.
 
     sigmas: its usual size over its standard uncertainty. absorbed: share of its trace in the measured balls that geometry and stations
     take up. detectable: it would reliably be found among many.
     """
 
-    name: str
-    location: str
+    name: Annotated[str, Field(alias="effect")]
+    location: Annotated[str, Field(alias="where")]
     sigmas: float
     absorbed: float
-    detectable: bool
-
-    def to_dict(self) -> dict[str, Any]:
-        return {"effect": self.name, "where": self.location, "sigmas": self.sigmas, "absorbed": self.absorbed, "seen": self.detectable}
+    detectable: Annotated[bool, Field(alias="seen")]
 
 
 @dataclass(frozen=True)
-class Detectability:
+class Detectability(AsJson):
     """Detectability of the catalogued effects, least detectable first.
 
     indistinguishable: pairs (effect, effect, correlation). missing: effects that no plan can show without further records, name -> why.
     """
 
     effects: tuple[EffectDetectability, ...]
-    indistinguishable: tuple[tuple[str, str, float], ...]
     missing: dict[str, str]
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "effects": [e.to_dict() for e in self.effects],
-            "missing": self.missing,
-            "alike": [{"a": a, "b": b, "correlation": c} for a, b, c in self.indistinguishable],
-        }
+    indistinguishable: Annotated[tuple[Alike, ...], Field(alias="alike")]
 
 
 def detectability(
@@ -83,7 +77,7 @@ def detectability(
         effects.append(EffectDetectability(candidate.name, location, sigmas, absorbed, detectable))
         if detectable:
             remaining[f"{candidate.name}:{location}"] = row
-    return Detectability(tuple(_best(effects)), _indistinguishable(remaining, len(problem.Q), options.indistinguishable), missing)
+    return Detectability(tuple(_best(effects)), missing, _indistinguishable(remaining, len(problem.Q), options.indistinguishable))
 
 
 def _projected(problem: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[float, float, np.ndarray]:

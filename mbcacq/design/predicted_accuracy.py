@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, Noise
 from mbcacq.calibration.adjusted_cell import adjusted_cell
@@ -22,6 +23,7 @@ from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.random_links import with_common_sizes
 from mbcacq.estimation.solver import Weights, system
+from mbcacq.model.json_text import AsJson, keyed
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
 
@@ -29,7 +31,7 @@ MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))  # mean of |error| over its standard 
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictedAccuracy:
+class PredictedAccuracy(AsJson):
     """Accuracy that a linearisation at the planned cell predicts.
 
     parameters, determined: numbers of arm and hand-eye parameters. indices: O1..O5. workspace_mm: rms uncertainty of a measured point
@@ -42,32 +44,15 @@ class PredictedAccuracy:
 
     parameters: int
     determined: int
-    undetermined: tuple[Undetermined, ...]
-    indices: dict[str, float]
-    workspace_mm: float | None
-    distance_mm: float | None
-    calibration_mm: float | None
-    distances: tuple[tuple[str, float], ...]
-    correlated: tuple[tuple[str, str, float], ...]
-    weakest: tuple[tuple[str, float, str], ...]
     hand_eye_alone: bool = False
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "parameters": self.parameters,
-            "determined": self.determined,
-            "hand_eye_alone": self.hand_eye_alone,
-            "undetermined": [
-                {"name": u.name, "together": list(u.together), "effect_mm": u.effect_mm, "harmless": u.harmless} for u in self.undetermined
-            ],
-            "observability": self.indices,
-            "expected_workspace_mm": self.workspace_mm,
-            "expected_bar_mean_mm": self.distance_mm,
-            "expected_bar_mean_of_calibration_mm": self.calibration_mm,
-            "places": [{"station": s, "expected_mm": e} for s, e in self.distances],
-            "correlated": [{"a": a, "b": b, "correlation": c} for a, b, c in self.correlated],
-            "weakest": [{"name": n, "std": s, "unit": u} for n, s, u in self.weakest],
-        }
+    undetermined: tuple[Undetermined, ...]
+    indices: Annotated[dict[str, float], Field(alias="observability")]
+    workspace_mm: Annotated[float | None, Field(alias="expected_workspace_mm")]
+    distance_mm: Annotated[float | None, Field(alias="expected_bar_mean_mm")]
+    calibration_mm: Annotated[float | None, Field(alias="expected_bar_mean_of_calibration_mm")]
+    distances: Annotated[tuple[Annotated[tuple[str, float], keyed("station", "expected_mm")], ...], Field(alias="places")]
+    correlated: tuple[Annotated[tuple[str, str, float], keyed("a", "b", "correlation")], ...]
+    weakest: tuple[Annotated[tuple[str, float, str], keyed("name", "std", "unit")], ...]
 
 
 def predicted_accuracy(loaded: LoadedPlan, poses: Sequence[PlannedPose]) -> PredictedAccuracy:

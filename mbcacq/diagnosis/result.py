@@ -13,7 +13,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, WithJsonSchema
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.observation_fit import Parameter
+from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
@@ -22,7 +22,7 @@ from mbcacq.effects.trend import trend
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import EveryKey, InJson, Number, damage, fields_as_json, from_fields
+from mbcacq.model.json_text import InJson, Number, damage, fields_as_json, from_fields
 from mbcacq.quantities import micrometres, percent
 
 FORMAT = "mbcacq-diagnosis/3"
@@ -39,18 +39,6 @@ def _content(model: EffectModel | None) -> dict[str, Any] | None:
 
 Model = Annotated[EffectModel | None, InJson(EffectModelFile | None, _model, _content)]
 Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_explained", "unexplained", "cannot_tell"]})]
-
-
-@dataclass(frozen=True)
-class EstimatedNoise(EveryKey):
-    """Standard deviations. scanner_mm: (3,) of a centre along the instrument's axes; joint_rad: (n,) repeatability of each axis; turn_rad:
-    of a measured orientation about each axis, None where none was measured."""
-
-    left_out = ("turn_rad",)
-
-    scanner_mm: tuple[float, ...]
-    joint_rad: tuple[float, ...]
-    turn_rad: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +65,6 @@ class GeometryAlone:
     def of(cls, cell: CalibratedCell) -> Self:
         """Noise and figures of a calibration without effects."""
         fit = cell.fit
-        turn = cell.noise.turn if fit.residual.shape[1] == 6 else None
         arm, hand_eye, *_ = cell.layout.blocks
         return cls(
             poses=fit.used_poses,
@@ -85,7 +72,7 @@ class GeometryAlone:
             rms_mm=fit.rms_mm,
             chi2=float(fit.chi2),
             dof=fit.dof,
-            noise=EstimatedNoise(tuple(cell.noise.point.tolist()), tuple(cell.noise.joint.tolist()), turn),
+            noise=EstimatedNoise.of(cell.noise, oriented=fit.oriented),
             calibrated={p: tuple(getattr(cell.state.chain, p).tolist()) for p in PARAMETERS},
             T_flange_scanner=tuple(tuple(row) for row in cell.state.T_flange_scanner.tolist()),
             parameters=tuple(p for p in cell.parameters if p.name in {*arm.names, *hand_eye.names}),

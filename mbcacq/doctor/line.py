@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
+
+from mbcacq.model.json_text import AsJson
 
 Level = Literal["ok", "warning", "error"]
 
 
 @dataclass(frozen=True)
-class CheckupLine:
+class CheckupLine(AsJson):
     """level: 'error' keeps a run from succeeding. topic: stable name for programs. cure: what to do, '' where all is well."""
 
     level: Level
     topic: str
     text: str
     cure: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def from_error(topic: str, error: BaseException) -> CheckupLine:

@@ -19,7 +19,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import Measurement, RobotModel
 from mbcacq.model.formats import newer_format
-from mbcacq.model.json_text import Number, first_fault, from_fields
+from mbcacq.model.json_text import Limits, Number, first_fault, from_fields
 
 FORMAT = "mbcacq-effect-model/1"
 
@@ -29,7 +29,6 @@ _OF_JOINT = re.compile(
 )
 _OF_FRAME = re.compile(r"^gravity_(?:moment|direction)_([0-9]+)_[xyz]$")
 Three = tuple[Number, Number, Number]
-End = float | None  # of an axis, rad; None where it turns without one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +38,7 @@ class ArmInFile:
     name: str
     sign: Annotated[tuple[Literal[-1, 1], ...], Field(min_length=1)]
     nominal: Annotated[Mapping[Literal["theta", "d", "a", "alpha", "beta"], tuple[FiniteFloat, ...]], Field(min_length=5)]
-    limits: tuple[tuple[End, End], ...]
+    limits: Limits
     mass_kg: tuple[Number, ...]
     com_mm: tuple[Three, ...]
     payload_mass_kg: Number
@@ -53,7 +52,7 @@ class ArmInFile:
             name=robot.name,
             sign=robot.chain.sign.tolist(),
             nominal={p: getattr(robot.chain, p).tolist() for p in PARAMETERS},
-            limits=robot.limits.tolist(),
+            limits=robot.limits,
             mass_kg=robot.mass.tolist(),
             com_mm=robot.com.tolist(),
             payload_mass_kg=float(robot.payload_mass),
@@ -64,11 +63,10 @@ class ArmInFile:
     @property
     def robot(self) -> RobotModel:
         """The arm of a file."""
-        limits = [(-np.inf if low is None else low, np.inf if high is None else high) for low, high in self.limits]
         return RobotModel(
             self.name,
             Chain(np.array(self.sign, dtype=float), *(np.array(self.nominal[p]) for p in PARAMETERS)),
-            np.array(limits),
+            self.limits,
             np.array(self.mass_kg),
             np.array(self.com_mm),
             payload_mass=self.payload_mass_kg,

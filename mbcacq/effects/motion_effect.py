@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from mbcacq.effects.effect import Hyperparameter, ParameterEstimate
 from mbcacq.model.cell import RobotModel
@@ -162,6 +161,8 @@ def low_pass(signal: np.ndarray, time_constant_s: float, step_s: float) -> np.nd
         return signal
     finer = FILTER_OVERSAMPLING if time_constant_s < SHORT_TIME_CONSTANT * step_s else 1
     if finer > 1:
+        from scipy.interpolate import CubicSpline  # takes a fifth of a second, which most commands do not need
+
         time = np.arange(len(signal))
         signal = CubicSpline(time, signal)(np.arange((len(signal) - 1) * finer + 1) / finer)
         # A chord lies above a curve by a twelfth of its second difference, on average.

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import computed_field
 
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
@@ -29,8 +30,10 @@ class Undetermined:
     together: tuple[str, ...]
     effect_mm: float
 
+    @computed_field
     @property
     def harmless(self) -> bool:
+        """Too small to matter."""
         return self.effect_mm < VISIBLE_MM
 
     @property

@@ -6,9 +6,10 @@ it measures later is wrong by that share. The scans themselves show it, whatever
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
+from pydantic import computed_field
 
 from mbcacq.estimation.initial_guess import fit_rigid_transforms
 from mbcacq.model.cell import TARGET_IN_BASE, Cell
@@ -28,13 +29,11 @@ class ScanScale:
     certificate_ppm: float
     scans: int
 
+    @computed_field
     @property
     def significant(self) -> bool:
         """Beyond three standard uncertainties."""
         return abs(self.ppm) > CLEAR * self.sigma_ppm
-
-    def to_dict(self) -> dict:
-        return asdict(self) | {"significant": self.significant}
 
 
 def scan_scale(obs: Observations, used: np.ndarray, noise_mm: np.ndarray) -> ScanScale | None:

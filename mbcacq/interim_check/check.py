@@ -19,7 +19,7 @@ from mbcacq.interim_check.history import CheckedDay, CheckHistory, read_history
 from mbcacq.interim_check.measured_day import fit_stations, refuse_incomplete, residuals_of
 from mbcacq.interim_check.options import OPTIONS, UsualChanges
 from mbcacq.interim_check.planned_check import PlannedCheck, choose_poses, planned_check
-from mbcacq.interim_check.verdict import CheckVerdict, to_dict, verdict_of
+from mbcacq.interim_check.verdict import CheckResult, CheckVerdict, verdict_of
 from mbcacq.interim_check.words import sentence_of
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
@@ -66,7 +66,7 @@ class InterimCheck:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content, format 'mbcacq-check-result/1'."""
-        return to_dict(self.verdict, self.history) | {"files": {"history": str(self.file), "recording": str(self.run)}}
+        return CheckResult.of(self.verdict, self.history, {"history": str(self.file), "recording": str(self.run)}).to_dict()
 
     def refuse_changed(self) -> None:
         """Raises CellChanged where the cell is not as it was."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from scipy.special import logsumexp
@@ -16,6 +17,7 @@ from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS, CheckOptions
 from mbcacq.interim_check.planned_check import PlannedCheck
 from mbcacq.interim_check.possible_changes import SCANNER, UNNAMED, PossibleChange, rows_of, twist_columns
+from mbcacq.model.json_text import AsJson, keyed
 
 AS_BEFORE, CHANGED = "as_before", "changed"
 LEAST_COMMON = 0.5  # of the centres of a check: with fewer it is another check
@@ -268,26 +270,44 @@ def noticed(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tu
     return tuple(out)
 
 
-def to_dict(verdict: CheckVerdict, history: CheckHistory) -> dict[str, Any]:
-    """JSON content of a verdict, format 'mbcacq-check-result/1'; angles in rad."""
-    days = [day.time for day in history.days]
-    return {
-        "format": "mbcacq-check-result/1",
-        "verdict": verdict.verdict,
-        "checks": len(days),
-        "log_e": verdict.log_e,
-        "log_e_since_calibration": verdict.log_e_calibration,
-        "log_threshold": verdict.log_threshold,
-        "log_e_by_check": [day.log_e for day in history.days],
-        "suspects": [
-            {"name": s.name, "where": s.where, "probability": s.probability, "parameters": list(s.parameters), "units": list(s.units)}
-            | {"size": list(s.size), "std": list(s.std), "explains": s.explains}
-            for s in verdict.suspects
-        ],
-        "since": None if verdict.since is None else days[verdict.since],
-        "since_between": None if verdict.between is None else [days[k] for k in verdict.between],
-        "before_first_check": verdict.since == 0,
-        "noticed_within_a_week": [{"name": n, "where": w, "size": v, "unit": u} for n, w, v, u in verdict.noticed],
-        "noise_level": verdict.noise,
-        "day_level": verdict.day,
-    }
+@dataclass(frozen=True, kw_only=True)
+class CheckResult(AsJson):
+    """The JSON content of a verdict, format 'mbcacq-check-result/1'; angles in rad. since, since_between: times of checks; files: of the
+    history, and the folder of the recording."""
+
+    format: Literal["mbcacq-check-result/1"] = "mbcacq-check-result/1"
+    verdict: str
+    checks: int
+    log_e: float
+    log_e_since_calibration: float
+    log_threshold: float
+    log_e_by_check: tuple[float | None, ...]
+    suspects: tuple[Suspect, ...]
+    since: str | None
+    since_between: tuple[str, str] | None
+    before_first_check: bool
+    noticed_within_a_week: tuple[Annotated[tuple[str, str, float, str], keyed("name", "where", "size", "unit")], ...]
+    noise_level: float
+    day_level: float
+    files: Mapping[str, str]
+
+    @classmethod
+    def of(cls, verdict: CheckVerdict, history: CheckHistory, files: Mapping[str, str]) -> Self:
+        """The verdict with what the history says of its days."""
+        times = [day.time for day in history.days]
+        return cls(
+            verdict=verdict.verdict,
+            checks=len(times),
+            log_e=verdict.log_e,
+            log_e_since_calibration=verdict.log_e_calibration,
+            log_threshold=verdict.log_threshold,
+            log_e_by_check=tuple(day.log_e for day in history.days),
+            suspects=verdict.suspects,
+            since=None if verdict.since is None else times[verdict.since],
+            since_between=None if verdict.between is None else (times[verdict.between[0]], times[verdict.between[1]]),
+            before_first_check=verdict.since == 0,
+            noticed_within_a_week=verdict.noticed,
+            noise_level=verdict.noise,
+            day_level=verdict.day,
+            files=files,
+        )

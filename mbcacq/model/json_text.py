@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, FiniteFloat, GetCoreSchemaHandler, TypeAdapter, ValidationError
@@ -37,6 +37,8 @@ WORDS: Mapping[str, str] = {  # kind of a fault that pydantic finds -> what a re
     "int_from_float": "it is no whole number",
     "finite_number": "it is not finite",
     "greater_than_equal": "it is negative",
+    "too_short": "it has too few entries",
+    "too_long": "it has too many entries",
 }
 
 
@@ -69,25 +71,45 @@ class InJson:
 
 class EveryKey:
     """Base of a dataclass of which a file holds every field, also one that has a default in Python: none may be missing there, but those
-    in ``left_out``, which are not written where they have their default.
+    in ``left_out``, which are not written where they have their default, and those in ``later``, which older files of the format lack.
     """
 
     left_out: ClassVar[tuple[str, ...]] = ()
+    later: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         def write(value: Any, by_fields: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-            saying_nothing = {f.name for f in fields(value) if f.name in cls.left_out and getattr(value, f.name) == f.default}
-            return {key: content for key, content in by_fields(value).items() if key not in saying_nothing}
+            saying_nothing = {key[f.name] for f in fields(value) if f.name in cls.left_out and getattr(value, f.name) == f.default}
+            return {name: content for name, content in by_fields(value).items() if name not in saying_nothing}
 
         schema = handler(source)
         found: Any = handler.resolve_ref_schema(schema)
+        key = {field["name"]: field.get("serialization_alias", field["name"]) for field in found["schema"]["fields"]}
         for field in found["schema"]["fields"]:
-            if field["name"] not in cls.left_out and field["schema"]["type"] == "default":
+            if field["name"] not in (*cls.left_out, *cls.later) and field["schema"]["type"] == "default":
                 field["schema"] = field["schema"]["schema"]
         if cls.left_out:
             found["serialization"] = core_schema.wrap_serializer_function_ser_schema(write)
         return schema
+
+
+class AsJson:
+    """Base of a dataclass whose fields are the keys of its JSON content."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content."""
+        return fields_as_json(self)
+
+    @classmethod
+    def from_dict(cls, content: Any) -> Self:
+        """What ``to_dict`` wrote. Raises ValueError where it is damaged."""
+        return from_fields(cls, content)
+
+
+def keyed(*keys: str) -> InJson:
+    """For the annotation of a tuple, which stands in JSON as an object with these keys."""
+    return InJson(dict[str, Any], lambda content: tuple(content[key] for key in keys), lambda value: dict(zip(keys, value, strict=True)))
 
 
 def _as_array(values: Any) -> np.ndarray:
@@ -102,6 +124,12 @@ def as_list(kind: Any) -> InJson:
     return InJson(kind, _as_array, np.ndarray.tolist)
 
 
+def _without_end(rows: list[tuple[float | None, float | None]]) -> np.ndarray:
+    return np.array([(-np.inf if low is None else low, np.inf if high is None else high) for low, high in rows]).reshape(-1, 2)
+
+
+End = FiniteFloat | None  # of an axis, rad; None in a file where it turns without one
+Limits = Annotated[np.ndarray, InJson(list[tuple[End, End]], _without_end, np.ndarray.tolist)]
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 Vector = Annotated[np.ndarray, as_list(list[FiniteFloat])]
 Transform = Annotated[np.ndarray, as_list(tuple[Row, Row, Row, Row])]
@@ -179,7 +207,10 @@ def read_json(data: bytes | str, name: str, cure: str) -> Any:
 def first_fault(error: ValidationError) -> tuple[str, str]:
     """(key, fault in words) of the first fault of content that does not fit a pydantic model."""
     first = error.errors()[0]
-    own = first.get("ctx", {}).get("error")  # of a ValueError that was raised by this program
+    about = first.get("ctx", {})
+    own = about.get("error")  # of a ValueError that was raised by this program
+    if first["type"] == "literal_error":
+        own = f"it is not {about['expected']}"
     return ".".join(str(part) for part in first["loc"]), str(own) if own else WORDS.get(first["type"], first["msg"])
 
 

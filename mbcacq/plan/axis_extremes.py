@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from mbcacq.model.json_text import AsJson
 from mbcacq.plan.motion_limits import axis_limits, motion_limits
 from mbcacq.plan.planned import LoadedPlan, PlannedPose, Transit
 from mbcacq.plan.timing import joint_motion, stopping_points
@@ -17,7 +17,7 @@ SAMPLES = 100  # of a motion: every phase of constant jerk that matters holds se
 
 
 @dataclass(frozen=True)
-class AxisExtremes:
+class AxisExtremes(AsJson):
     """axis: counted from 1. Values in deg/s, deg/s^2, deg/s^3, each with the limit of the arm."""
 
     axis: int
@@ -27,9 +27,6 @@ class AxisExtremes:
     acceleration_limit: float
     jerk: float
     jerk_limit: float
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def axis_extremes(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[AxisExtremes]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
+from mbcacq.model.json_text import AsJson
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 
 Level = Literal["error", "warning", "info"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanFinding:
+class PlanFinding(AsJson):
     """level: 'error' keeps the plan from being run. code: stable name for programs. place: 'file:line'. poses: numbers concerned."""
 
     level: Level
@@ -23,9 +24,6 @@ class PlanFinding:
 
     def __str__(self) -> str:
         return f"{self.place}: {self.sentence}"
-
-    def to_dict(self) -> dict[str, Any]:
-        return {**asdict(self), "poses": list(self.poses)}
 
 
 def finding(loaded: LoadedPlan, pose: PlannedPose, level: Level, code: str, sentence: str) -> PlanFinding:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mbcacq.model.json_text import AsJson
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checked_lines import read_last_lines
 from mbcacq.recording.run_folder.lock import holds_lock, lock_owner
@@ -15,7 +16,7 @@ LOG_LINES = 200
 
 
 @dataclass(frozen=True)
-class LiveProgress:
+class LiveProgress(AsJson):
     """state: 'running'; 'uncertain' (a process left its name, and this system cannot say whether it still runs); 'ended' (all poses were
     measured); 'stopped' (ended early, ``reason`` says why); 'broken off' (the journal just ends); 'none' (nothing was run here).
     command, pid: of who runs it. done, total: poses. left_s: None where it is not known. what: in words, what it is at. simulated: no
@@ -32,9 +33,6 @@ class LiveProgress:
     what: str = ""
     reason: str = ""
     simulated: bool = False
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def progress_of(folder: Path) -> LiveProgress:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import floor, isfinite, log10
 from pathlib import Path
-from typing import Any
 
 from mbcacq.files.atomic_write import write_file
-from mbcacq.model.json_text import Number, fields_as_json, from_fields
+from mbcacq.model.json_text import AsJson, Number
 from mbcacq.quantities import K, significant, symbol, uncertainty
 
 RUNS, TORQUES, POSES = "runs", "torques", "poses"  # what a recording is compared with
@@ -63,7 +61,7 @@ class ModelCheck:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelMatch:
+class ModelMatch(AsJson):
     """A MuJoCo model with what was found in recordings.
 
     model: the file that was given; xml: the model found, as MJCF. parameters: what changed. compared: 'runs' of the model by its servos,
@@ -86,15 +84,6 @@ class ModelMatch:
     def with_check(self, recording: str, errors: tuple[ChannelError, ...]) -> ModelMatch:
         """The same with the errors in a held-out recording."""
         return replace(self, checks=(*self.checks, ModelCheck(recording, errors)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON content."""
-        return fields_as_json(self)
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> ModelMatch:
-        """From what ``to_dict`` gave. Raises ValueError for anything else."""
-        return from_fields(cls, content)
 
     @property
     def verdict(self) -> str | None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mbcacq import calibration
 from mbcacq.calibration import CalibratedCell, CalibrationOptions, Verification, several
 from mbcacq.calibration.compare_methods import Comparison
@@ -17,6 +19,7 @@ from mbcacq.calibration.sufficiency import FLANGE_POSES_ALONE, HAND_EYE_ALONE, o
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 from mbcacq.workflow.effects import Effects, as_effects
@@ -100,16 +103,13 @@ def verify_elsewhere(data: Observations | Path | str, calibrated: CalibratedCell
     none of its stations is known, CalibrationError where it does not determine its own places, or these were moved and are not where
     they are known to be.
     """
-    from mbcacq.calibration.result_io import chain_of
-
     cell = calibrated
     if isinstance(cell, Path | str):
         cell = CalibratedCell.from_json(Path(cell), any_of_them=place == "fitted")
     alone = cell.extra.get("geometry_alone")
     chain = None
     if alone:
-        sign = cell.state.chain.sign.tolist()
-        chain = chain_of({"robot": {"sign": sign, "calibrated": alone["calibrated"]}}, "calibrated")
+        chain = Chain(cell.state.chain.sign, *(np.array(alone["calibrated"][p]) for p in PARAMETERS))
     name = str(data) if isinstance(data, Path | str) else ""
     observations = as_observations(data)
     found = check_transfer(observations, cell, chain, place=place, recording=name)
@@ -219,8 +219,6 @@ def joint_content(
 
 def draw_l_curve(content: dict[str, Any], path: Path) -> None:
     """The L-curve of a staged calibration as an HTML page. Raises ConfigError where the method has none."""
-    import numpy as np
-
     from mbcacq.calibration.staged.angle_adjustment import LCurve
 
     curve = next((s["l_curve"] for s in content.get("stages", ()) if "l_curve" in s), None)

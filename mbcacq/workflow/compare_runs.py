@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from mbcacq.calibration.result_io import chain_of, effects_of
+from mbcacq.calibration.result_file import result_of
+from mbcacq.calibration.result_io import effects_of
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.without_prior import without_prior
 from mbcacq.errors import ConfigError, command_line
@@ -161,11 +162,11 @@ def compare_runs(first: Path | str, second: Path | str) -> RunComparison:
 
 def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: tuple[str, str] = ("first", "second")) -> RunComparison:
     """Compare the contents of two result.json. Raises ConfigError where they are of different arms, or one is damaged."""
+    one, two = (result_of(result, f"the {which} result").robot for result, which in ((first, "first"), (second, "second")))
+    robot, axes = one.name, len(two.sign)
+    other = RobotModel(two.name, two.nominal_chain, np.zeros(axes), np.zeros(axes), np.zeros((1, 3)))
+    refuse_other_arm("the first recording is of", robot, one.nominal_chain, other, "the second")
     try:
-        robot = str(first["robot"]["name"])
-        nominal = [chain_of(dict(result), "nominal") for result in (first, second)]
-        other = RobotModel(str(second["robot"]["name"]), nominal[1], *(np.zeros(nominal[1].n), np.zeros(nominal[1].n)), np.zeros((1, 3)))
-        refuse_other_arm("the first recording is of", robot, nominal[0], other, "the second")
         changes, covariance, leaning = _geometry(first, second)
         rows = [*changes, *_effects(first, second)]
         figures = _figures(first, second)

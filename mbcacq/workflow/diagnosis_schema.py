@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode
 
-from mbcacq.calibration.observation_fit import Parameter
+from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionCheck
-from mbcacq.diagnosis.result import FORMAT, Diagnosis, EstimatedNoise, GivenEvidence
+from mbcacq.diagnosis.result import FORMAT, Diagnosis, GivenEvidence
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.model.json_text import Number
 from mbcacq.simulation.model_match import ModelMatch

@@ -99,7 +99,7 @@ def test_plain_least_squares_is_where_the_sum_of_squares_is_least(shaky):
 @pytest.mark.parametrize("chosen", ["plain least squares", "the nominal arm", "the adjustment without smooth errors"])
 def test_the_better_method_is_what_is_published_and_said(shaky, monkeypatch, chosen):
     names = ("the weighted adjustment", chosen)
-    decided = HeldOutComparison({name: np.full(5, rms) for name, rms in zip(names, (2.0, 1.0), strict=True)}, chosen)
+    decided = HeldOutComparison(chosen, {name: np.full(5, rms) for name, rms in zip(names, (2.0, 1.0), strict=True)})
     monkeypatch.setattr(maximum_likelihood, "compared_on_held_out", lambda *given: decided)
     found = calibrate(shaky.observations, CalibrationOptions(refuse=False))
     assert f"{chosen} predicts held-out poses better (1.000 mm rms against 2.000 mm" in found.extra["warnings"][0]

@@ -31,7 +31,7 @@ def test_map_of_expected_accuracy():
     chart = accuracy_map(found, cell_mm=400)
     assert chart.postures.sum() == 4000
     assert np.all(chart.sigma_mm > 0)
-    near = np.linalg.norm(chart.centres - found.state.T_base_station[:, :3, 3].mean(axis=0), axis=1)
+    near = np.linalg.norm(chart.centres_mm - found.state.T_base_station[:, :3, 3].mean(axis=0), axis=1)
     # Accuracy is best where the stations stood.
     assert np.median(chart.sigma_mm[near < 600]) < np.median(chart.sigma_mm[near > 1500])
 

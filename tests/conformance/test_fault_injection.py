@@ -1,4 +1,4 @@
-"""One faulty message each: a selection of what benchmarks/fault_injection.py does at every step of every driver."""
+"""One faulty message each: a selection of what benchmarks/faults.py messages does at every step of every driver."""
 
 from __future__ import annotations
 

@@ -1,8 +1,11 @@
-"""Every command of a benchmark that a page names is there."""
+"""Every command of a benchmark that a page names is there, and so is what a benchmark imports of the library."""
 
 from __future__ import annotations
 
+import ast
 import re
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -26,3 +29,11 @@ def test_the_benchmark_that_a_page_names_exists(page: Page):
         assert script.is_file(), name
         if known := commands(script):
             assert command in known, f"{name} {command}"
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "benchmarks").rglob("*.py")), ids=lambda script: script.stem)
+def test_what_a_benchmark_imports_of_the_library_is_there(script: Path):
+    for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mbcacq"):
+            for name in (alias.name for alias in node.names):
+                assert hasattr(import_module(node.module), name) or find_spec(f"{node.module}.{name}"), f"{node.module} has no {name}"

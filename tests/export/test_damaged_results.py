@@ -39,13 +39,13 @@ def _at(content, path, value):
     [
         (("robot", "calibrated", "theta"), [1, 2], "robot.calibrated.theta: it has 2 values, and the arm has 6 axes"),
         (("robot", "nominal", "d"), [0.0] * 7, "robot.nominal.d: it has 7 values"),
-        (("robot",), None, "robot: the key is missing"),
+        (("robot",), None, "the key 'robot' is missing"),
         (("robot",), [1], "robot: it is no object of keys and values"),
         (("T_flange_scanner",), "x", "T_flange_scanner: it is no list"),
         (("T_flange_scanner", 0, 3), float("nan"), "T_flange_scanner.0.3: it is not finite"),
         (("covariance",), [], "the covariance is not"),
         (("noise", "joint_rad"), [1e-5], "noise.joint_rad: it has 1 values"),
-        (("noise", "scanner_mm"), None, "noise.scanner_mm: the key is missing"),
+        (("noise", "scanner_mm"), None, "the key 'noise.scanner_mm' is missing"),
     ],
 )
 def test_a_damaged_value_is_named_by_file_and_key(solved, tmp_path, read, path, value, sentence):

@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 from mbcacq.calibration import CalibratedCell
+from mbcacq.calibration.result_file import RobotInResult
 from mbcacq.calibration.sealed_json import sealed_text
 from mbcacq.errors import ConfigError
 from mbcacq.exports import tables
 from mbcacq.exports.result_json import load_result, result_schema
+from mbcacq.geometry.chain import Chain
+from mbcacq.model.cell import RobotModel
+from mbcacq.model.json_text import fields_as_json, from_fields
 
 
 def read(text):
@@ -49,6 +53,15 @@ def test_a_damaged_file_is_named(solved, tmp_path, key, value, message):
     with pytest.raises(ConfigError, match=message) as error:
         load_result(path)
     assert str(path) in str(error.value)
+
+
+def test_an_axis_without_end_is_null_in_the_file_and_without_end_where_it_is_read():
+    limits = np.array([(-1.0, 1.0), (-np.inf, np.inf)])
+    chain = Chain(np.ones(2), *np.zeros((5, 2)))
+    robot = RobotModel("turntable", chain, limits, np.zeros(2), np.zeros((2, 3)))
+    text = json.dumps(fields_as_json(RobotInResult.of(robot, chain)), allow_nan=False)
+    assert json.loads(text)["limits"][-1] == [None, None]
+    assert np.array_equal(from_fields(RobotInResult, json.loads(text)).limits, limits)
 
 
 def test_no_flipped_bit_of_a_result_file_changes_a_value_without_a_word(solved, tmp_path):

@@ -12,7 +12,7 @@ from lossy import Weather, namespaces, relay, why_no_netem
 from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeKrc
 
-FAR = 30.0
+FAR = 15.0  # deg; two hundred cycles and more, of which one in a hundred is lost each way
 
 
 def drive(network, counting, late_limit=99999, **krc_settings):

@@ -113,7 +113,7 @@ def test_a_cell_with_a_flipped_bit_is_read_from_its_copy_and_refused_without(fol
 
 
 def test_no_flipped_bit_anywhere_is_missed_or_becomes_a_wrong_value(folder, recorded):
-    """Few places; benchmarks/interrupted_runs.py flipped-bits has more of them."""
+    """Few places; benchmarks/faults.py flipped-bits has more of them."""
     true = load_observations(recorded)
     centres = {(pose, ball): xyz for pose, ball, xyz in zip(true.pose_id[true.pose], true.ball, true.xyz.tolist(), strict=True)}
     rng = random.Random(7)

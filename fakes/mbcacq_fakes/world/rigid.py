@@ -16,17 +16,15 @@ def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 def rotation_about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Rotation about a unit axis (..., 3) by an angle (...): (..., 3, 3), as cos I + (1 - cos) k k' + sin [k]."""
-    x, y, z = np.moveaxis(np.asarray(axis, dtype=float), -1, 0)
+    axis = np.asarray(axis, dtype=float)
+    x, y, z = axis[..., 0], axis[..., 1], axis[..., 2]
     c, s = np.cos(angle), np.sin(angle)
     v = 1.0 - c
-    return np.stack(
-        [
-            np.stack([c + v * x * x, v * x * y - s * z, v * x * z + s * y], -1),
-            np.stack([v * x * y + s * z, c + v * y * y, v * y * z - s * x], -1),
-            np.stack([v * x * z - s * y, v * y * z + s * x, c + v * z * z], -1),
-        ],
-        -2,
-    )
+    out = np.empty((*np.broadcast_shapes(x.shape, c.shape), 3, 3))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = c + v * x * x, v * x * y - s * z, v * x * z + s * y
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = v * x * y + s * z, c + v * y * y, v * y * z - s * x
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+    return out
 
 
 def screw(axis: np.ndarray, point: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -70,8 +70,7 @@ class UnmodelledEffects:
         together = [rows for rows in location.variants if len(rows) > 1]
         if together:
             found = compared([process], together)
-            if found.log_bayes_factor.max() > logs.max():
-                rows = found.blocks[found.best_at(at)].rows
+            rows = found.blocks[found.best_at(at)].rows
             logs = np.concatenate([logs, found.log_bayes_factor])
         average = float(np.logaddexp.reduce(logs)) - float(np.log(len(location.variants) * len(possible)))
         columns, sigma = process.functions(gaussian_process.MOST_FUNCTIONS)

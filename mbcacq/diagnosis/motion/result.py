@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import PlainValidator
+from pydantic import Field, computed_field
 
 from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.trend import components, trend
 from mbcacq.errors import ConfigError
 from mbcacq.model.channel_series import MotionSeries
-from mbcacq.model.json_text import Number, damage, from_fields, plain
+from mbcacq.model.json_text import EveryKey, InJson, Number, damage, fields_as_json, from_fields
 
 Json = dict[str, Any]
 
@@ -69,6 +70,14 @@ class MotionEffect:
 
 
 @dataclass(frozen=True)
+class ResponseShape:
+    """Mean ``y`` over bins ``x`` of a covariate, in SI units."""
+
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class UnmodelledMotionEffect:
     """Structure in a residual that no effect of the catalogue explains: its mean ``y`` over bins ``x`` of the covariate ``depends_on``,
     in SI units. It is named 'unknown'."""
@@ -78,29 +87,30 @@ class UnmodelledMotionEffect:
     depends_on: str
     p_value: Number
     held_out_gain: Number
-    x: tuple[float, ...]
-    y: tuple[float, ...]
+    x: Annotated[tuple[float, ...], Field(exclude=True)]
+    y: Annotated[tuple[float, ...], Field(exclude=True)]
 
-    name = "unknown"
     trend = ""
 
+    @computed_field
+    @property
+    def name(self) -> str:
+        return UNKNOWN
+
+    @computed_field
     @property
     def parameters(self) -> Mapping[str, Mapping[str, Any]]:
         return {}
 
-    def to_dict(self) -> Json:
-        """JSON content."""
-        return {
-            "name": self.name,
-            "where": self.where,
-            "channel": self.channel,
-            "depends_on": self.depends_on,
-            "parameters": {},
-            "p_value": self.p_value,
-            "held_out_gain": self.held_out_gain,
-            "shape": {"x": self.x, "y": self.y},
-            "alternatives": [],
-        }
+    @computed_field
+    @property
+    def shape(self) -> ResponseShape:
+        return ResponseShape(self.x, self.y)
+
+    @computed_field
+    @property
+    def alternatives(self) -> tuple[Alternative, ...]:
+        return ()
 
 
 @dataclass(frozen=True)
@@ -167,17 +177,43 @@ class ChannelEvidence:
     evidence: EvidenceSummary
 
 
+@dataclass(frozen=True)
+class MeanChi2:
+    """Chi2 per degree of freedom of the base alone and with the effects, mean over all channels."""
+
+    before_chi2_dof: Number
+    after_chi2_dof: Number
+
+    @classmethod
+    def of(cls, errors: Sequence[ErrorBeforeAfter]) -> Self:
+        return cls(float(np.mean([e.before_chi2_dof for e in errors])), float(np.mean([e.after_chi2_dof for e in errors])))
+
+
+@dataclass(frozen=True)
+class HeldOutChi2(MeanChi2):
+    split: str = ""
+
+
+@dataclass(frozen=True)
+class FitOfMotion:
+    """The fits of all channels, and their means."""
+
+    train: MeanChi2
+    held_out: HeldOutChi2
+    channels: tuple[ChannelFit, ...]
+
+
 def _effect(content: Any) -> MotionEffect | UnmodelledMotionEffect:
-    if content["name"] == UnmodelledMotionEffect.name:
+    if content["name"] == UNKNOWN:
         return from_fields(UnmodelledMotionEffect, {**content, **content["shape"]})
     return from_fields(MotionEffect, content)
 
 
-ReadEffect = Annotated[MotionEffect | UnmodelledMotionEffect, PlainValidator(_effect)]
+EitherEffect = Annotated[MotionEffect | UnmodelledMotionEffect, InJson(Any, _effect, fields_as_json)]
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class MotionDiagnosis:
+class MotionDiagnosis(EveryKey):
     """What was found in recordings of motion.
 
     verdict: 'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'. mismatch: by falling share. effects: by falling
@@ -188,18 +224,28 @@ class MotionDiagnosis:
     plot_data: a ``MotionSeries`` from which pictures are drawn; it is no part of the JSON.
     """
 
+    left_out = ("checks",)
+    later = ("not_separable", "advice", "inertial", "suspicions", "evidence", "plot_data")
+
     verdict: str
     mismatch: tuple[MotionMismatch, ...]
-    effects: tuple[ReadEffect, ...]
-    channels: tuple[ChannelFit, ...]
-    split: str
+    effects: tuple[EitherEffect, ...]
+    channels: Annotated[tuple[ChannelFit, ...], Field(exclude=True)]
+    split: Annotated[str, Field(exclude=True)]
     not_separable: tuple[NotSeparable, ...] = ()
     advice: tuple[Advice, ...] = ()
     inertial: tuple[BodyInertia, ...] = ()
     suspicions: tuple[str, ...] = ()
     evidence: tuple[ChannelEvidence, ...] = ()
-    checks: tuple[MotionCheck, ...] = ()
-    plot_data: object | None = field(default=None, compare=False)
+    checks: Annotated[tuple[MotionCheck, ...], Field(alias="motion_checks")] = ()
+    plot_data: Annotated[object | None, Field(exclude=True)] = field(default=None, compare=False)
+
+    @computed_field
+    @property
+    def fit(self) -> FitOfMotion:
+        """The fits of all channels, as the JSON has them."""
+        train, held = (MeanChi2.of([getattr(c, which) for c in self.channels]) for which in ("train", "held_out"))
+        return FitOfMotion(train, HeldOutChi2(held.before_chi2_dof, held.after_chi2_dof, self.split), self.channels)
 
     @property
     def series(self) -> MotionSeries:
@@ -215,25 +261,7 @@ class MotionDiagnosis:
 
     def to_json(self) -> Json:
         """The contract mbcacq-diagnosis/3; what is not finite is null."""
-        return plain(
-            {
-                "format": FORMAT,
-                "verdict": self.verdict,
-                "mismatch": self.mismatch,
-                "effects": self.effects,
-                "fit": {
-                    "train": _mean([c.train for c in self.channels]),
-                    "held_out": _mean([c.held_out for c in self.channels]) | {"split": self.split},
-                    "channels": self.channels,
-                },
-                "not_separable": self.not_separable,
-                "advice": self.advice,
-                "inertial": self.inertial,
-                "suspicions": self.suspicions,
-                "evidence": self.evidence,
-            }
-            | ({"motion_checks": self.checks} if self.checks else {})
-        )
+        return {"format": FORMAT} | fields_as_json(self)
 
     @classmethod
     def from_json(cls, content: Json) -> MotionDiagnosis:
@@ -242,8 +270,7 @@ class MotionDiagnosis:
         if content.get("format") not in READABLE or "channels" not in fit:
             raise ConfigError(f"this is not the diagnosis of a motion: it needs format {FORMAT} and fit.channels")
         try:
-            of_fit = {"channels": fit["channels"], "split": fit["held_out"]["split"], "checks": content.get("motion_checks", ())}
-            return from_fields(cls, {**content, **of_fit})
+            return from_fields(cls, {**content, "channels": fit["channels"], "split": fit["held_out"]["split"]})
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
 
@@ -262,12 +289,6 @@ class MotionDiagnosis:
             for e in self.effects
         )
         return f"<p>Verdict: <b>{html.escape(self.verdict)}</b></p><table><tr>{heads}</tr>{rows}</table>"
-
-
-def _mean(errors: list[ErrorBeforeAfter]) -> dict[str, float]:
-    """Mean chi2 per degree of freedom over all channels."""
-    before, after = [e.before_chi2_dof for e in errors], [e.after_chi2_dof for e in errors]
-    return {"before_chi2_dof": float(np.mean(before)), "after_chi2_dof": float(np.mean(after))}
 
 
 def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Hyperparameter
@@ -68,6 +67,8 @@ def _disturbances(runs: tuple[MotionSignals, ...]) -> list[tuple[str, Columns, s
 
 def _lag(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
     """Deviation (T, 1) that a dead time and a lag cause, by one second of both together."""
+    from scipy.interpolate import CubicSpline  # takes a fifth of a second, which most commands do not need
+
     assert lag is not None
     q_set, time = available(run.q_set)[:, joint], run.step_s * np.arange(len(run.q))
     dead = max(_total_delay(run, joint) - lag, 0.0)

@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.calibration.caveats import caveats
 from mbcacq.calibration.place_errors import ArmImprovement
+from mbcacq.calibration.result_file import FORMAT
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage
 from mbcacq.model.observations import Observations
@@ -33,7 +34,6 @@ from mbcacq.report.verdict import (
 )
 from mbcacq.version import __version__
 
-FORMAT = "mbcacq-result/1"
 GROUPS = (("hand_eye", "Hand-eye corrections"), ("ball_", "Ball centres, within the certificate"), ("effect", "Effects"))
 METHODS = {"ml": "maximum likelihood over all observations", "paper": "stage by stage, as published"}
 

@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from mbcacq.calibration.result_io import FORMAT as RESULT_FORMAT
+from mbcacq.calibration.result_file import FORMAT as RESULT_FORMAT
 from mbcacq.calibration.sealed_json import unsealed
 from mbcacq.diagnosis.result import FORMAT as DIAGNOSIS_FORMAT
 from mbcacq.errors import ConfigError, RecordingError

@@ -1,0 +1,1 @@
+"""Parts of ``motion.py``: runs with the motion between their poses, and models of MuJoCo."""

@@ -1,0 +1,1 @@
+"""Parts of ``real_arms.py``: recordings of real arms, from outside."""

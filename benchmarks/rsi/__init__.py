@@ -1,0 +1,1 @@
+"""Parts of ``rsi.py``: how soon a telegram is answered, and what a controller is given."""
