@@ -105,7 +105,7 @@ class DesignBlocks:
 
     @cached_property
     def blocks(self) -> list[DesignBlock]:
-        """Of all groups."""
+        """The blocks of all groups, in their order."""
         return [block for group in self.groups for block in group.blocks]
 
     @property
