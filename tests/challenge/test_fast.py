@@ -132,5 +132,5 @@ def test_the_twin_of_a_calibrated_cell_stands_where_the_calibration_says(quick):
 
 def test_a_result_of_another_arm_is_refused(quick):
     loaded, poses = quick
-    with pytest.raises(ConfigError, match="not a calibration result"):
+    with pytest.raises(ConfigError, match="no calibration result of format"):
         simulate_poses(loaded, poses, {"format": "something else"})

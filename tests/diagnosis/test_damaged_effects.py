@@ -57,7 +57,7 @@ def test_whole_effects_are_read(content, tmp_path):
         (("terms", 1, "parts", 0, "component"), 6, "6 is not within 0 to 5"),
         (("terms", 0, "parts", 0, "place"), "nowhere", "'nowhere' is none of"),
         (("terms", 0, "parts", 0, "columns"), [], "0 columns for 1 coefficients"),
-        (("terms", 0, "parts"), [], "at least 1 item"),
+        (("terms", 0, "parts"), [], "it has too few entries"),
         (("terms", 0, "where", 0), "A9", "there is no A9 on an arm of 6 axes"),
         (("terms", 0, "where", 0), "link7", "there is no link7 on an arm of 6 axes"),
         (("terms", 0, "coefficients", 0), None, "it is no number"),
