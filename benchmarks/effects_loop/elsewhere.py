@@ -143,7 +143,7 @@ seen from other sides. Base, tool and stations are fitted there. Asked: not wors
 error over its stated uncertainty 0.8 to 1.2; usual is where it is in 95 % of cells whose statement is true. What drifts or steps within a
 recording does so in the other one too, which nothing learnt foretells: its size there is in the uncertainty, but for that of a station,
 whose place is fitted. The cell is the same in both: where and when an effect acts is chosen by the poses of the first. Forty
-further cells (`--first 9300`) have none that is worse and one beyond 0.8 to 1.2: a shift of the mount with 1.22, where 0.44 to 1.53 is usual."""
+further cells (`--first 9300`) have none that is worse and one beyond 0.8 to 1.2: a shift of the mount, 1.22 where 0.44 to 1.53 is usual."""
 
 
 def cells(given: argparse.Namespace) -> None:
