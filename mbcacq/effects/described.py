@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.effects.covariates import UNSTATED, Covariates
 from mbcacq.effects.effect import Candidate
-from mbcacq.effects.functions import OF_CENTRES, Column, DescribedPart, Values, evaluate
+from mbcacq.effects.functions import OF_CENTRES, Column, DescribedPart, Known, Values, evaluate
 from mbcacq.estimation.terms import PER_POSE, Part
 
 
@@ -21,7 +21,7 @@ class Evaluation:
 
     def __init__(self, covariates: Covariates, value: Values | None = None):
         self.obs, self.value = covariates.obs, value or cache(covariates.value)
-        self._known: dict[bool, dict[int, np.ndarray]] = {True: {}, False: {}}
+        self._known: dict[bool, Known] = {True: {}, False: {}}
 
     def __call__(self, columns: Sequence[Column], per_pose: bool) -> np.ndarray:
         """(P, k) at the poses, or (M, k) at the centres. Raises Missing where the recording lacks a covariate."""

@@ -16,6 +16,7 @@ from pydantic import Field, FiniteFloat, WithJsonSchema
 from mbcacq.model.json_text import EveryKey, InJson
 
 Values = Callable[[str], np.ndarray]  # name of a covariate -> its values, one a row
+Known = dict[int, tuple["tuple[Function, ...]", np.ndarray]]  # by identity, with the functions: what is held here keeps its identity
 INCIDENCE = ("incidence_x", "incidence_y", "incidence_z")
 SIGHT = ("sight_x", "sight_y", "sight_z")
 OF_CENTRES = ("x", "y", "z", "ball", *INCIDENCE, *SIGHT)  # covariates with a value for each centre; all others have one for each pose
@@ -152,7 +153,7 @@ def standardized(column: Column, mean: float, spread: float) -> Column:
     return (*scaled(column, 1 / spread), Product(-mean / spread))
 
 
-def evaluate(columns: Sequence[Column], values: Values, rows: int, known: dict[int, np.ndarray] | None = None) -> np.ndarray:
+def evaluate(columns: Sequence[Column], values: Values, rows: int, known: Known | None = None) -> np.ndarray:
     """(rows, k) values of the columns; (H, rows, k) of columns whose numbers or factors are arrays (H, 1).
 
     known: values of the functions of products that stand in several columns, by identity; those of another call for the same values.
@@ -165,7 +166,7 @@ def evaluate(columns: Sequence[Column], values: Values, rows: int, known: dict[i
     return np.stack(np.broadcast_arrays(*out)[1:], axis=-1) if columns else np.zeros((rows, 0))
 
 
-def _of_functions(functions: tuple[Function, ...], values: Values, known: dict[int, np.ndarray]) -> np.ndarray | float:
+def _of_functions(functions: tuple[Function, ...], values: Values, known: Known) -> np.ndarray | float:
     """The product of functions, computed once for all columns that have the same tuple of them."""
     if not functions:
         return 1.0
@@ -174,5 +175,5 @@ def _of_functions(functions: tuple[Function, ...], values: Values, known: dict[i
         value = first(values)
         for function in others:
             value = value * function(values)
-        known[id(functions)] = value
-    return known[id(functions)]
+        known[id(functions)] = functions, value
+    return known[id(functions)][1]
