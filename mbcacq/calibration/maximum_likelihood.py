@@ -160,12 +160,12 @@ def _unless_it_loses(
     """The calibration, or the competing method that predicts held-out poses better."""
     own, lenient = "the weighted adjustment", replace(options, refuse=False)
 
-    shared: dict[int, Adjustment] = {}
+    shared: dict[int, tuple[Observations, Adjustment]] = {}  # by identity, with what it is of: what is held here keeps its identity
 
     def linked(some: Observations) -> Adjustment:
         if id(some) not in shared:  # three of the methods begin with it
-            shared[id(some)] = with_random_links(adjust_recording(some, lenient), lenient)
-        return shared[id(some)]
+            shared[id(some)] = some, with_random_links(adjust_recording(some, lenient), lenient)
+        return shared[id(some)][1]
 
     fits: dict[str, Callable[[Observations], tuple[CalibratedCell, Adjustment]]] = {
         own: lambda some: _with_discrepancy(some, lenient, linked(some)),
