@@ -63,6 +63,14 @@ class Link:
         except (FramingError, BadTelegram) as error:
             raise ProtocolError(f"the controller at {self.where} sent a useless telegram: {error}; the arm is stopped") from error
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the far end has closed it and all that came before was received. Nothing is taken; from any thread."""
+        try:
+            return bool(select.select([self._socket], [], [], 0.0)[0]) and not self._socket.recv(1, socket.MSG_PEEK)
+        except (OSError, ValueError):  # ValueError: closed by another thread
+            return True
+
     def close(self) -> None:
         """Idempotent, from any thread."""
         try:

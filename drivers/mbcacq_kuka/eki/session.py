@@ -84,11 +84,12 @@ class EkiSession:
 
     def await_link(self) -> None:
         """Wait until the controller is heard again, over a connection taken up again where the last one has ended: of a move sent into one
-        that ended, nobody knows whether it was begun. Raises what ended the session.
+        that ended, nobody knows whether it was begun. What is heard may have waited in a connection that has ended since. Raises what
+        ended the session.
         """
         asked = time.monotonic()
         self._await(
-            lambda: self._link is not None and self._heard > asked,
+            lambda: (link := self._link) is not None and self._heard > asked and not link.has_ended,
             time.monotonic() + self._options.reconnect_s + self._options.silence_s + 10.0,
             f"robot '{self._name}': the connection is not there",
         )
