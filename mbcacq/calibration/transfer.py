@@ -276,7 +276,6 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
         layout = _freed(layout, name)
     lineariser = Lineariser(some, layout, options)
     linear = lineariser(Estimate(fitted.state, (*model.coefficients, *(np.zeros(t.size) for t in differing))))
-    width = residual.shape[1]
     X = lineariser.rows.unpad(linear.X)[:, :3].reshape(-1, linear.X.shape[2])
     names = layout.names
     learnt = {name: j for j, name in enumerate(cell.layout.names)}
@@ -291,7 +290,6 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
     C = np.diag([0.0] * len(shared) + [variance[names[j]] for j in drawn])
     C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
-    assert width >= 3
     kept = used[rows]
     A = A.reshape(len(A) // 3, 3, len(C))[kept] @ _root(C)  # of a hand-eye transform alone C is empty
     joint = (lineariser.rows.unpad(linear.J)[:, :3] * cell.noise.joint)[kept]
