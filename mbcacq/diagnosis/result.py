@@ -99,6 +99,8 @@ class Alternative:
     its posterior probability relative to the found effect's; None where that was not computed.
     """
 
+    later = ("odds",)
+
     name: str
     where: tuple[str, ...]
     held_out_gain: Number
@@ -174,6 +176,8 @@ class NotSeparable:
     together are joined by ' and '. odds: posterior probability of the second relative to the first; None where that was not computed.
     """
 
+    later = ("odds",)
+
     effects: tuple[str, ...]
     correlation: Number
     odds: float | None = None
@@ -231,6 +235,8 @@ class ExclusionLimit:
     it has none.
     """
 
+    later = ("in_usual_sizes", "tested", "holds_for")
+
     name: str
     where: tuple[str, ...]
     parameter: str
@@ -275,6 +281,8 @@ class ComparedEffect:
     next to the others of the set, before the recording; both are empty in older files.
     """
 
+    later = ("prior", "log_prior")
+
     name: str
     where: tuple[str, ...]
     parameters: Mapping[str, ParameterEstimate]
@@ -300,6 +308,8 @@ class EvidenceSummary:
     holds at every look. sets: the most probable first, the empty one among them. untried: a sentence about each set that stands for what
     was not tried and is not excluded.
     """
+
+    later = ("untried",)
 
     poses: int
     log_e_value: Number
@@ -336,6 +346,8 @@ class Diagnosis:
     compared; None in older files. plot_data: an ``output.pictures.PlotData`` from which pictures are drawn; it is no part of the JSON
     object, so None after ``from_json``.
     """
+
+    later = ("geometry_alone", "exclusion_limits", "between_recordings", "proposals", "noise_depends_on", "evidence")
 
     verdict: Verdict
     mismatch: tuple[MismatchEntry, ...]

@@ -15,9 +15,10 @@ from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound, Gi
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.model.formats import newer_format
-from mbcacq.model.json_text import damage, from_fields, plain, read_json
+from mbcacq.model.json_text import damage, fields_as_json, from_fields, plain, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
+from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures
 
 if TYPE_CHECKING:
     from mbcacq.diagnosis.motion.joint_sets import JointEvidence
@@ -41,7 +42,7 @@ class DiagnosisResult:
     observations: Observations | None = None
     given_motion: GivenEvidence | None = None
     checks: tuple[Transfer, ...] = ()
-    provenance: Mapping[str, Any] | None = None
+    provenance: Provenance | None = None
     simulation: ModelMatch | None = None
 
     @property
@@ -155,7 +156,7 @@ class DiagnosisResult:
 
         from mbcacq.version import __version__
 
-        data = str((self.provenance or {}).get("recording") or "")
+        data = (self.provenance.recording if self.provenance else None) or ""
         out = [] if self.observations is None else [("robot", self.observations.cell.robot.name)]
         if self.observations is not None:
             out.append(("poses", f"{self.observations.n_poses}, with {self.observations.n_centres} centres"))
@@ -189,43 +190,18 @@ class DiagnosisResult:
         motion stands under its own key."""
         from mbcacq.diagnosis.motion.combine import combined
 
-        content = self.main.to_json() if self.poses is None else self._poses_as_json()
-        if self.simulation is not None:
-            content["simulation"] = plain(self.simulation.to_dict())
         if self.poses is None:
-            return content
-        content |= {
-            "recordings": self._recordings(),
-            "checks": [plain(check.to_dict()) for check in self.checks],
-            "provenance": plain(dict(self.provenance or {})),
-        }
+            return self.main.to_json() | ({} if self.simulation is None else {"simulation": fields_as_json(self.simulation)})
+        origin = self.provenance or Provenance()
+        beside = BesidePoses(
+            given_motion=self.given_motion,
+            simulation=self.simulation,
+            recordings=(RecordingFigures.learnt(origin.recording or "", self.poses.fit), *map(RecordingFigures.checked, self.checks)),
+            checks=self.checks,
+            provenance=origin,
+        )
+        content = self._poses_as_json() | fields_as_json(beside)
         return content if self.motion is None else combined(content, self.motion)
-
-    def _recordings(self) -> list[dict[str, Any]]:
-        """Before and after in each recording: the one learnt from, and those that it was tried on."""
-        assert self.poses is not None, "a diagnosis of poses has recordings"
-        fit = self.poses.fit
-        files = (self.provenance or {}).get("recording") or ""
-        learnt = {
-            "name": str(files),
-            "role": "learnt",
-            "before_rms_mm": fit.train.before_rms_mm,
-            "after_rms_mm": fit.train.after_rms_mm,
-            "held_out_before_rms_mm": fit.held_out.before_rms_mm,
-            "held_out_after_rms_mm": fit.held_out.after_rms_mm,
-        }
-        tried = [
-            {
-                "name": check.recording,
-                "role": "checked",
-                "before_rms_mm": check.geometry_alone.rms_mm,
-                "after_rms_mm": check.with_effects.rms_mm,
-                "held_out_before_rms_mm": check.geometry_alone.rms_mm,
-                "held_out_after_rms_mm": check.with_effects.rms_mm,
-            }
-            for check in self.checks
-        ]
-        return [plain(one) for one in (learnt, *tried)]
 
     def to_json(self) -> str:
         """``to_dict`` as JSON text."""
@@ -239,22 +215,19 @@ class DiagnosisResult:
             raise ConfigError(f"the diagnosis {sentence}")
         if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
             raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
-        motion, simulation, given = (content.get(key) for key in ("motion", "simulation", "given_motion"))
         try:
-            checks = tuple(Transfer.from_dict(one) for one in content.get("checks", ()))
-            match = None if simulation is None else ModelMatch.from_dict(simulation)
-            beside = None if given is None else from_fields(GivenEvidence, given)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ConfigError(f"the checks of the diagnosis are damaged ({damage(error)}); diagnose the recording anew") from error
+            beside = from_fields(BesidePoses, BEFORE_VERSION_3 | content)
+        except ValueError as error:
+            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); diagnose the recording anew") from error
         if "channels" in content["fit"]:
-            return cls(motion=MotionDiagnosis.from_json(content), simulation=match)
+            return cls(motion=MotionDiagnosis.from_json(content), simulation=beside.simulation)
         return cls(
             poses=Diagnosis.from_json(content),
-            motion=None if motion is None else MotionDiagnosis.from_json(motion),
-            given_motion=beside,
-            checks=checks,
-            provenance=content.get("provenance"),
-            simulation=match,
+            motion=None if beside.motion is None else MotionDiagnosis.from_json(beside.motion),
+            given_motion=beside.given_motion,
+            checks=beside.checks,
+            provenance=beside.provenance,
+            simulation=beside.simulation,
         )
 
     def _drawable(self) -> tuple[Observations, dict[str, Any]]:
