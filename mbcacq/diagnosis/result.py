@@ -19,14 +19,14 @@ from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.trend import trend
-from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import InJson, Number, damage, fields_as_json, from_fields
+from mbcacq.model.json_text import InJson, Number, fields_as_json, from_document
 from mbcacq.quantities import micrometres, percent
 
 FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
+THE_CONTENT, CURE = "this JSON content", "give what mbcacq diagnose --out writes"
 
 
 def _model(file: EffectModelFile | None) -> EffectModel | None:
@@ -376,14 +376,7 @@ class Diagnosis:
 
         Raises ConfigError where the object has another format or lacks a key.
         """
-        kind = content.get("format")
-        if kind not in READABLE:
-            said = f"its format is '{kind}'" if kind else "it does not say its format"
-            raise ConfigError(f"this is no diagnosis: {said}, which should be '{FORMAT}'; give what mbcacq diagnose --out writes")
-        try:
-            return from_fields(cls, content)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
+        return from_document(cls, content, READABLE, THE_CONTENT, "diagnosis", CURE)
 
     def __repr__(self) -> str:
         found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"

@@ -72,11 +72,11 @@ class BesidePoses(EveryKey):
     recordings: Annotated[tuple[RecordingFigures, ...], Field(json_schema_extra={"minItems": 1})]
     checks: tuple[Transfer, ...]
     provenance: Provenance
-    motion: Mapping[str, Any] | None = None
+    motion: dict[str, Any] | None = None
     motion_checks: tuple[MotionCheck, ...] | None = None
     agreement: tuple[Mapping[str, Any], ...] | None = None
     decided: tuple[Mapping[str, Any], ...] | None = None
     together: Mapping[str, Any] | None = None
 
 
-BEFORE_VERSION_3: Mapping[str, Any] = {"recordings": (), "checks": (), "provenance": {}}  # where an older document lacks these keys
+BEFORE_VERSION_3: dict[str, Any] = {"recordings": (), "checks": (), "provenance": {}}  # where an older document lacks these keys

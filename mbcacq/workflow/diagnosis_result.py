@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound, GivenEvidence, Proposal
+from mbcacq.diagnosis.result import CURE, READABLE, THE_CONTENT, Diagnosis, EffectFound, GivenEvidence, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
-from mbcacq.model.formats import newer_format
-from mbcacq.model.json_text import damage, fields_as_json, from_fields, plain, read_json
+from mbcacq.model.json_text import fields_as_json, from_document, plain, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures
@@ -210,16 +209,11 @@ class DiagnosisResult:
     @classmethod
     def from_json(cls, text: str) -> DiagnosisResult:
         """The diagnosis of such a text, without observations and pictures. Raises ConfigError where it is none."""
-        content = read_json(text, "the diagnosis", "give what mbcacq diagnose --out writes")
-        if isinstance(content, dict) and (sentence := newer_format(content.get("format"), READABLE)):
-            raise ConfigError(f"the diagnosis {sentence}")
-        if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
-            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
-        try:
-            beside = from_fields(BesidePoses, BEFORE_VERSION_3 | content)
-        except ValueError as error:
-            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); diagnose the recording anew") from error
-        if "channels" in content["fit"]:
+        content = read_json(text, "the diagnosis", CURE)
+        whole = BEFORE_VERSION_3 | content if isinstance(content, dict) else content
+        beside = from_document(BesidePoses, whole, READABLE, THE_CONTENT, "diagnosis", CURE)
+        fit = content.get("fit")
+        if isinstance(fit, dict) and "channels" in fit:
             return cls(motion=MotionDiagnosis.from_json(content), simulation=beside.simulation)
         return cls(
             poses=Diagnosis.from_json(content),
