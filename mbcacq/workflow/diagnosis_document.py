@@ -28,13 +28,13 @@ class RecordingFigures:
 
     @classmethod
     def learnt(cls, name: str, fit: FitSummary) -> Self:
-        """Of the recording that the diagnosis is of."""
+        """The figures of the recording that the diagnosis is of."""
         train, held = fit.train, fit.held_out
         return cls(name, "learnt", train.before_rms_mm, train.after_rms_mm, held.before_rms_mm, held.after_rms_mm)
 
     @classmethod
     def checked(cls, check: Transfer) -> Self:
-        """Of a recording that took no part, so that all of it is held out."""
+        """The figures of a recording that the effects were tried on: all of it is held out."""
         return cls(check.recording, "checked", *2 * (check.geometry_alone.rms_mm, check.with_effects.rms_mm))
 
 
