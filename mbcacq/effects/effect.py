@@ -8,7 +8,7 @@ on one hyper-parameter (an order, a time constant, the moment of a step), for wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -24,6 +24,7 @@ __all__ = [
     "Candidate",
     "DescribedPart",
     "FADING",
+    "HyperEstimate",
     "Hyperparameter",
     "MOMENT",
     "Missing",
@@ -31,10 +32,13 @@ __all__ = [
     "ORDER",
     "ParameterEstimate",
     "Parameters",
+    "Report",
+    "joined_parameters",
     "number",
     "parameter_in_words",
     "plain_effect",
-    "scalar_report",
+    "plain_report",
+    "standard_deviations",
     "vector",
 ]
 
@@ -71,6 +75,19 @@ class Hyperparameter:
 
 
 @dataclass(frozen=True)
+class HyperEstimate:
+    """The value of a hyper-parameter and its standard deviation: 0 where it is not estimated, both not a number for an effect without."""
+
+    value: float
+    std: float = 0.0
+
+    @classmethod
+    def of(cls, value: float | None, std: float = 0.0) -> HyperEstimate:
+        """value: None for an effect without hyper-parameter."""
+        return cls(np.nan, np.nan) if value is None else cls(float(value), float(std))
+
+
+@dataclass(frozen=True)
 class ParameterEstimate:
     """A reported parameter and its standard deviation, in the unit that its name ends with; tuples where it has several components."""
 
@@ -98,7 +115,7 @@ def parameter_in_words(name: str, estimate: ParameterEstimate) -> str:
 
 
 Parameters = Mapping[str, ParameterEstimate]
-Report = Callable[[np.ndarray, np.ndarray, float | None], Parameters]
+Report = Callable[[np.ndarray, np.ndarray, HyperEstimate], Parameters]
 Described = Sequence[DescribedPart] | Callable[[Any], Sequence[DescribedPart]]
 
 
@@ -114,7 +131,7 @@ class Candidate:
         The parts that move, as functions of covariates; with a hyper-parameter, a function of its value that returns them. It is also
         called with an array (H, 1) of values, and then passes these on to its functions as they are.
     report
-        (coefficients (k,), covariance (k, k), value of the hyper-parameter) -> parameters by name.
+        (coefficients (k,), covariance (k, k), hyper-parameter with its standard deviation) -> parameters by name.
     typical
         (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable each size
         of it is.
@@ -152,6 +169,10 @@ class Candidate:
     def key(self) -> str:
         """Identifies the candidate among all of a recording."""
         return f"{self.name}:{'+'.join(self.where)}:{self.depends_on}:{self.variant}"
+
+    def parameters(self, c: np.ndarray, v: np.ndarray, hyper: float | None = None, std: float = 0.0) -> Parameters:
+        """What coefficients (k,) with covariance (k, k) are reported as. hyper, std: value of the hyper-parameter and its uncertainty."""
+        return self.report(c, v, HyperEstimate.of(hyper, std))
 
     def parts(self, hyper: Any = None) -> tuple[DescribedPart, ...]:
         """The parts at a value of the hyper-parameter, or at an array (H, 1) of values."""
@@ -198,9 +219,34 @@ def vector(values: np.ndarray, covariance: np.ndarray) -> ParameterEstimate:
     return ParameterEstimate(tuple(float(v) for v in values), tuple(float(s) for s in np.sqrt(np.diag(covariance))))
 
 
-def scalar_report(name: str, scale: float = 1.0) -> Report:
-    """The report of an effect with a single coefficient, which ``scale`` converts to the unit that the name ends with."""
-    return lambda c, v, _: {name: number(scale * c[0], abs(scale) * np.sqrt(v[0, 0]))}
+def standard_deviations(covariance: np.ndarray) -> np.ndarray:
+    """(k,) from a covariance (k, k); rounding may leave a variance slightly below zero."""
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def plain_report(*names: str, scale: float = 1.0, hyper_name: str | None = None) -> Report:
+    """The report of coefficients as they are, by name, converted by ``scale`` to the unit that the names end with, and of the
+    hyper-parameter by its name.
+    """
+
+    def report(c: np.ndarray, v: np.ndarray, hyper: HyperEstimate) -> Parameters:
+        std = abs(scale) * standard_deviations(v)
+        out = {name: number(scale * c[k], std[k]) for k, name in enumerate(names)}
+        return out if hyper_name is None else out | {hyper_name: number(hyper.value, hyper.std)}
+
+    return report
+
+
+def joined_parameters(each: Iterable[Parameters]) -> dict[str, ParameterEstimate]:
+    """The parameters of several effects; a name that occurs several times (several orders at one joint) gets a tuple of values."""
+    out: dict[str, ParameterEstimate] = {}
+    for parameters in each:
+        for name, new in parameters.items():
+            if name in out:
+                (values, stds), (more, spread) = out[name].components, new.components
+                new = ParameterEstimate((*values, *more), (*stds, *spread))
+            out[name] = new
+    return out
 
 
 def plain_effect(
@@ -217,10 +263,5 @@ def plain_effect(
     fields
         Further fields of ``Candidate`` (``hyper``, ``positive``, ``several``, ``variant``).
     """
-    names = tuple(parameters)
-
-    def report(c: np.ndarray, v: np.ndarray, hyper: float | None) -> Parameters:
-        std = np.sqrt(np.diag(v))
-        return {one: number(c[j], std[j]) for j, one in enumerate(names)}
-
-    return Candidate(name, tuple(where), depends_on, described, report, np.array(list(parameters.values()), dtype=float), **fields)
+    typical = np.array(list(parameters.values()), dtype=float)
+    return Candidate(name, tuple(where), depends_on, described, plain_report(*parameters), typical, **fields)

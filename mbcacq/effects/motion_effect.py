@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from mbcacq.effects.effect import Hyperparameter, ParameterEstimate
+from mbcacq.effects.effect import HyperEstimate, Hyperparameter, Parameters, Report
 from mbcacq.model.cell import RobotModel
 
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
@@ -74,17 +75,15 @@ class ChannelGroup:
         return self.joints.index(joint)
 
 
-Columns = Callable[[MotionSignals, int, float | None], np.ndarray]
-Parameters = dict[str, dict]
-Report = Callable[[np.ndarray, np.ndarray, float | None, float], Parameters]
+Columns = Callable[[MotionSignals, int, Any], np.ndarray]
 
 
 @dataclass(frozen=True)
 class MotionCandidate:
     """columns(run, joint, hyper) -> (T, k), with the same k coefficients for all of ``joints``.
 
-    report(coefficients (k,), covariance (k, k), hyper, its standard deviation) -> parameters. hyper: as of a candidate of poses; with
-    ``refine`` it is estimated with the coefficients, and at the first or last of its values it is a bound of what was tried, no estimate.
+    report, hyper: as of a candidate of poses; with ``refine`` the hyper-parameter is estimated with the coefficients, and at the first or
+    last of its values it is a bound of what was tried, no estimate.
     positive: physics demands a positive first coefficient.
     extends: a refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
     shares_hyper: its hyper-parameter is that of the effect extended. variant: distinguishes several forms of one effect at one location.
@@ -115,6 +114,10 @@ class MotionCandidate:
     tested: int | None = None
     load_parameters: tuple[tuple[str, float], ...] = ()
 
+    def parameters(self, c: np.ndarray, v: np.ndarray, hyper: float | None = None, std: float = 0.0) -> Parameters:
+        """As of a candidate of poses."""
+        return self.report(c, v, HyperEstimate.of(hyper, std))
+
     @property
     def location(self) -> tuple[str, tuple[str, ...]]:
         """Name and location: what identifies an effect whatever its form."""
@@ -125,33 +128,6 @@ def available(signal: np.ndarray | None) -> np.ndarray:
     """The signal of a run. A candidate is offered only where its signals were recorded, so None is an error of the program."""
     assert signal is not None, "an effect was offered without the signal that it needs"
     return signal
-
-
-def standard_deviations(covariance: np.ndarray) -> np.ndarray:
-    """(k,) from a covariance (k, k); rounding may leave a variance slightly below zero."""
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
-
-
-def plain_report(*names: str, scale: float = 1.0, hyper_name: str | None = None) -> Report:
-    """Coefficients by name, each multiplied by ``scale``, and the hyper-parameter by its name."""
-
-    def report(c: np.ndarray, v: np.ndarray, hyper: float | None, std: float) -> Parameters:
-        std_of = scale * standard_deviations(v)
-        out = {name: {"value": scale * float(c[k]), "std": float(std_of[k])} for k, name in enumerate(names)}
-        if hyper_name is not None and hyper is not None:
-            out[hyper_name] = {"value": float(hyper), "std": float(std)}
-        return out
-
-    return report
-
-
-def as_estimates(parameters: Mapping[str, ParameterEstimate]) -> Parameters:
-    """Parameters as they are reported of poses in the form in which they are reported of motion."""
-
-    def plain(value: float | tuple[float, ...]) -> float | list[float]:
-        return list(value) if isinstance(value, tuple) else value
-
-    return {name: {"value": plain(p.value), "std": plain(p.std)} for name, p in parameters.items()}
 
 
 def low_pass(signal: np.ndarray, time_constant_s: float, step_s: float) -> np.ndarray:

@@ -69,8 +69,8 @@ def fitted(chosen, run, joint, mismatch, hyper=None, use=slice(None)):
     """Parameters that the columns of a candidate give for a mismatch (T,), and the largest residual."""
     columns = chosen.columns(run, joint, hyper)
     c = np.linalg.lstsq(columns[use], mismatch[use], rcond=None)[0]
-    reported = chosen.report(c, np.zeros((len(c), len(c))), hyper, 0.0)
-    return {key: entry["value"] for key, entry in reported.items()}, np.abs(columns[use] @ c - mismatch[use]).max()
+    reported = chosen.parameters(c, np.zeros((len(c), len(c))), hyper)
+    return {key: entry.value for key, entry in reported.items()}, np.abs(columns[use] @ c - mismatch[use]).max()
 
 
 def check_joint_scale():
@@ -177,9 +177,9 @@ def check_payload():
     inertial = mass * np.array([1.0, offset, 0, 0, *(offset**2 * np.array([0, 0, 0, 1, 0, 1]))])
     for joint, torque in ((0, first), (1, second)):
         np.testing.assert_allclose((chosen.columns(run, joint, None) @ inertial)[100:-100], torque[100:-100], atol=1e-2)
-    reported = chosen.report(inertial, np.zeros((10, 10)), None, 0.0)
-    assert reported["mass_kg"]["value"] == mass
-    assert reported["com_mm"]["value"] == pytest.approx([60.0, 0.0, 0.0])
+    reported = chosen.parameters(inertial, np.zeros((10, 10)))
+    assert reported["mass_kg"].value == mass
+    assert reported["com_mm"].value == pytest.approx([60.0, 0.0, 0.0])
 
 
 def check_gravity_compensator():

@@ -11,7 +11,7 @@ from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
 from mbcacq.diagnosis.motion.gram_point import GramPoint, cholesky_of
 from mbcacq.diagnosis.output.evidence_summary import shown
 from mbcacq.diagnosis.result import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary, NotSeparable
-from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.effect import ParameterEstimate, Parameters
 
 
 def summarized(sets: RankedSets) -> EvidenceSummary:
@@ -69,8 +69,8 @@ def _effects_of(sets: RankedSets, hypothesis: Hypothesis[GramPoint]) -> tuple[Co
         candidate, typical = member.candidate.variant.candidate, member.candidate.typical
         scale, before = np.outer(typical, typical), np.diag((member.size * typical) ** 2)
 
-        def reported(c: np.ndarray, v: np.ndarray, of=candidate, hyper=member.candidate.variant.hyper) -> dict[str, ParameterEstimate]:
-            return {name: ParameterEstimate(_frozen(p["value"]), _frozen(p["std"])) for name, p in of.report(c, v, hyper, 0.0).items()}
+        def reported(c: np.ndarray, v: np.ndarray, of=candidate, hyper=member.candidate.variant.hyper) -> Parameters:
+            return of.parameters(c, v, hyper)
 
         parameters = reported(typical * mean[own], covariance[own, own] * scale)
         with np.errstate(divide="ignore", invalid="ignore"):  # an angle between coefficients that are zero is not a number
@@ -79,7 +79,3 @@ def _effects_of(sets: RankedSets, hypothesis: Hypothesis[GramPoint]) -> tuple[Co
         log_prior = sets.log_prior_of(member, hypothesis)
         out.append(ComparedEffect(candidate.name, candidate.where, parameters, prior=prior, log_prior=log_prior))
     return tuple(out)
-
-
-def _frozen(value: float | list[float]) -> float | tuple[float, ...]:
-    return tuple(float(v) for v in value) if isinstance(value, list) else float(value)

@@ -17,7 +17,8 @@ from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
 from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.effects.motion_effect import ChannelGroup, Parameters
+from mbcacq.effects.effect import Parameters, joined_parameters
+from mbcacq.effects.motion_effect import ChannelGroup
 
 ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
 
@@ -171,7 +172,7 @@ def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[Fitt
 
 def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
     candidate = effect.candidate
-    parameters = candidate.report(c, v, effect.variant.hyper, hyper_std)
+    parameters = dict(candidate.parameters(c, v, effect.variant.hyper, hyper_std))
     notes = []
     if candidate.hyper is not None and at_bound(effect):
         del parameters[candidate.hyper.name]
@@ -199,21 +200,13 @@ def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
     (step,) = other.steps
     return replace(
         first,
-        parameters=_joined_parameters(first.parameters, other.parameters),
+        parameters=joined_parameters((first.parameters, other.parameters)),
         p_value=min(first.p_value, other.p_value),
         gain=first.gain + step.before - step.after,
         steps=[*first.steps, *other.steps],
         contributions=[[a + b for a, b in zip(p, q, strict=True)] for p, q in added],
         notes=[*first.notes, *other.notes],
     )
-
-
-def _joined_parameters(one: Parameters, other: Parameters) -> Parameters:
-    """Parameters of both; those that both have (several periodic components) become lists."""
-    out = dict(one)
-    for key, entry in other.items():
-        out[key] = entry if key not in one else {k: [*np.atleast_1d(one[key][k]).tolist(), entry[k]] for k in ("value", "std")}
-    return out
 
 
 def _contribution(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:

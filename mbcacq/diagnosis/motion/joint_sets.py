@@ -14,13 +14,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.effects.declaration import Estimates
+from mbcacq.effects.effect import ParameterEstimate, Parameters
 
 MOST_SETS = 12  # of each evidence: further ones are less probable than the best by far
 SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
@@ -36,8 +35,8 @@ class StatedEffect:
     prior probability next to the others of the set. Without a prior (older files) the joint odds are understated.
     """
 
-    parameters: Estimates = field(default_factory=dict)
-    prior: Estimates = field(default_factory=dict)
+    parameters: Parameters = field(default_factory=dict)
+    prior: Parameters = field(default_factory=dict)
     log_prior: float = 0.0
 
 
@@ -140,7 +139,7 @@ def prior_of(stated: StatedEffect, key: str, components: int) -> SingleValue | N
     """A parameter before the recording; what it is without the effect may not be a number."""
     if key not in stated.prior:
         return None
-    value, std = (np.atleast_1d(np.asarray(stated.prior[key][part], dtype=float)) for part in ("value", "std"))
+    value, std = map(np.array, stated.prior[key].components)
     return SingleValue(value, std) if len(value) == len(std) == components and np.isfinite(std).all() else None
 
 
@@ -169,6 +168,11 @@ class SingleValue:
     value: np.ndarray
     std: np.ndarray
 
+    @property
+    def estimate(self) -> ParameterEstimate:
+        """As it is reported."""
+        return ParameterEstimate(*(each[0] if len(each) == 1 else tuple(each) for each in (self.value.tolist(), self.std.tolist())))
+
 
 def name_of(key: str) -> str:
     """The parameter's name without its location."""
@@ -181,7 +185,7 @@ def apart(key: str, mine: SingleValue, theirs: SingleValue) -> np.ndarray:
     return (difference + TURN / 2) % TURN - TURN / 2 if name_of(key) == PHASE else difference
 
 
-def paired(own: Estimates, other: Estimates) -> Iterator[tuple[str, SingleValue, SingleValue]]:
+def paired(own: Parameters, other: Parameters) -> Iterator[tuple[str, SingleValue, SingleValue]]:
     """The parameters that both have, if all are finite. Those of one order of a periodic effect with several belong together."""
     for key in own:
         location = key.rpartition(".")[0]
@@ -193,21 +197,21 @@ def paired(own: Estimates, other: Estimates) -> Iterator[tuple[str, SingleValue,
             if both[0] is not None and both[1] is not None and len(both[0].value) == len(both[1].value):
                 yield key, both[0], both[1]
             continue
-        for j, i in same_orders(own[orders]["value"], other[orders]["value"]):
+        for j, i in same_orders(own[orders], other[orders]):
             mine, theirs = single_value(own[key], j), single_value(other[key], i)
             if mine is not None and theirs is not None:
                 yield key, mine, theirs
 
 
-def same_orders(own: Any, other: Any) -> list[tuple[int, int]]:
-    """Positions of periodic components that are the same, in both lists of orders."""
-    apart_by = np.abs(np.subtract.outer(np.atleast_1d(own).astype(float), np.atleast_1d(other).astype(float)))
+def same_orders(own: ParameterEstimate, other: ParameterEstimate) -> list[tuple[int, int]]:
+    """Positions of periodic components that are the same, in both orders."""
+    apart_by = np.abs(np.subtract.outer(own.components[0], other.components[0]))
     return [(j, int(row.argmin())) for j, row in enumerate(apart_by) if row.min() < SAME_ORDER]
 
 
-def single_value(entry: Mapping[str, Any], component: int | None = None) -> SingleValue | None:
+def single_value(estimate: ParameterEstimate, component: int | None = None) -> SingleValue | None:
     """None for a parameter that is not finite. component: of one with several orders."""
-    value, std = (np.atleast_1d(np.asarray(entry[key], dtype=float)) for key in ("value", "std"))  # None is not a number
+    value, std = map(np.array, estimate.components)
     if component is not None:
         value, std = value[[component]], std[[component]]
     return SingleValue(value, std) if np.isfinite(value).all() and np.isfinite(std).all() else None

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from mbcacq.diagnosis.motion.result import ChannelEvidence, ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.output.text import FINDINGS, NOT_DETERMINED, TRENDS, phase_is_undetermined, verdict_in_words
+from mbcacq.diagnosis.output.text import FINDINGS, TRENDS, reported, verdict_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.quantities import K, measured, percent, significant, split_unit, symbol
+from mbcacq.quantities import percent, significant, symbol
 
 CHANNELS = {
     "q_joint": "joint-side against motor-side angle",
@@ -74,7 +71,7 @@ def _describe(effect: MotionEffect | UnmodelledMotionEffect) -> list[str]:
     if isinstance(effect, UnmodelledMotionEffect):
         gain, rest = effect.held_out_gain, [size_of_shape(effect)]
     else:
-        values = [effect.trend] if effect.trend else [_values(name, p) for name, p in effect.parameters.items()]
+        values = [effect.trend] if effect.trend else [reported(name, p) for name, p in effect.parameters.items()]
         gain, rest = effect.held_out_gain_here, [*values, *effect.notes]
     head = f"{effect_in_words(effect.name)} at {where} (removes {percent(gain)} of the excess there, on held-out data)"
     return [head, *(f"  {line}" for line in rest)]
@@ -83,15 +80,6 @@ def _describe(effect: MotionEffect | UnmodelledMotionEffect) -> list[str]:
 def _evidence(e: ChannelEvidence) -> str:
     odds = odds_in_words(float(np.exp(min(e.evidence.log_e_value, MOST_LOG_ODDS))))
     return f"effects against none {odds}, {'there is an effect' if e.evidence.significant else 'no effect is shown'}"
-
-
-def _values(name: str, parameter: Mapping[str, Any]) -> str:
-    values, stds = (x if isinstance(x, list) else [x] for x in (parameter["value"], parameter["std"]))
-    words, unit, factor = split_unit(name)
-    if all(phase_is_undetermined(name, s) for s in stds):
-        return f"{words} {NOT_DETERMINED}"
-    shown = (measured(factor * v, K * factor * s, unit) for v, s in zip(values, stds, strict=True))
-    return f"{words} {', '.join(shown)}"
 
 
 def size_of_shape(effect: UnmodelledMotionEffect) -> str:

@@ -39,10 +39,10 @@ def effects_of(problem: DiagnosisProblem, fit: EvidenceFit, hypothesis: Hypothes
     out = []
     for member, own in zip(hypothesis.members, found.slices, strict=True):
         candidate = member.candidate
-        reported = candidate.report(found.mean[own], found.covariance[own, own], member.hyper)
+        reported = candidate.parameters(found.mean[own], found.covariance[own, own], member.hyper)
         parameters = {name: ParameterEstimate(p.value, p.std) for name, p in reported.items()}
         before = np.diag((member.size * candidate.typical) ** 2)
-        absent, spread = (candidate.report(c, before, member.hyper) for c in (np.zeros(candidate.k), found.mean[own]))
+        absent, spread = (candidate.parameters(c, before, member.hyper) for c in (np.zeros(candidate.k), found.mean[own]))
         prior = {name: ParameterEstimate(absent[name].value, p.std) for name, p in spread.items() if name in absent}
         tried, log_prior = candidate.key not in untried, fit.log_prior_of(member, hypothesis)
         out.append(ComparedEffect(candidate.name, candidate.where, parameters, tried, prior, log_prior))

@@ -9,9 +9,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, number
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, number, plain_report
 from mbcacq.effects.functions import DescribedPart, linear, of
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available
 
 NAME = "backlash"
 DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=5, in_motion=5))
@@ -87,15 +87,14 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     return out
 
 
-def _by_direction(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _by_direction(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return -0.5 * run.direction[:, [joint]]
 
 
-def _by_load(run: MotionSignals, joint: int, crossing_s: float | None) -> np.ndarray:
+def _by_load(run: MotionSignals, joint: int, crossing_s: float) -> np.ndarray:
     """The flank in contact follows the sign of the load, in the time that it takes to cross the clearance."""
     from scipy.signal import lfilter  # takes half a second, which most commands do not need
 
-    assert crossing_s is not None
     torque = available(run.load)[:, joint]
     load = np.interp(np.arange((len(torque) - 1) * OVERSAMPLING + 1) / OVERSAMPLING, np.arange(len(torque)), torque)
     flank = np.sign(load) * (np.abs(load) > LEAST_LOAD * float(np.abs(load).max()))

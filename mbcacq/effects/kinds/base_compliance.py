@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, scalar_report
+from mbcacq.effects.effect import Candidate, Missing, plain_report
 from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "base_compliance"
@@ -17,5 +17,5 @@ def candidates(context: Context) -> list[Candidate]:
         raise Missing("no masses of the links given")
     described = [DescribedPart("frame", 0, 3 + c, (linear(f"gravity_moment_0_{'xyz'[c]}"),)) for c in range(3)]
     return [
-        Candidate(NAME, ("base",), "gravity_torque_2", described, scalar_report("compliance_rad_per_Nm"), np.array([1e-7]), positive=True)
+        Candidate(NAME, ("base",), "gravity_torque_2", described, plain_report("compliance_rad_per_Nm"), np.array([1e-7]), positive=True)
     ]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Hyperparameter
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, available
+from mbcacq.effects.effect import HyperEstimate, Hyperparameter, Parameters, number, standard_deviations
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available
 
 NAME = "channel_latency"
 DECLARED = Declaration(motor_side=True, model_block="sensor_delay", challenge=Challenge(in_motion=1))
@@ -36,17 +36,17 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     ]
 
 
-def _encoder(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _encoder(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return -run.qd[:, [joint]]
 
 
-def _torque(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _torque(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     window = min(max(2 * int(WINDOW_S / run.step_s / 2) + 1, 7), (len(run.q) - 1) // 2 * 2 - 1)
     from scipy.signal import savgol_filter  # takes half a second, which most commands do not need
 
     return -np.asarray(savgol_filter(available(run.torque)[:, joint], window, 5, deriv=1, delta=run.step_s))[:, None]
 
 
-def _report(c: np.ndarray, v: np.ndarray, delay: float | None, _: float) -> Parameters:
+def _report(c: np.ndarray, v: np.ndarray, delay: HyperEstimate) -> Parameters:
     """The shift that was corrected in the recording, and the remaining delay."""
-    return {"latency_s": {"value": float(delay or 0.0) + float(c[0]), "std": float(np.hypot(np.sqrt(max(v[0, 0], 0.0)), RESOLUTION_S))}}
+    return {"latency_s": number(delay.value + c[0], np.hypot(standard_deviations(v)[0], RESOLUTION_S))}

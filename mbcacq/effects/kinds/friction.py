@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Hyperparameter
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
+from mbcacq.effects.effect import Hyperparameter, plain_report
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available
 
 NAME = "friction"
 DECLARED = Declaration(every_arm=True, motor_side=True, model_block="friction", challenge=Challenge(in_motion=3))
@@ -59,19 +59,18 @@ def _load_changes(run: MotionSignals, joint: int) -> bool:
     return bool(np.ptp(np.abs(available(run.rigid)[:, joint])) > LEAST_LOAD * np.ptp(available(run.torque)[:, joint]))
 
 
-def _plain(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _plain(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return np.stack([run.direction[:, joint], run.qd[:, joint]], axis=1)
 
 
-def _stribeck(run: MotionSignals, joint: int, speed: float | None) -> np.ndarray:
-    assert speed is not None
+def _stribeck(run: MotionSignals, joint: int, speed: float) -> np.ndarray:
     return (run.direction[:, joint] * np.exp(-((run.qd[:, joint] / speed) ** 2)))[:, None]
 
 
-def _load(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _load(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     load = available(run.rigid) if run.load is None else run.load
     return (run.direction[:, joint] * np.abs(load[:, joint]))[:, None]
 
 
-def _uneven(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _uneven(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return np.stack([np.abs(run.direction[:, joint]), np.abs(run.qd[:, joint])], axis=1)

@@ -71,7 +71,7 @@ def report_of(joint: str, q: np.ndarray) -> Report:
         phase_std = float(np.sqrt(across @ v @ across))
         order_std = phase_std / spread
         return {
-            f"{joint}.order": number(order, order_std),
+            f"{joint}.order": number(order.value, order_std),
             f"{joint}.amplitude_deg": number(np.degrees(amplitude), np.degrees(np.sqrt(along @ v @ along))),
             f"{joint}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), np.degrees(np.hypot(phase_std, order_std * middle))),
         }

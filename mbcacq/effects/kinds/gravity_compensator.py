@@ -14,20 +14,20 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.declaration import Challenge, Declaration, Estimates
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, number
-from mbcacq.effects.functions import DescribedPart, Function, Product
-from mbcacq.effects.motion_effect import (
-    ChannelGroup,
-    Columns,
-    MotionCandidate,
-    MotionSignals,
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import (
+    Candidate,
+    HyperEstimate,
+    Hyperparameter,
+    Missing,
     Parameters,
     Report,
-    available,
+    number,
     plain_report,
     standard_deviations,
 )
+from mbcacq.effects.functions import DescribedPart, Function, Product
+from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionCandidate, MotionSignals, available
 from mbcacq.geometry.gravity import upright_angle
 
 NAME = "gravity_compensator"
@@ -65,7 +65,7 @@ def candidates(context: Context) -> list[Candidate]:
         turned = (Product(0.5 / STEP, (lever(STEP),)), Product(-0.5 / STEP, (lever(-STEP),)))
         return [DescribedPart("joint", 1, 0, (constant, growing, turned))]
 
-    def report(c, v, ratio):
+    def report(c, v, _):
         first = c[0] if abs(c[0]) > 1e-30 else 1e-30
         slope = np.array([-c[2] / first, 0.0, 1.0]) / first
         std = np.sqrt(np.diag(v))
@@ -114,7 +114,7 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
 
 
 def _harmonics(*harmonics: int) -> Columns:
-    def columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+    def columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
         return np.stack([function(k * run.q[:, joint]) for k in harmonics for function in (np.sin, np.cos)], axis=1)
 
     return columns
@@ -126,8 +126,7 @@ def _constant_force(delta: np.ndarray, ratio: float) -> np.ndarray:
 
 
 def _balancing(upright: float) -> Columns:
-    def columns(run: MotionSignals, joint: int, ratio: float | None) -> np.ndarray:
-        assert ratio is not None
+    def columns(run: MotionSignals, joint: int, ratio: float) -> np.ndarray:
         delta = run.q[:, joint] - upright
         constant = _constant_force(delta, ratio)
         stretched = (np.sqrt(1.0 + ratio**2 - 2.0 * ratio * np.cos(delta)) - (1.0 - ratio)) / (2.0 * ratio)
@@ -138,34 +137,33 @@ def _balancing(upright: float) -> Columns:
 
 
 def _balancing_report(upright: float) -> Report:
-    def report(c: np.ndarray, v: np.ndarray, ratio: float | None, _: float) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, _: HyperEstimate) -> Parameters:
         """The shift of q0 is the third coefficient over the first."""
         std = standard_deviations(v)
         gradient = np.array([-c[2] / c[0], 0.0, 1.0]) / c[0]
-        shift_std = float(np.sqrt(max(gradient @ v @ gradient, 0.0)))
+        shift_std = np.sqrt(max(gradient @ v @ gradient, 0.0))
         return {
-            "A2.preload_Nm": {"value": float(c[0]), "std": float(std[0])},
-            "A2.stretched_Nm": {"value": float(c[1]), "std": float(std[1])},
-            "A2.zero_deg": {"value": float(np.degrees(upright + c[2] / c[0])), "std": float(np.degrees(shift_std))},
+            "A2.preload_Nm": number(c[0], std[0]),
+            "A2.stretched_Nm": number(c[1], std[1]),
+            "A2.zero_deg": number(np.degrees(upright + c[2] / c[0]), np.degrees(shift_std)),
         }
 
     return report
 
 
-def as_wind_up(found: Estimates, every: Estimates) -> Estimates:
+def as_wind_up(found: Parameters, every: Parameters) -> Parameters:
     """The torques of the balancer as the angles by which they wind A2 up; without its compliance only the angle of the upright link.
 
     What the drive need not carry lifts the link: the angles are negative where the torques are positive.
     """
     out = {"A2.zero_deg": found["A2.zero_deg"]} if "A2.zero_deg" in found else {}
-    soft = every.get("A2.compliance_rad_per_Nm")
-    if soft is None:
+    if "A2.compliance_rad_per_Nm" not in every:
         return out
+    (soft,), (soft_std,) = every["A2.compliance_rad_per_Nm"].components
     for torque, angle in (("A2.preload_Nm", "A2.preload_deg"), ("A2.stretched_Nm", "A2.stretched_deg")):
         if torque in found:
-            value, std = found[torque]["value"], found[torque]["std"]
-            spread = float(np.hypot(std * soft["value"], value * soft["std"]))
-            out[angle] = {"value": float(-np.degrees(value * soft["value"])), "std": float(np.degrees(spread))}
+            (value,), (std,) = found[torque].components
+            out[angle] = number(-np.degrees(value * soft), np.degrees(np.hypot(std * soft, value * soft_std)))
     return out
 
 

@@ -19,7 +19,7 @@ def candidates(context: Context) -> list[Candidate]:
     def of_joint(i: int) -> Candidate:
         def report(c, v, rank):
             return {
-                f"A{i + 1}.at_pose": number(steps.pose_at(context, rank), 0.5),
+                f"A{i + 1}.at_pose": number(steps.pose_at(context, rank.value), 0.5),
                 f"A{i + 1}.step_deg": number(np.degrees(c[0]), np.degrees(np.sqrt(v[0, 0]))),
             }
 

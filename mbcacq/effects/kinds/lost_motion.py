@@ -56,8 +56,8 @@ def of_joint(context: Context, i: int) -> Candidate:
         h, std = float(c[0]), float(np.sqrt(v[0, 0]))
         return {
             f"A{i + 1}.lost_motion_deg": number(np.degrees(2 * h), np.degrees(2 * std)),
-            f"A{i + 1}.excess_compliance_rad_per_Nm": number(h / at, std / at),
-            f"A{i + 1}.{TORQUE}": number(at, at * std / max(abs(h), 1e-30)),
+            f"A{i + 1}.excess_compliance_rad_per_Nm": number(h / at.value, std / at.value),
+            f"A{i + 1}.{TORQUE}": number(at.value, at.value * std / max(abs(h), 1e-30)),
         }
 
     return Candidate(

@@ -28,7 +28,7 @@ def candidates(context: Context) -> list[Candidate]:
         return [DescribedPart("frame", context.n, c, (ZERO,) * j + (step,) + (ZERO,) * (k - 1 - j)) for j, c in enumerate(components)]
 
     def report(c, v, rank):
-        out = {"at_pose": number(steps.pose_at(context, rank), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
+        out = {"at_pose": number(steps.pose_at(context, rank.value), 0.5), "translation_mm": vector(c[:3], v[:3, :3])}
         if k == 6:
             out["rotation_deg"] = vector(np.degrees(c[3:]), np.degrees(np.degrees(v[3:, 3:])))
         return out

@@ -14,9 +14,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, EffectCoupling, Where
-from mbcacq.effects.effect import Candidate, Missing, Parameters, number, vector
+from mbcacq.effects.effect import Candidate, Missing, Parameters, Report, number, vector
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, linear, scaled
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Report, as_estimates, available
+from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available
 from mbcacq.geometry.dynamics import tool_sigma
 
 NAME = "payload"
@@ -116,14 +116,14 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     ]
 
 
-def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return available(run.payload)[:, joint]
 
 
 def _report(mass: float, com: np.ndarray) -> Report:
     """Parameters of the whole tool in the words of the poses; what there is in kg mm is in kg m here."""
     to_mm = np.array([1.0, 1e3, 1e3, 1e3])
-    return lambda c, v, _, __: as_estimates(tool(mass, com, to_mm * c[:4], v[:4, :4] * np.outer(to_mm, to_mm)))
+    return lambda c, v, _: tool(mass, com, to_mm * c[:4], v[:4, :4] * np.outer(to_mm, to_mm))
 
 
 DECLARED = Declaration(

@@ -18,7 +18,7 @@ def candidates(context: Context) -> list[Candidate]:
     hyper = warm_up.time_constant(context)
 
     def report(c, v, tau):
-        return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau, warm_up.time_constant_std(tau, c, v))}
+        return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau.value, warm_up.time_constant_std(tau.value, c, v))}
 
     def described(tau):
         fade = of("time", "decay", tau)

@@ -55,7 +55,7 @@ def with_warm_up(context: Context, i: int) -> Candidate:
     def report(c, v, tau):
         return {
             f"link{i + 1}.growth_mm": number(c[0], np.sqrt(v[0, 0])),
-            f"link{i + 1}.time_constant_s": number(tau, warm_up.time_constant_std(tau, c, v)),
+            f"link{i + 1}.time_constant_s": number(tau.value, warm_up.time_constant_std(tau.value, c, v)),
         }
 
     return Candidate(NAME, (f"link{i + 1}",), "time", described, report, np.array([0.1]), hyper)

@@ -9,9 +9,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.effect import Candidate, plain_report
 from mbcacq.effects.functions import DescribedPart, linear
-from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionCandidate, MotionSignals, plain_report
+from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionCandidate, MotionSignals
 
 NAME = "wrist_coupling"
 DECLARED = Declaration(between_locations=True, challenge=Challenge(number=7, in_motion=9))
@@ -25,7 +25,7 @@ def candidates(context: Context) -> list[Candidate]:
     out = []
     for i, j in pairs:
         parts = [DescribedPart("joint", j, 0, (linear(f"q{i + 1}"),))]
-        where, report, typical = (f"A{i + 1}", f"A{j + 1}"), scalar_report("ratio"), np.array([1e-4])
+        where, report, typical = (f"A{i + 1}", f"A{j + 1}"), plain_report("ratio"), np.array([1e-4])
         out.append(Candidate(NAME, where, f"q{i + 1}", parts, report, typical))
     return out
 
@@ -42,7 +42,7 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
 
 
 def _columns(other: int) -> Columns:
-    def columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+    def columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
         return run.q[:, [other]]
 
     return columns
