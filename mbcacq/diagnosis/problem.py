@@ -17,7 +17,7 @@ from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
-from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, HyperEstimate, ParameterEstimate, Parameters
+from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, HyperEstimate, ParameterEstimate, Parameters, StandstillRows
 from mbcacq.effects.functions import of, times
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
@@ -138,8 +138,8 @@ def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
             for name in each[0]
         }
 
-    typical = np.repeat(candidate.typical, count)
-    return replace(candidate, described=parts, report=report, typical=typical, positive=False, variant=EACH_RECORDING)
+    rows = StandstillRows(parts, np.repeat(candidate.typical, count))
+    return replace(candidate, rows=rows, report=report, positive=False, variant=EACH_RECORDING)
 
 
 def _first(value: float | tuple[float, ...]) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,7 @@ __all__ = [
     "ORDER",
     "ParameterEstimate",
     "Parameters",
+    "StandstillRows",
     "Report",
     "joined_parameters",
     "number",
@@ -119,22 +120,46 @@ Report = Callable[[np.ndarray, np.ndarray, HyperEstimate], Parameters]
 Described = Sequence[DescribedPart] | Callable[[Any], Sequence[DescribedPart]]
 
 
+class Rows(Protocol):
+    """What an effect adds to the rows of a kind of recording, linear in its coefficients: ``StandstillRows``, or ``MotionRows`` in time."""
+
+    @property
+    def typical(self) -> np.ndarray: ...
+
+
+R = TypeVar("R", bound=Rows)
+
+
 @dataclass(frozen=True)
-class Candidate:
-    """One effect at one location, ready to be tested.
+class StandstillRows:
+    """What an effect displaces in poses at standstill.
+
+    Attributes
+    ----------
+    described
+        The parts that move, as functions of covariates; with a hyper-parameter, a function of its value that returns them. It is also
+        called with an array (H, 1) of values, and then passes these on to its functions as they are.
+    typical
+        (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable each size
+        of it is.
+    """
+
+    described: Described
+    typical: np.ndarray
+
+
+@dataclass(frozen=True)
+class Candidate(Generic[R]):
+    """One effect at one location, ready to be tested in recordings of one kind: of poses, or of motion.
 
     Attributes
     ----------
     name, where, depends_on
         Name of the effect, its locations, and the covariate that it is reported to depend on.
-    described
-        The parts that move, as functions of covariates; with a hyper-parameter, a function of its value that returns them. It is also
-        called with an array (H, 1) of values, and then passes these on to its functions as they are.
+    rows
+        What it adds to a recording: ``StandstillRows`` or ``MotionRows``.
     report
         (coefficients (k,), covariance (k, k), hyper-parameter with its standard deviation) -> parameters by name.
-    typical
-        (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable each size
-        of it is.
     hyper
         The hyper-parameter, if there is one.
     positive
@@ -151,9 +176,8 @@ class Candidate:
     name: str
     where: tuple[str, ...]
     depends_on: str
-    described: Described = field(compare=False)
+    rows: R = field(compare=False)
     report: Report
-    typical: np.ndarray
     hyper: Hyperparameter | None = None
     positive: bool = False
     several: bool = False
@@ -161,9 +185,24 @@ class Candidate:
     rarity: float = 1.0
 
     @property
+    def typical(self) -> np.ndarray:
+        """(k,) sizes of the coefficients."""
+        return self.rows.typical
+
+    @property
     def k(self) -> int:
         """The number of coefficients."""
         return len(self.typical)
+
+    @property
+    def location(self) -> tuple[str, tuple[str, ...]]:
+        """Name and location: what identifies an effect whatever its form."""
+        return self.name, self.where
+
+    @property
+    def form(self) -> tuple[tuple[str, tuple[str, ...]], str]:
+        """Location and variant."""
+        return self.location, self.variant
 
     @property
     def key(self) -> str:
@@ -174,12 +213,13 @@ class Candidate:
         """What coefficients (k,) with covariance (k, k) are reported as. hyper, std: value of the hyper-parameter and its uncertainty."""
         return self.report(c, v, HyperEstimate.of(hyper, std))
 
-    def parts(self, hyper: Any = None) -> tuple[DescribedPart, ...]:
+    def parts(self: Candidate[StandstillRows], hyper: Any = None) -> tuple[DescribedPart, ...]:
         """The parts at a value of the hyper-parameter, or at an array (H, 1) of values."""
-        return tuple(self.described(hyper) if callable(self.described) else self.described)
+        described = self.rows.described
+        return tuple(described(hyper) if callable(described) else described)
 
     @cached_property
-    def components(self) -> tuple[tuple[str, int, int], ...]:
+    def components(self: Candidate[StandstillRows]) -> tuple[tuple[str, int, int], ...]:
         """The (place, index, component) of its parts if all are multiplied by the same functions of the pose, so that all values of the
         hyper-parameter can be scanned at once; coefficients are then ordered component by component. Empty for other effects.
         """
@@ -193,7 +233,7 @@ class Candidate:
         alike = all(p.columns == _placed(own, j, len(parts)) for j, p in enumerate(parts))
         return tuple((p.place, p.index, p.component) for p in parts) if alike else ()
 
-    def functions(self, values: np.ndarray) -> tuple[Column, ...]:
+    def functions(self: Candidate[StandstillRows], values: np.ndarray) -> tuple[Column, ...]:
         """The functions by which each component of an effect with ``components`` is multiplied, at values (H,) of the hyper-parameter."""
         (first, *_) = self.parts(values[:, None])
         return first.columns[: self.k // len(self.components)]
@@ -264,4 +304,4 @@ def plain_effect(
         Further fields of ``Candidate`` (``hyper``, ``positive``, ``several``, ``variant``).
     """
     typical = np.array(list(parameters.values()), dtype=float)
-    return Candidate(name, tuple(where), depends_on, described, plain_report(*parameters), typical, **fields)
+    return Candidate(name, tuple(where), depends_on, StandstillRows(described, typical), plain_report(*parameters), **fields)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from mbcacq.effects.effect import HyperEstimate, Hyperparameter, Parameters, Report
 from mbcacq.model.cell import RobotModel
 
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
@@ -79,49 +78,47 @@ Columns = Callable[[MotionSignals, int, Any], np.ndarray]
 
 
 @dataclass(frozen=True)
-class MotionCandidate:
-    """columns(run, joint, hyper) -> (T, k), with the same k coefficients for all of ``joints``.
+class MotionRows:
+    """What an effect adds to a mismatch in motion.
 
-    report, hyper: as of a candidate of poses; with ``refine`` the hyper-parameter is estimated with the coefficients, and at the first or
-    last of its values it is a bound of what was tried, no estimate.
-    positive: physics demands a positive first coefficient.
-    extends: a refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
-    shares_hyper: its hyper-parameter is that of the effect extended. variant: distinguishes several forms of one effect at one location.
-    channel_delay: the hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the
-    remaining delay.
-    follows_load: its columns follow the load, which is known better the further the torque is explained.
-    usual: so common that it starts selected and is dropped where it is not needed.
-    tested: so many leading coefficients must differ from zero; the others only follow (None: all).
-    load_parameters: of an effect that loads the arm as its own masses do, names of its leading coefficients and factors to their units.
-    sigma: prior standard deviation of the coefficients, one number or one each; it bounds what the data do not determine.
+    Attributes
+    ----------
+    joints
+        Joints in whose mismatch it shows.
+    columns
+        (run, joint, value of the hyper-parameter) -> (T, k), with the same k coefficients for all of the joints. With ``refine`` the
+        hyper-parameter is estimated with these, and at the first or last of its values it is a bound of what was tried, no estimate.
+    sigma
+        Prior standard deviation of the coefficients, one number or one each; it bounds what the data do not determine.
+    extends
+        A refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
+    shares_hyper
+        Its hyper-parameter is that of the effect extended.
+    channel_delay
+        The hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the remaining delay.
+    follows_load
+        Its columns follow the load, which is known better the further the torque is explained.
+    usual
+        So common that it starts selected and is dropped where it is not needed.
+    tested
+        So many leading coefficients must differ from zero; the others only follow (None: all).
+    load_parameters
+        Of an effect that loads the arm as its own masses do, names of its leading coefficients and factors to their units.
+    typical
+        (k,) sizes of the coefficients as the search compares them, which follow from sigma or from the recording.
     """
 
-    name: str
-    where: tuple[str, ...]
-    depends_on: str
     joints: tuple[int, ...]
     columns: Columns
-    report: Report
-    hyper: Hyperparameter | None = None
-    positive: bool = False
+    sigma: float | tuple[float, ...] = np.inf
     extends: bool = False
     shares_hyper: bool = False
-    sigma: float | tuple[float, ...] = np.inf
     channel_delay: bool = False
     follows_load: bool = False
-    variant: str = ""
     usual: bool = False
     tested: int | None = None
     load_parameters: tuple[tuple[str, float], ...] = ()
-
-    def parameters(self, c: np.ndarray, v: np.ndarray, hyper: float | None = None, std: float = 0.0) -> Parameters:
-        """As of a candidate of poses."""
-        return self.report(c, v, HyperEstimate.of(hyper, std))
-
-    @property
-    def location(self) -> tuple[str, tuple[str, ...]]:
-        """Name and location: what identifies an effect whatever its form."""
-        return self.name, self.where
+    typical: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def available(signal: np.ndarray | None) -> np.ndarray:

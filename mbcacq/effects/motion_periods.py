@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.declaration import PeriodicInMotion
-from mbcacq.effects.effect import HyperEstimate, Hyperparameter, Parameters, Report, number
-from mbcacq.effects.motion_effect import Columns, MotionCandidate, MotionSignals
+from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Parameters, Report, number
+from mbcacq.effects.motion_effect import Columns, MotionRows, MotionSignals
 
 HIGHEST_ORDER = 1500.0  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
 LEAST_TRAVEL = np.radians(2.0)  # below, a joint hardly moved
@@ -30,18 +30,18 @@ class OrderRange:
 
 def periodic_component(
     effect: tuple[str, PeriodicInMotion], joint: int, order: float, spacing: float, trials: float, observed: tuple[float, float]
-) -> MotionCandidate:
+) -> Candidate:
     """The candidate of one order. effect: its name, and how it is periodic; spacing: of the orders to try around it; trials: how many were
     compared; observed: lowest and highest angle (rad) of the data that take part: elsewhere its phase is not known, and it is zero."""
     name, declared = effect
-    return MotionCandidate(
+    return Candidate(
         name,
         (f"A{joint + 1}",),
         f"q{joint + 1}",
-        (joint,),
-        _columns(observed),
+        MotionRows((joint,), _columns(observed)),
         _report(f"A{joint + 1}", declared.amplitude, declared.scale),
         Hyperparameter("", order + spacing * np.array([-0.5, 0.0, 0.5]), trials),
+        several=True,
         variant=f"{order:.4g}",
     )
 

@@ -17,7 +17,7 @@ from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.given_effects import StatedParameters, as_displaced, coefficient_of, evidence_given, given_effects
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.diagnosis.problem import prepare
-from mbcacq.effects.effect import Candidate, ParameterEstimate, number, plain_report
+from mbcacq.effects.effect import Candidate, ParameterEstimate, StandstillRows, number, plain_report
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
@@ -126,7 +126,7 @@ def test_a_parameter_without_a_sign_is_no_coefficient():
         return {"A4.width_deg": number(abs(c[0]), np.sqrt(v[0, 0]))}
 
     parameters = {"A4.width_deg": number(0.006, 1e-4)}
-    signed = Candidate("play", ("A4",), "direction_4", [], plain_report("A4.width_deg", scale=2.0), np.array([3e-5]))
+    signed = Candidate("play", ("A4",), "direction_4", StandstillRows([], np.array([3e-5])), plain_report("A4.width_deg", scale=2.0))
     known = coefficient_of(signed, parameters)
     assert known is not None
     assert known[0] == pytest.approx(0.003)

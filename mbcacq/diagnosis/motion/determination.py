@@ -11,7 +11,7 @@ BOUND = 1e-6  # relative distance from the first or last value tried within whic
 
 def at_bound(effect: SelectedEffect) -> bool:
     """The reported hyper-parameter is at the first or last value that was tried."""
-    tried, hyper = effect.candidate.hyper, effect.variant.hyper
+    tried, hyper = effect.candidate.hyper, effect.member.hyper
     if tried is None or not tried.name or hyper is None:
         return False
     first, last = float(np.min(tried.values)), float(np.max(tried.values))

@@ -163,7 +163,7 @@ def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[Fitt
     for effect in model.selected:
         hyper = [len(chosen) + k for k, e in enumerate(continuous) if e is effect]
         hyper_std = float(np.sqrt(max(spread[hyper[0], hyper[0]], 0.0))) if hyper else 0.0
-        at = [position[int(i)] for i in effect.variant.ids]
+        at = [position[int(i)] for i in effect.member.ids]
         fitted = _fitted(model, effect, x[at], spread[np.ix_(at, at)], hyper_std)
         known = out.get(effect.candidate.location)
         out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)
@@ -172,7 +172,7 @@ def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[Fitt
 
 def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
     candidate = effect.candidate
-    parameters = dict(candidate.parameters(c, v, effect.variant.hyper, hyper_std))
+    parameters = dict(candidate.parameters(c, v, effect.member.hyper, hyper_std))
     notes = []
     if candidate.hyper is not None and at_bound(effect):
         del parameters[candidate.hyper.name]
@@ -185,11 +185,11 @@ def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.nda
         depends_on=candidate.depends_on,
         parameters=parameters,
         p_value=effect.p_value,
-        joints=candidate.joints,
+        joints=candidate.rows.joints,
         gain=effect.before - effect.after,
         steps=[FitStep(list(parameters), effect.before, effect.after)],
         alternatives=effect.alternatives,
-        contributions=_delayed(model, effect, c) if candidate.channel_delay else _contribution(model, effect, c),
+        contributions=_delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c),
         notes=notes,
     )
 
@@ -212,13 +212,16 @@ def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
 def _contribution(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:
     candidate = effect.candidate
     return [
-        [candidate.columns(run, j, effect.variant.hyper) @ c if j in candidate.joints else np.zeros(len(run.q)) for run in model.runs]
+        [
+            candidate.rows.columns(run, j, effect.member.hyper) @ c if j in candidate.rows.joints else np.zeros(len(run.q))
+            for run in model.runs
+        ]
         for j in model.group.joints
     ]
 
 
 def _delayed(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:
-    delay, signals = effect.variant.value + float(c[0]), model.group.signal
+    delay, signals = effect.member.value + float(c[0]), model.group.signal
     return [
         [-shift_difference(signals[k][:, j], run.step_s, delay) for k, run in enumerate(model.runs)] for j in range(len(model.group.joints))
     ]

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
+from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.determination import canonical_correlation
-from mbcacq.diagnosis.motion.motion_model import MotionModel, Variant
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.noise import covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
 
@@ -83,12 +84,12 @@ def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[LoadAlter
     if posterior.log_odds_of_other_masses(masses) < CONTRADICTED:
         return []
     out, there = [], {e.candidate.location for e in model.selected}
-    for name in dict.fromkeys(c.name for c in pool.candidates if c.load_parameters):
-        own = [e.variant for e in model.selected if e.candidate.name == name and e.candidate.usual]
+    for name in dict.fromkeys(c.name for c in pool.candidates if c.rows.load_parameters):
+        own = [e.member for e in model.selected if e.candidate.name == name and e.candidate.rows.usual]
         variants = own or [
             v for variants in pool.usual() for v in variants if v.candidate.name == name and v.candidate.location not in there
         ]
-        compared = [_compared(model, v, masses, selected=bool(own)) for v in variants if np.isfinite(v.candidate.sigma).all()]
+        compared = [_compared(model, v, masses, selected=bool(own)) for v in variants if np.isfinite(v.candidate.rows.sigma).all()]
         if compared:
             odds = float(np.mean([odds for odds, _ in compared]))
             label = f"{name}:{'+'.join(variants[0].candidate.where)}"
@@ -106,12 +107,12 @@ def _asked(model: MotionModel) -> bool:
     return bool(high - low < NUMBERS.wide_range * np.ptp(robot.limits[1]))
 
 
-def _compared(model: MotionModel, variant: Variant, masses: np.ndarray, selected: bool) -> tuple[float, float]:
+def _compared(model: MotionModel, member: Member, masses: np.ndarray, selected: bool) -> tuple[float, float]:
     """Odds of the alternative (without the effect where it is selected, else with it), and the correlation of its estimate with the
     masses'."""
-    chosen = model.chosen() if selected else np.concatenate([model.chosen(), variant.ids]).astype(int)
+    chosen = model.chosen() if selected else np.concatenate([model.chosen(), member.ids]).astype(int)
     posterior = _Posterior.of(model, chosen)
-    ids = variant.ids[: variant.candidate.tested or len(variant.ids)]
-    log_factor = posterior.log_bayes_factor(ids, variant.candidate.positive)
+    ids = member.ids[: member.candidate.rows.tested or len(member.ids)]
+    log_factor = posterior.log_bayes_factor(ids, member.candidate.positive)
     odds = float(np.exp(np.clip(-log_factor if selected else log_factor, -700.0, 700.0)))
     return odds, canonical_correlation(posterior.V, posterior.at(ids), posterior.at(masses))

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import HyperEstimate, Hyperparameter, Parameters, number, standard_deviations
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available
+from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Parameters, number, standard_deviations
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
 NAME = "channel_latency"
 DECLARED = Declaration(motor_side=True, model_block="sensor_delay", challenge=Challenge(in_motion=1))
@@ -18,22 +18,12 @@ RESOLUTION_S = 1e-7  # splines between samples compare two time bases no better
 WINDOW_S = 0.25  # of the quintic through a recorded torque: shorter ones leave noise, which would shrink the slope
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name == "q_set":  # a late set point and a late drive are indistinguishable: drive_lag reports it, joint by joint
         return []
     columns, depends = (_torque, "rate") if group.name == "tau" else (_encoder, "qd")
-    return [
-        MotionCandidate(
-            NAME,
-            (group.name,),
-            depends,
-            group.joints,
-            columns,
-            _report,
-            Hyperparameter("", np.array([0.0]), 1.0, refine=False),
-            channel_delay=True,
-        )
-    ]
+    rows = MotionRows(group.joints, columns, channel_delay=True)
+    return [Candidate(NAME, (group.name,), depends, rows, _report, Hyperparameter("", np.array([0.0]), 1.0, refine=False))]
 
 
 def _encoder(run: MotionSignals, joint: int, _: object) -> np.ndarray:

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import HyperEstimate, Hyperparameter, Parameters, Report, number, plain_report, standard_deviations
-from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionCandidate, MotionSignals, available, low_pass
+from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Parameters, Report, number, plain_report, standard_deviations
+from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionRows, MotionSignals, available, low_pass
 
 NAME = "drive_lag"
 DECLARED = Declaration(every_arm=True, challenge=Challenge(in_motion=2))
@@ -27,20 +27,21 @@ FRICTION_SPEED = 1e-3  # rad/s, at which friction that is fed forward changes it
 FEWEST_S = 1e-6  # least total delay: a column is divided by it
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_set":
         return []
     out = []
     for j in group.joints:
         axis = f"A{j + 1}"
-        here = ((axis,), f"qd{j + 1}", (j,))
+        here = (axis,), f"qd{j + 1}"
         lag = Hyperparameter(f"{axis}.time_constant_s", LAGS_S, 4.0, from_none=True)
         loop = Hyperparameter(f"{axis}.time_constant_s", LOOPS_S, 4.0, refine=False)
-        out.append(MotionCandidate(NAME, *here, _lag, _lag_report(axis), lag, positive=True, variant="fast"))
-        out.append(MotionCandidate(NAME, *here, _loop, _loop_report(axis), loop, variant="slow", sigma=LOOP_SIGMA))
+        out.append(Candidate(NAME, *here, MotionRows((j,), _lag), _lag_report(axis), lag, positive=True, variant="fast"))
+        out.append(Candidate(NAME, *here, MotionRows((j,), _loop, LOOP_SIGMA), _loop_report(axis), loop, variant="slow"))
         for name, columns, unit in _disturbances(runs):
             report = plain_report(f"{axis}.{name}_push_{unit}")
-            out.append(MotionCandidate(NAME, *here, columns, report, extends=True, shares_hyper=True, variant=name))
+            rows = MotionRows((j,), columns, extends=True, shares_hyper=True)
+            out.append(Candidate(NAME, *here, rows, report, variant=name))
     return out
 
 

@@ -22,12 +22,13 @@ from mbcacq.effects.effect import (
     Missing,
     Parameters,
     Report,
+    StandstillRows,
     number,
     plain_report,
     standard_deviations,
 )
 from mbcacq.effects.functions import DescribedPart, Function, Product
-from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionCandidate, MotionSignals, available
+from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionRows, MotionSignals, available
 from mbcacq.geometry.gravity import upright_angle
 
 NAME = "gravity_compensator"
@@ -75,41 +76,29 @@ def candidates(context: Context) -> list[Candidate]:
             "A2.zero_deg": number(np.degrees(upright + c[2] / first), np.degrees(np.sqrt(max(slope @ v @ slope, 0.0)))),
         }
 
-    typical = np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA])
+    rows = StandstillRows(described, np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA]))
     hyper = Hyperparameter("lever_ratio", LEVER_RATIOS, 2.0, refine=False)
-    return [Candidate(NAME, ("A2",), "q2", described, report, typical, hyper, rarity=1.0 if robot.balancer or heavy else RARE)]
+    return [Candidate(NAME, ("A2",), "q2", rows, report, hyper, rarity=1.0 if robot.balancer or heavy else RARE)]
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "tau" or 1 not in group.joints:
         return []
     weight = max(float(np.abs(available(run.gravity)[:, 1]).max()) for run in runs)  # the torque that a balancer has to balance
     first = plain_report("A2.sin_Nm", "A2.cos_Nm", "A2.sin2_Nm", "A2.cos2_Nm")
     third = plain_report("A2.sin3_Nm", "A2.cos3_Nm")
     out = [
-        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(1, 2), first, sigma=weight, variant="series"),
-        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(3), third, extends=True, variant="third", sigma=THIRD_HARMONIC * weight),
+        Candidate(NAME, ("A2",), "q2", MotionRows((1,), _harmonics(1, 2), weight), first, variant="series"),
+        Candidate(NAME, ("A2",), "q2", MotionRows((1,), _harmonics(3), THIRD_HARMONIC * weight, extends=True), third, variant="third"),
     ]
     robot = runs[0].robot
     upright = None if robot is None else upright_angle(robot.chain, robot.gravity)
     if upright is not None:
         sigma = (2.0 * weight, weight, 2.0 * weight * float(UPRIGHT_SIGMA))
-        out.append(
-            MotionCandidate(
-                NAME,
-                ("A2",),
-                "q2",
-                (1,),
-                _balancing(upright),
-                _balancing_report(upright),
-                Hyperparameter("", LEVER_RATIOS, 1.0, refine=False),
-                positive=True,
-                variant="balancing",
-                sigma=sigma,
-                usual=True,
-                load_parameters=(("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0)),
-            )
-        )
+        load = (("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0))
+        rows = MotionRows((1,), _balancing(upright), sigma, usual=True, load_parameters=load)
+        hyper = Hyperparameter("", LEVER_RATIOS, 1.0, refine=False)
+        out.append(Candidate(NAME, ("A2",), "q2", rows, _balancing_report(upright), hyper, positive=True, variant="balancing"))
     return out
 
 

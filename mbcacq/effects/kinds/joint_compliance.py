@@ -11,9 +11,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, HyperEstimate, Parameters, Report, number, plain_report, standard_deviations
+from mbcacq.effects.effect import Candidate, HyperEstimate, Parameters, Report, number, plain_effect, standard_deviations
 from mbcacq.effects.functions import DescribedPart, linear
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
 NAME = "joint_compliance"
 DECLARED = Declaration(every_arm=True, same_as_group=True, model_block="gear", challenge=Challenge(number=1, in_motion=4))
@@ -28,18 +28,16 @@ def candidates(context: Context) -> list[Candidate]:
             continue  # a vertical axis feels no gravity
         cause = f"gravity_torque_{i + 1}"
         described = [DescribedPart("joint", i, 0, (linear(cause),))]
-        out.append(
-            Candidate(
-                NAME, (f"A{i + 1}",), cause, described, plain_report(f"A{i + 1}.compliance_rad_per_Nm"), np.array([1.5e-6]), positive=True
-            )
-        )
+        out.append(plain_effect(NAME, [f"A{i + 1}"], cause, described, {f"A{i + 1}.compliance_rad_per_Nm": 1.5e-6}, positive=True))
     return out
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_joint" or any(run.load is None for run in runs):
         return []
-    return [MotionCandidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", (j,), _columns, _report(runs, j), positive=True) for j in group.joints]
+    return [
+        Candidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", MotionRows((j,), _columns), _report(runs, j), positive=True) for j in group.joints
+    ]
 
 
 def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:

@@ -5,7 +5,7 @@ import numpy as np
 from mbcacq.effects import steps
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, number, vector
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, of
 
 NAME = "mount_shift"
@@ -33,4 +33,4 @@ def candidates(context: Context) -> list[Candidate]:
             out["rotation_deg"] = vector(np.degrees(c[3:]), np.degrees(np.degrees(v[3:, 3:])))
         return out
 
-    return [Candidate(NAME, ("mount",), "pose", described, report, np.array([0.03] * 3 + [1e-4] * 3)[:k], hyper)]
+    return [Candidate(NAME, ("mount",), "pose", StandstillRows(described, np.array([0.03] * 3 + [1e-4] * 3)[:k]), report, hyper)]
