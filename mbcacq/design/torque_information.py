@@ -62,7 +62,7 @@ class TorqueInformation:
         weights = model.weights(chosen)
         normal = model.store.normal(weights)[np.ix_(chosen, chosen)] + np.diag(1.0 / np.array(model.store.prior)[chosen] ** 2)
         position = {int(c): i for i, c in enumerate(chosen)}
-        placed = tuple(replace(e.member, columns=np.array([position[int(i)] for i in e.member.ids])) for e in model.selected)
+        placed = tuple(replace(e.member, columns=np.array([position[int(i)] for i in e.member.columns])) for e in model.selected)
         named, names, scale = _named(placed, len(chosen))
         arm = np.array([position[int(i)] for i in model.store.base[len(group.joints) : -robot.n]], dtype=int)
         return cls(
@@ -91,7 +91,7 @@ class TorqueInformation:
             X[:, J : J + group.base[0].shape[2]] = group.base[0][:, here]
             for one in self.placed:
                 if joint in one.candidate.rows.joints:
-                    X[:, one.ids] = one.candidate.rows.columns(run, joint, one.hyper)
+                    X[:, one.columns] = one.candidate.rows.columns(run, joint, one.hyper)
             X = X[group.use[0][:, here]]
             out += self.weights[j] * step_s / self.step_s * (X.T @ X)
         return out
@@ -128,7 +128,7 @@ class TorqueInformation:
 
     def correlations(self, covariance: np.ndarray) -> dict[str, float]:
         """Largest canonical correlation of balancer and load with each other and with the inertial parameters of the links."""
-        at = {one.candidate.name: [int(i) for i in one.ids if i in self.named] for one in self.placed}
+        at = {one.candidate.name: [int(i) for i in one.columns if i in self.named] for one in self.placed}
         at = {name: own for name, own in at.items() if own} | {"arm": [int(i) for i in self.arm]}
         pairs = [(a, b) for a, b in combinations(at, 2) if at[b]]
         return {f"{a} and {b}": canonical_correlation(covariance, at[a], at[b]) for a, b in pairs}
@@ -138,7 +138,7 @@ def _named(placed: Sequence[Member], count: int) -> tuple[np.ndarray, tuple[str,
     """Positions, names and scale (P,) of the parameters of a balancer and of a load."""
     named, names, scale = [], [], np.ones(count)
     for one in placed:
-        for position, (name, factor) in zip(one.ids, one.candidate.rows.load_parameters, strict=False):
+        for position, (name, factor) in zip(one.columns, one.candidate.rows.load_parameters, strict=False):
             named.append(int(position))
             names.append(name)
             scale[position] = factor

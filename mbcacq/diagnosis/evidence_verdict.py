@@ -53,19 +53,13 @@ def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[Ef
                 for other in alternatives_of(fit, reported, label):
                     found[other.label] = max(other.odds, found.get(other.label, 0.0))
         best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
-        ranked = [alternative(label, odds) for label, odds in best]
+        ranked = [Alternative.of_label(label, odds) for label, odds in best]
         if full.everywhere and effect.name == UNKNOWN:
             first, *others = full.cells
             odds_of = [(c.location, float(np.exp(c.log_bayes_factor - first.log_bayes_factor))) for c in others[: OPTIONS.beam]]
             ranked = [Alternative(UNKNOWN, (at,), 0.0, odds) for at, odds in odds_of]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return out
-
-
-def alternative(label: str, odds: float) -> Alternative:
-    """From ``name:where``."""
-    name, _, where = label.partition(":")
-    return Alternative(name, tuple(where.split("+")), 0.0, odds)
 
 
 def labels_of(reported: Hypothesis, name: str, where: str) -> list[str]:

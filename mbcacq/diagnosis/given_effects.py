@@ -26,7 +26,7 @@ from mbcacq.diagnosis.result import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import can_be_kept
-from mbcacq.effects.effect import Candidate, Parameters
+from mbcacq.effects.effect import Candidate, Parameters, label_of
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import CalibrationError
@@ -115,13 +115,8 @@ def _searched(obs: Observations, given: Sequence[GivenEffect], options: Calibrat
     fit = with_untried_rivals(problem, fit_evidence(problem))
     found, hypotheses = summarized(problem, fit), tuple(shown(fit))
     sets = tuple(with_those_given(one, given, h) for one, h in zip(found.sets, hypotheses, strict=True))
-    evidence = GivenEvidence(tuple(label_of(g.candidate.name, g.candidate.where) for g in given), replace(found, sets=sets))
+    evidence = GivenEvidence(tuple(g.candidate.label for g in given), replace(found, sets=sets))
     return PosesGiven(problem, evidence, hypotheses)
-
-
-def label_of(name: str, where: Sequence[str]) -> str:
-    """``name:where``."""
-    return f"{name}:{'+'.join(where)}"
 
 
 def with_those_given(one: ComparedSet, given: Sequence[GivenEffect], hypothesis: Hypothesis) -> ComparedSet:
@@ -145,7 +140,7 @@ def given_effects(problem: DiagnosisProblem, stated: Sequence[StatedParameters])
     by_label = {one.label: one for one in stated}
     found = []
     for candidate in problem.candidates:
-        one = by_label.get(label_of(candidate.name, candidate.where))
+        one = by_label.get(candidate.label)
         known = None if one is None or candidate.variant else coefficient_of(candidate, one.parameters)
         if known is not None:
             parts = tuple(candidate_parts(problem.linear, candidate))

@@ -35,6 +35,7 @@ __all__ = [
     "StandstillRows",
     "Report",
     "joined_parameters",
+    "label_of",
     "number",
     "parameter_in_words",
     "plain_effect",
@@ -200,6 +201,11 @@ class Candidate(Generic[R]):
         return self.name, self.where
 
     @property
+    def label(self) -> str:
+        """``name:where``."""
+        return label_of(self.name, self.where)
+
+    @property
     def form(self) -> tuple[tuple[str, tuple[str, ...]], str]:
         """Location and variant."""
         return self.location, self.variant
@@ -207,7 +213,7 @@ class Candidate(Generic[R]):
     @property
     def key(self) -> str:
         """Identifies the candidate among all of a recording."""
-        return f"{self.name}:{'+'.join(self.where)}:{self.depends_on}:{self.variant}"
+        return f"{self.label}:{self.depends_on}:{self.variant}"
 
     def parameters(self, c: np.ndarray, v: np.ndarray, hyper: float | None = None, std: float = 0.0) -> Parameters:
         """What coefficients (k,) with covariance (k, k) are reported as. hyper, std: value of the hyper-parameter and its uncertainty."""
@@ -247,6 +253,11 @@ class Candidate(Generic[R]):
 def _placed(own: tuple[Column, ...], j: int, count: int) -> tuple[Column, ...]:
     """The columns of component j of ``count``, which are zero for the coefficients of all others."""
     return (ZERO,) * (j * len(own)) + own + (ZERO,) * ((count - 1 - j) * len(own))
+
+
+def label_of(name: str, where: Iterable[str]) -> str:
+    """``name:where`` of an effect; several harmonics of a joint are one."""
+    return f"{name}:{'+'.join(where)}"
 
 
 def number(value: float, std: float) -> ParameterEstimate:

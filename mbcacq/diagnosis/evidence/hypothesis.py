@@ -19,6 +19,7 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN
 
+NO_COLUMNS = np.zeros(0, dtype=int)
 LARGEST_STEP = 1.0  # of a logarithm of the noise in one round
 
 
@@ -70,7 +71,7 @@ P = TypeVar("P", bound=EvidencePoint)
 class Member:
     """An effect of a set, or one that may be, at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical
     ones; size: the most probable; log_mass: log of the average over the hyper-parameter, relative to this value. columns: (k,) their
-    numbers among those of a motion; None of an effect of poses.
+    numbers among those of a motion; none of an effect of poses.
     """
 
     candidate: Candidate
@@ -78,7 +79,7 @@ class Member:
     log_mass: float = 0.0
     sizes: tuple[float, ...] = OPTIONS.sizes
     size: float = 1.0
-    columns: np.ndarray | None = field(default=None, compare=False)
+    columns: np.ndarray = field(default_factory=lambda: NO_COLUMNS, compare=False)
 
     @classmethod
     def of(cls, scored: ScoredEffect) -> Member:
@@ -87,23 +88,17 @@ class Member:
     @property
     def label(self) -> str:
         """``name:where``; several harmonics of a joint are one effect."""
-        return f"{self.candidate.name}:{'+'.join(self.candidate.where)}"
+        return self.candidate.label
 
     @property
     def key(self) -> tuple[str, float]:
-        return self.candidate.key, round(self.hyper or 0.0, 1) if self.columns is None else self.hyper or 0.0
+        return self.candidate.key, (self.hyper or 0.0) if len(self.columns) else round(self.hyper or 0.0, 1)
 
     @property
     def value(self) -> float:
         """The hyper-parameter of an effect that has one."""
         assert self.hyper is not None, f"{self.candidate.name} has no hyper-parameter"
         return self.hyper
-
-    @property
-    def ids(self) -> np.ndarray:
-        """The numbers of the columns of an effect in motion."""
-        assert self.columns is not None, f"{self.candidate.name} has no columns"
-        return self.columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,7 @@ class CandidatePool:
     def keep(self, effect: SelectedEffect) -> None:
         """Give an effect columns that stay, whatever ``forget_step`` removes."""
         member = effect.member
-        if len(member.ids) and member.ids[0] < self.mark:
+        if len(member.columns) and member.columns[0] < self.mark:
             return
         self.forget_step()
         effect.at(member.hyper, self._model.add(member.candidate, member.hyper))

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from mbcacq.diagnosis.given_effects import StatedParameters, label_of
+from mbcacq.diagnosis.given_effects import StatedParameters
 from mbcacq.diagnosis.motion.joint_sets import (
     EvidenceSets,
     JointEvidence,
@@ -36,7 +36,7 @@ from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import ComparedEffect, Diagnosis, EffectFound, EvidenceSummary, GivenEvidence
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import ParameterEstimate, Parameters, parameter_in_words
+from mbcacq.effects.effect import ParameterEstimate, Parameters, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words
 from mbcacq.model.json_text import from_fields, plain
 from mbcacq.quantities import split_unit

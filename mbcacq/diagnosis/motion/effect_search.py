@@ -30,9 +30,9 @@ def sized(member: Member, prior: np.ndarray, information: np.ndarray) -> Member:
 
     prior, information: (P,) of all columns.
     """
-    sigma = prior[member.ids]
+    sigma = prior[member.columns]
     bounded = bool(np.isfinite(sigma).all())
-    typical = sigma if bounded else 1.0 / np.sqrt(np.maximum(information[member.ids], 1e-300))
+    typical = sigma if bounded else 1.0 / np.sqrt(np.maximum(information[member.columns], 1e-300))
     candidate = replace(member.candidate, rows=replace(member.candidate.rows, typical=typical))
     return replace(member, candidate=candidate, sizes=SHARES if bounded else RATIOS, size=1.0)
 
@@ -140,7 +140,7 @@ class MotionSearch(EvidenceSearch):
             kinds.setdefault((m.candidate.k, m.sizes, m.candidate.positive), []).append(i)
         for (k, sizes, positive), own in kinds.items():
             typical = np.stack([members[i].candidate.typical for i in own])
-            A, a = problem.beyond(np.stack([members[i].ids for i in own]))
+            A, a = problem.beyond(np.stack([members[i].columns for i in own]))
             A, a = A * typical[:, :, None] * typical[:, None, :], a * typical
             logs = log_bayes_factors(A, a, np.array(sizes), positive)
             if positive and k > 1:

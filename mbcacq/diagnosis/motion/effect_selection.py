@@ -18,7 +18,8 @@ from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
-from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.result import Alternative
 from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate
@@ -104,7 +105,7 @@ class EffectSelection:
         if len(best.members) >= search.most_effects:
             return best
         for _, member in search.extensions(best, search.candidates)[:TRIED]:
-            chosen = np.concatenate([self.model.chosen(), member.ids]).astype(int)
+            chosen = np.concatenate([self.model.chosen(), member.columns]).astype(int)
             problem = best.point.problem.recoloured(np.minimum(self.model.colour(chosen) / self._colour, 1.0))
             without = estimated(best.members, replace(best.point, problem=problem), best.log_prior)
             members = (*best.members, member)
@@ -161,7 +162,7 @@ class EffectSelection:
             lost = reported.log_evidence - estimated(rest, reported.point, 0.0).log_evidence
             effect.p_value = float(np.exp(-max(lost, 0.0)))
             effect.before, effect.after = self._mean_square_without(effect, weights, normals), after
-            effect.alternatives = [_alternative(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)]
+            effect.alternatives = [Alternative.of_label(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)]
 
     def _mean_square_without(self, effect: SelectedEffect, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
         model, chosen = self.model, self.model.chosen(without=effect)
@@ -176,8 +177,3 @@ class EffectSelection:
 
 def _relinearises(candidate: Candidate) -> bool:
     return (candidate.hyper is not None and candidate.hyper.refine) or candidate.rows.channel_delay or candidate.rows.follows_load
-
-
-def _alternative(label: str, odds: float) -> AlternativeEffect:
-    name, _, where = label.partition(":")
-    return AlternativeEffect(name, tuple(where.split("+")), odds)

@@ -12,11 +12,12 @@ from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
-from mbcacq.diagnosis.motion.load_hypotheses import LoadAlternative, load_alternatives
+from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
 from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
-from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
+from mbcacq.diagnosis.result import Alternative, NotSeparable
 from mbcacq.effects.effect import Parameters, joined_parameters
 from mbcacq.effects.motion_effect import ChannelGroup
 
@@ -48,7 +49,7 @@ class FittedEffect:
     joints: tuple[int, ...]
     gain: np.ndarray
     steps: list[FitStep]
-    alternatives: list[AlternativeEffect]
+    alternatives: list[Alternative]
     contributions: ByRun
     notes: list[str]
 
@@ -80,7 +81,7 @@ class MotionFit:
     load_uncertainty: np.ndarray
     sets: RankedSets | None = None
     inertial: np.ndarray | None = None
-    load_alternatives: list[LoadAlternative] = field(default_factory=list)
+    load_alternatives: list[NotSeparable] = field(default_factory=list)
 
 
 def fit_selected(selection: EffectSelection) -> MotionFit:
@@ -163,7 +164,7 @@ def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[Fitt
     for effect in model.selected:
         hyper = [len(chosen) + k for k, e in enumerate(continuous) if e is effect]
         hyper_std = float(np.sqrt(max(spread[hyper[0], hyper[0]], 0.0))) if hyper else 0.0
-        at = [position[int(i)] for i in effect.member.ids]
+        at = [position[int(i)] for i in effect.member.columns]
         fitted = _fitted(model, effect, x[at], spread[np.ix_(at, at)], hyper_std)
         known = out.get(effect.candidate.location)
         out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)

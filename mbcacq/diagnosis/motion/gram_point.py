@@ -110,7 +110,7 @@ class GramPoint:
 
     def extended(self, members: Sequence[Member]) -> ExtendedGram:
         problem = self.problem
-        ids = np.concatenate([problem.base, *(m.ids for m in members)]).astype(int)
+        ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
         scale = np.concatenate([np.ones(len(problem.base)), *(m.candidate.typical for m in members), [1.0]])
         gram = problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
         return ExtendedGram(gram, problem.prior[problem.base] ** -2.0)
@@ -183,7 +183,7 @@ class ConditionedGram:
     def of(cls, point: GramPoint, members: Sequence[Member]) -> ConditionedGram:
         problem = point.problem
         normal = problem.weighted(np.exp(-point.theta), corrected(members))
-        ids = np.concatenate([problem.base, *(m.ids for m in members)]).astype(int)
+        ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
         known = [(m.size * m.candidate.typical) ** -2.0 for m in members]
         root = cholesky_of(normal[np.ix_(ids, ids)], np.concatenate([problem.prior[problem.base] ** -2.0, *known]))
         return cls(normal, solve_triangular(root, normal[ids], lower=True, check_finite=False))

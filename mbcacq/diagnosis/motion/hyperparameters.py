@@ -74,7 +74,7 @@ def add_derivatives(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> li
     position = {int(c): i for i, c in enumerate(chosen)}
     out = []
     for effect in continuous_effects(model):
-        c = x[[position[int(i)] for i in effect.member.ids]]
+        c = x[[position[int(i)] for i in effect.member.columns]]
         h = effect.member.value
         d = NUMBERS.hyper_step * max(abs(h), SMALLEST_HYPER)
         columns = [_derivative(model, effect.candidate, joint, h, d, c) for joint in effect.candidate.rows.joints]

@@ -11,30 +11,23 @@ from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion.noise import third_difference_noise
 from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import NUMBERS
+from mbcacq.diagnosis.result import Alternative
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 
 LEAST_NOISE = 1e-6  # of a channel, as a share of its range: of simulated recordings without noise; encoders resolve a millionth of a turn
 
 
-@dataclass(frozen=True)
-class AlternativeEffect:
-    """Another effect that could stand in the place of the selected one. odds: posterior, of the set with it against that with this one."""
-
-    name: str
-    where: tuple[str, ...]
-    odds: float
-
-
 @dataclass(eq=False)
 class SelectedEffect:
-    """before, after: held-out mean square (J,) without it and with it. p_value: one over the Bayes factor that it is worth in its set."""
+    """before, after: held-out mean square (J,) without it and with it. p_value: one over the Bayes factor that it is worth in its set;
+    alternatives: what else could stand in its place."""
 
     member: Member
     p_value: float = 1.0
     before: np.ndarray = field(default_factory=lambda: np.zeros(0))
     after: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    alternatives: list[AlternativeEffect] = field(default_factory=list)
+    alternatives: list[Alternative] = field(default_factory=list)
 
     @property
     def candidate(self) -> Candidate:
@@ -87,13 +80,13 @@ class MotionModel:
         for effect in self.selected:
             if effect.candidate.rows.follows_load:
                 columns = [self.columns(effect.candidate, j, effect.member.hyper) for j in effect.candidate.rows.joints]
-                self.store.replace(effect.member.ids, self.joint_indices(effect.candidate), columns)
+                self.store.replace(effect.member.columns, self.joint_indices(effect.candidate), columns)
 
     # fit
 
     def chosen(self, without: SelectedEffect | None = None) -> np.ndarray:
         """Numbers of the columns of the base and of the selected effects."""
-        return np.concatenate([self.store.base, *(e.member.ids for e in self.selected if e is not without)]).astype(int)
+        return np.concatenate([self.store.base, *(e.member.columns for e in self.selected if e is not without)]).astype(int)
 
     def weights(self, chosen: np.ndarray) -> np.ndarray:
         """What a sample of each joint (J,) counts: one over the mean square of the residual of these columns and over the number of samples
@@ -139,5 +132,5 @@ class MotionModel:
         for effect in self.selected:
             if effect.candidate.name not in without and joint in effect.candidate.rows.joints:
                 columns = effect.candidate.rows.columns(signals, joint, effect.member.hyper)
-                out += columns @ x[[position[int(i)] for i in effect.member.ids]]
+                out += columns @ x[[position[int(i)] for i in effect.member.columns]]
         return out

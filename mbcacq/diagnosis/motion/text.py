@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.result import ChannelEvidence, ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.output.evidence_summary import e_value_in_words
 from mbcacq.diagnosis.output.text import FINDINGS, TRENDS, reported, verdict_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.quantities import percent, significant, symbol
@@ -15,7 +16,6 @@ CHANNELS = {
     "tau": "torque against the rigid arm",
 }
 CANNOT_TELL = "Cannot tell: these motions do not let some of the candidates be separated, or show an effect too weakly."
-MOST_LOG_ODDS = 300.0  # whose exponential is a number
 MOST_ROWS = 12  # of the mismatch
 
 
@@ -53,7 +53,9 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
         odds = "" if pair.odds is None else f"; {odds_in_words(pair.odds)} for the second"
         lines.append(f"Not separated: {both} (correlation of the estimates {pair.correlation:.3f}{odds})")
     lines += [f"To tell them apart: {a.reason}." for a in diagnosis.advice]
-    lines += [f"{CHANNELS[e.channel]}: {_evidence(e)}." for e in diagnosis.evidence]
+    for e in diagnosis.evidence:
+        odds, found = e_value_in_words(e.evidence)
+        lines.append(f"{CHANNELS[e.channel]}: effects against none {odds}, {found}.")
     lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:
         lines.append(f"  {c.at} {CHANNELS[c.channel]}: {_held_out(c)}")
@@ -75,11 +77,6 @@ def _describe(effect: MotionEffect | UnmodelledMotionEffect) -> list[str]:
         gain, rest = effect.held_out_gain_here, [*values, *effect.notes]
     head = f"{effect_in_words(effect.name)} at {where} (removes {percent(gain)} of the excess there, on held-out data)"
     return [head, *(f"  {line}" for line in rest)]
-
-
-def _evidence(e: ChannelEvidence) -> str:
-    odds = odds_in_words(float(np.exp(min(e.evidence.log_e_value, MOST_LOG_ODDS))))
-    return f"effects against none {odds}, {'there is an effect' if e.evidence.significant else 'no effect is shown'}"
 
 
 def size_of_shape(effect: UnmodelledMotionEffect) -> str:

@@ -14,7 +14,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import TOGETHER, EffectFound, MismatchEntry, NotSeparable
-from mbcacq.diagnosis.search.effect_set import EffectSet, located_name
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
@@ -47,7 +47,7 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
     for j, (candidate, _) in enumerate(model.effects):
         name = candidate.name
         several = candidate.where[0].startswith(ONE_ENTRY) and not catalogue.declaration(name).between_locations
-        grouped.setdefault(name if several else f"{name}:{'+'.join(candidate.where)}", []).append(j)
+        grouped.setdefault(name if several else candidate.label, []).append(j)
     out = list[Ranked]()
     for members in grouped.values():
         first = model.effects[members[0]][0]
@@ -69,7 +69,7 @@ def gain_left_out(proof: CrossValidation, model: EffectSet, members: list[int]) 
     """Share of the held-out excess that an entry removes: of an effect with entries at several locations, the entry at its own."""
     first = model.effects[members[0]][0]
     everywhere = sum(c.name == first.name for c, _ in model.effects) == len(members)
-    return proof.gain(first.name if everywhere else located_name(first))
+    return proof.gain(first.name if everywhere else first.label)
 
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:

@@ -34,12 +34,8 @@ class EffectSet:
     @property
     def located_names(self) -> tuple[str, ...]:
         """'name:location' of the effects that are at several locations."""
-        found = dict.fromkeys((c.name, located_name(c)) for c, _ in self.effects)
+        found = dict.fromkeys((c.name, c.label) for c, _ in self.effects)
         return tuple(located for name, located in found if sum(name == other for other, _ in found) > 1)
-
-
-def located_name(candidate: Candidate) -> str:
-    return f"{candidate.name}:{'+'.join(candidate.where)}"
 
 
 NO_EFFECTS = EffectSet(())
