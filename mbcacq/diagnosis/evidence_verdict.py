@@ -10,12 +10,12 @@ import numpy as np
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis, undecided
+from mbcacq.diagnosis.evidence.posterior import alternatives_of, not_separable, reported_hypothesis, undecided
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
-from mbcacq.diagnosis.result import TOGETHER, Alternative, EffectFound, NotSeparable
+from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
 from mbcacq.effects.effect_term import UNKNOWN
 
 
@@ -75,9 +75,8 @@ def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tup
     for other in alternatives_to(fit, reported):
         ours, theirs = reported.labels - other.labels, other.labels - reported.labels
         a, b = sized(reported, ours), sized(other, theirs)
-        odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
         alike = correlation(displaced(reported, reported, ours), displaced(reported, other, theirs))
-        entries.append(NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), alike, odds))
+        entries.append(not_separable(reported, other, alike))
         if a is not None and b is not None:
             pairs.append((a, b))
     return tuple(entries), tuple(pairs)

@@ -78,15 +78,10 @@ class Hyperparameter:
 
 @dataclass(frozen=True)
 class HyperEstimate:
-    """The value of a hyper-parameter and its standard deviation: 0 where it is not estimated, both not a number for an effect without."""
+    """The value of a hyper-parameter and its standard deviation: 0 where that is not estimated. Not a number for an effect without one."""
 
     value: float
     std: float = 0.0
-
-    @classmethod
-    def of(cls, value: float | None, std: float = 0.0) -> HyperEstimate:
-        """value: None for an effect without hyper-parameter."""
-        return cls(np.nan, np.nan) if value is None else cls(float(value), float(std))
 
 
 @dataclass(frozen=True)
@@ -217,7 +212,7 @@ class Candidate(Generic[R]):
 
     def parameters(self, c: np.ndarray, v: np.ndarray, hyper: float | None = None, std: float = 0.0) -> Parameters:
         """What coefficients (k,) with covariance (k, k) are reported as. hyper, std: value of the hyper-parameter and its uncertainty."""
-        return self.report(c, v, HyperEstimate.of(hyper, std))
+        return self.report(c, v, HyperEstimate(np.nan if hyper is None else hyper, std))
 
     def parts(self: Candidate[StandstillRows], hyper: Any = None) -> tuple[DescribedPart, ...]:
         """The parts at a value of the hyper-parameter, or at an array (H, 1) of values."""

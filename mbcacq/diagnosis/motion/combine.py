@@ -38,7 +38,8 @@ from mbcacq.diagnosis.result import ComparedEffect, Diagnosis, EffectFound, Evid
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import ParameterEstimate, Parameters, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words
-from mbcacq.model.json_text import from_fields, plain
+from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import damage, from_fields, plain
 from mbcacq.quantities import split_unit
 
 VERDICT_OF_BOTH = {
@@ -121,7 +122,10 @@ class PosesAndMotion:
     def of_json(cls, content: Mapping[str, Any]) -> PosesAndMotion:
         """From a diagnosis as it is written, with its ``motion``. Raises ConfigError where that is damaged."""
         given = content.get("given_motion")
-        beside = None if given is None else from_fields(GivenEvidence, given)
+        try:
+            beside = None if given is None else from_fields(GivenEvidence, given)
+        except ValueError as error:
+            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
         return cls(Diagnosis.from_json(content), MotionDiagnosis.from_json(content["motion"]), beside)
 
     def to_json(self) -> dict[str, Any]:

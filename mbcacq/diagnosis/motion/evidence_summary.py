@@ -7,10 +7,10 @@ import numpy as np
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coefficients import slices_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
+from mbcacq.diagnosis.evidence.posterior import not_separable, reported_hypothesis, undecided
 from mbcacq.diagnosis.motion.gram_point import GramPoint, cholesky_of
 from mbcacq.diagnosis.output.evidence_summary import compared_effect, summary_of
-from mbcacq.diagnosis.result import TOGETHER, ComparedEffect, EvidenceSummary, NotSeparable
+from mbcacq.diagnosis.result import ComparedEffect, EvidenceSummary, NotSeparable
 
 
 def summarized(sets: RankedSets) -> EvidenceSummary:
@@ -22,12 +22,8 @@ def pairs_not_separable(sets: RankedSets) -> tuple[NotSeparable, ...]:
     """Sets that the evidence does not exclude in favour of the reported one, effect by effect."""
     if not sets.significant:
         return ()
-    reported, out = reported_hypothesis(sets), []
-    for other in undecided(sets, reported):
-        ours, theirs = reported.labels - other.labels, other.labels - reported.labels
-        odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
-        out.append(NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), _likeness(reported, other), odds))
-    return tuple(out)
+    reported = reported_hypothesis(sets)
+    return tuple(not_separable(reported, other, _likeness(reported, other)) for other in undecided(sets, reported))
 
 
 def _likeness(reported: Hypothesis[GramPoint], other: Hypothesis[GramPoint]) -> float:

@@ -8,8 +8,6 @@ import numpy as np
 
 from mbcacq.effects.effect import Candidate
 
-SelectedEffects = tuple[tuple[Candidate, float | None], ...]
-
 
 @dataclass(frozen=True)
 class EffectSet:
@@ -17,7 +15,7 @@ class EffectSet:
     alone.
     """
 
-    effects: SelectedEffects
+    effects: tuple[tuple[Candidate, float | None], ...]
     gain: float = 0.0
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros(0))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
