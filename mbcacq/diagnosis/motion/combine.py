@@ -20,16 +20,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.diagnosis.given_effects import StatedParameters
-from mbcacq.diagnosis.motion.joint_sets import (
-    EvidenceSets,
-    JointEvidence,
-    SingleValue,
-    StatedEffect,
-    apart,
-    joint_evidence,
-    not_excluded,
-    paired,
-)
+from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointEvidence, StatedEffect, apart, joint_evidence, not_excluded, paired
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
@@ -166,8 +157,7 @@ class PosesAndMotion:
                     continue  # the names of its parameters do not tell where it is
                 for key, mine, theirs in paired(effect.parameters, other):
                     sigmas = distance_of(key, mine, theirs)
-                    both = mine.estimate, theirs.estimate
-                    out.append(ParameterAgreement(effect.name, where, key, *both, sigmas, sigmas <= NUMBERS.agreement_sigmas))
+                    out.append(ParameterAgreement(effect.name, where, key, mine, theirs, sigmas, sigmas <= NUMBERS.agreement_sigmas))
         return out
 
     @property
@@ -284,9 +274,9 @@ def translated(name: str, parameters: Parameters, every: Parameters) -> Paramete
     return parameters if translate is None or not parameters else translate(parameters, every)
 
 
-def distance_of(key: str, mine: SingleValue, theirs: SingleValue) -> float:
+def distance_of(key: str, mine: ParameterEstimate, theirs: ParameterEstimate) -> float:
     """Distance of two estimates in combined standard deviations."""
-    sigmas = np.abs(apart(key, mine, theirs)) / np.maximum(np.hypot(mine.std, theirs.std), 1e-300)
+    sigmas = np.abs(apart(key, mine, theirs)) / np.maximum(np.hypot(mine.components[1], theirs.components[1]), 1e-300)
     if len(sigmas) == 1:
         return float(sigmas[0])
     probability = float(chdtrc(len(sigmas), np.sum(sigmas**2)))
