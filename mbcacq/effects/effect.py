@@ -116,14 +116,14 @@ Report = Callable[[np.ndarray, np.ndarray, HyperEstimate], Parameters]
 Described = Sequence[DescribedPart] | Callable[[Any], Sequence[DescribedPart]]
 
 
-class Rows(Protocol):
+class EffectRows(Protocol):
     """What an effect adds to the rows of a kind of recording, linear in its coefficients: ``StandstillRows``, or ``MotionRows`` in time."""
 
     @property
     def typical(self) -> np.ndarray: ...
 
 
-R = TypeVar("R", bound=Rows)
+R = TypeVar("R", bound=EffectRows)
 
 
 @dataclass(frozen=True)

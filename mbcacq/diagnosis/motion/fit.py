@@ -175,7 +175,7 @@ def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.nda
     candidate = effect.candidate
     parameters = dict(candidate.parameters(c, v, effect.member.hyper, hyper_std))
     notes = []
-    if candidate.hyper is not None and at_bound(effect):
+    if candidate.hyper is not None and at_bound(effect.member):
         del parameters[candidate.hyper.name]
         tried = np.sort(candidate.hyper.values)
         limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
