@@ -16,6 +16,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from mbcacq.effects.functions import OF_CENTRES, ZERO, Column, DescribedPart
+from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import Number
 from mbcacq.quantities import K, measured, split_unit
 
@@ -179,6 +180,13 @@ class Candidate(Generic[R]):
     several: bool = False
     variant: str = ""
     rarity: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not hasattr(self.rows, "typical"):
+            raise ConfigError(
+                f"the effect {self.name} has a {type(self.rows).__name__} for its rows; give StandstillRows(parts, typical) for poses, or "
+                "MotionRows(joints, columns) for motion"
+            )
 
     @property
     def typical(self) -> np.ndarray:
