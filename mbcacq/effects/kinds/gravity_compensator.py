@@ -146,13 +146,14 @@ def as_wind_up(found: Parameters, every: Parameters) -> Parameters:
     What the drive need not carry lifts the link: the angles are negative where the torques are positive.
     """
     out = {"A2.zero_deg": found["A2.zero_deg"]} if "A2.zero_deg" in found else {}
-    if "A2.compliance_rad_per_Nm" not in every:
+    soft = every.get("A2.compliance_rad_per_Nm")
+    if soft is None or len(soft.components[0]) != 1:  # several recordings may have one each
         return out
-    (soft,), (soft_std,) = every["A2.compliance_rad_per_Nm"].components
+    (compliance,), (uncertainty,) = soft.components
     for torque, angle in (("A2.preload_Nm", "A2.preload_deg"), ("A2.stretched_Nm", "A2.stretched_deg")):
         if torque in found:
             (value,), (std,) = found[torque].components
-            out[angle] = number(-np.degrees(value * soft), np.degrees(np.hypot(std * soft, value * soft_std)))
+            out[angle] = number(-np.degrees(value * compliance), np.degrees(np.hypot(std * compliance, value * uncertainty)))
     return out
 
 
