@@ -41,13 +41,17 @@ def sizes_by_marginal_likelihood(
     variance = start**2
     usual = np.zeros(len(slices)) if expected is None else expected
     others = np.where(usual > 0, OTHERS, 0.0)
+    index, among = joined(slices), S
     for _ in range(rounds):
         alive = np.flatnonzero(variance > 0)
         if not len(alive):
             break
         own = [slices[int(g)] for g in alive]
-        index, count = joined(own), np.array([p.stop - p.start for p in own])
-        mean, half = posterior_of(S[np.ix_(index, index)], b[index], np.repeat(variance[alive], count))
+        if len(joined(own)) < len(index):  # groups were dropped
+            index = joined(own)
+            among = S[np.ix_(index, index)]
+        count = np.array([p.stop - p.start for p in own])
+        mean, half = posterior_of(among, b[index], np.repeat(variance[alive], count))
         posterior = np.einsum("ij,ij->j", half, half)
         first = np.cumsum(count) - count
         determined = count - np.add.reduceat(posterior, first) / variance[alive]
