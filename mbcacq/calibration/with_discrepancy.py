@@ -15,6 +15,7 @@ import numpy as np
 from mbcacq.calibration.influence import joint_factor
 from mbcacq.effects import discrepancy
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, LearntRecording
 from mbcacq.estimation import variance_components
@@ -63,7 +64,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     WithDiscrepancy or None
         None where geometry alone is as probable.
     """
-    here, learnt = Covariates(obs), LearntRecording.of(obs)
+    here = Covariates(obs)
     problem = LinearProblem.of(
         obs, alone.state, alone.used, alone.lineariser.options.terms, alone.solution.estimate.coefficients, alone.lineariser.layout
     )
@@ -73,7 +74,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     for kind in (discrepancy.own_errors, *FURTHER):
         if kind is not discrepancy.own_errors and joint_factor(best.noise, obs.cell) < EXCESS:
             break
-        tried = _Groups.first(best, kind(here), here, learnt)
+        tried = _Groups.first(best, kind(here), here)
         if tried is None:
             continue
         gain, size = tried.quick_gain(best.noise)
@@ -88,6 +89,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
             best = settled
     if not best.terms:
         return None
+    learnt = LearntRecording.of(obs)
     built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
     chosen = replace(options, terms=(*options.terms, *built))
     final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
@@ -97,13 +99,13 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
 
 @dataclass(frozen=True)
 class _Groups:
-    """Groups within the linear problem. columns: (M, R, k) of each; evidence: log, where it was settled; alone: of geometry alone; start:
-    of each group by key, rad, where the estimation of its size began."""
+    """Groups within the linear problem; all move a pose as a whole. twists: (P, u, k) of each; evidence: log, where it was settled;
+    alone: of geometry alone; start: of each group by key, rad, where the estimation of its size began."""
 
     problem: LinearProblem
     prior: NoisePrior
     terms: tuple[EffectTerm, ...]
-    columns: tuple[np.ndarray, ...]
+    twists: tuple[np.ndarray, ...]
     noise: Noise
     evidence: float
     alone: float
@@ -116,24 +118,23 @@ class _Groups:
         return replace(out, evidence=evidence, alone=evidence)
 
     @classmethod
-    def first(cls, known: _Groups, groups: Sequence[EffectTerm], here: Covariates, learnt: LearntRecording) -> _Groups | None:
-        """The known groups with further ones."""
+    def first(cls, known: _Groups, groups: Sequence[EffectTerm], here: Covariates) -> _Groups | None:
+        """The known groups with further ones of this recording, whose functions are where they are learnt."""
         if not groups:
             return None
-        built = (problem_columns(known.problem, g, here, learnt) for g in groups)
+        built = (known.problem.twists_of(evaluated(here, g.parts)) for g in groups)
         start = known.start | {g.key: float(g.sigma.max()) for g in groups}
-        return replace(known, terms=(*known.terms, *groups), columns=(*known.columns, *built), start=start)
+        return replace(known, terms=(*known.terms, *groups), twists=(*known.twists, *built), start=start)
 
     @property
     def extended(self) -> ExtendedProblem:
-        width = self.problem.residual.shape
-        columns = np.concatenate([np.zeros((*width, 0)), *self.columns], axis=2)
-        return self.problem.extended(columns, np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)]))
+        nothing = self.problem.columns_by_pose.twists[:, :, :0]
+        return self.problem.extended_by_twists(np.concatenate([nothing, *self.twists], axis=2), self._sigma)
 
     @property
     def index(self) -> dict[str, np.ndarray]:
-        """Indices of each group's coefficients among the parameters, which come last."""
-        first = self.problem.columns_by_pose.size
+        """Indices of each group's coefficients among the parameters."""
+        first = self.problem.columns_by_pose.twists.shape[2]
         ends = first + np.cumsum([0] + [t.k for t in self.terms])
         return {t.key: np.arange(a, b) for t, a, b in zip(self.terms, ends[:-1], ends[1:], strict=True)}
 
@@ -153,7 +154,7 @@ class _Groups:
     def without(self, keys: Collection[str]) -> _Groups:
         """The groups but these."""
         kept = [j for j, t in enumerate(self.terms) if t.key not in keys]
-        return replace(self, terms=tuple(self.terms[j] for j in kept), columns=tuple(self.columns[j] for j in kept))
+        return replace(self, terms=tuple(self.terms[j] for j in kept), twists=tuple(self.twists[j] for j in kept))
 
     def settled(self, noise: Noise) -> _Groups:
         """Sizes and noise by turns, from sizes at their start and this noise. A group that shrinks to nothing is left out at once:
@@ -182,13 +183,12 @@ class _Groups:
             if size > LEAST_SIZE * start:
                 kept.append(j)
                 terms.append(replace(t, sigma=t.sigma * (size / present)))
-        return replace(self, terms=tuple(terms), columns=tuple(self.columns[j] for j in kept))
+        return replace(self, terms=tuple(terms), twists=tuple(self.twists[j] for j in kept))
 
     def _evidence(self, system: PoseSystem, noise: Noise) -> float:
-        sigma = np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)])
-        return variance_components.log_evidence(system, noise, self.prior, sigma)
+        return variance_components.log_evidence(system, noise, self.prior, self._sigma)
 
-
-def problem_columns(problem: LinearProblem, group: EffectTerm, here: Covariates, learnt: LearntRecording) -> np.ndarray:
-    """(M, R, k) columns of a group in a linear problem."""
-    return problem.columns(group.parts_at(here, learnt))
+    @property
+    def _sigma(self) -> np.ndarray:
+        """Prior sigma of all coefficients."""
+        return np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)])

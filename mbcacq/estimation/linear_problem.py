@@ -158,6 +158,15 @@ class LinearProblem:
             total = total + unit * self.by_centre(part, part.basis)[:, None, :]
         return total
 
+    def twists_of(self, parts: Sequence[Part]) -> np.ndarray:
+        """(P, u, k): an effect whose parts move poses as a whole, by the twists of ``columns_by_pose`` and in the order of its poses."""
+        total = np.zeros(())
+        for part in parts:
+            key = part.place, part.index, part.component
+            moved = self.rows.pad(self.unit(*key)) if self.columns_by_pose.by_rows else self.twist(*key)[self.rows.order]
+            total = total + moved[:, :, None] * part.basis[self.rows.order][:, None, :]
+        return total
+
     def displacement(self, parts: Sequence[Part], coefficients: np.ndarray) -> np.ndarray:
         """(M, R): the columns of an effect times its coefficients (k,); no column is written out."""
         amounts = (self.by_centre(part, part.basis @ coefficients) for part in parts)
@@ -236,8 +245,16 @@ class LinearProblem:
 
     def extended(self, columns: np.ndarray, sigma: np.ndarray) -> ExtendedProblem:
         """Geometry together with columns (M, R, k) of prior sigma (k,)."""
-        every = self.columns_by_pose.with_parameters(self.rows.pad(columns))
-        widths = np.concatenate([self.sigma, sigma])
+        return self._extended(self.columns_by_pose.with_parameters(self.rows.pad(columns)), np.concatenate([self.sigma, sigma]))
+
+    def extended_by_twists(self, twists: np.ndarray, sigma: np.ndarray) -> ExtendedProblem:
+        """Geometry together with parameters of prior sigma (k,), each of which moves every pose by a twist, ``twists_of``; they come after
+        those of arm and hand-eye.
+        """
+        first = self.columns_by_pose.twists.shape[2]
+        return self._extended(self.columns_by_pose.with_twists(twists), np.insert(self.sigma, first, sigma))
+
+    def _extended(self, every: PoseColumns, widths: np.ndarray) -> ExtendedProblem:
         information = np.zeros((len(self.rows.stations), 6, 6))
         for j, s in enumerate(self.rows.stations):
             if s in self.given_stations:
