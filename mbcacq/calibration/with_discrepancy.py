@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from mbcacq.effects.effect_term import EffectTerm, LearntRecording
 from mbcacq.estimation import variance_components
 from mbcacq.estimation.adjustment import Adjustment, adjust
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
-from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups, supported_groups
 from mbcacq.estimation.random_links import with_random_links
@@ -69,7 +69,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
         obs, alone.state, alone.used, alone.lineariser.options.terms, alone.solution.estimate.coefficients, alone.lineariser.layout
     )
     prior = variance_components.noise_prior(obs.cell, options.noise)
-    best = _Groups.none(problem, prior, alone.noise)
+    none = best = _Groups(problem, prior, (), (), alone.noise)
     allowed = variance_components.first_noise(obs.cell)
     for kind in (discrepancy.own_errors, *FURTHER):
         if kind is not discrepancy.own_errors and joint_factor(best.noise, obs.cell) < EXCESS:
@@ -94,28 +94,20 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     chosen = replace(options, terms=(*options.terms, *built))
     final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
     model = EffectModel(obs.cell.robot, best.terms, learnt, obs.cell.measurement)
-    return WithDiscrepancy(final, chosen, model, best.evidence - best.alone)
+    return WithDiscrepancy(final, chosen, model, best.evidence - none.evidence)
 
 
 @dataclass(frozen=True)
 class _Groups:
-    """Groups within the linear problem; all move a pose as a whole. twists: (P, u, k) of each; evidence: log, where it was settled;
-    alone: of geometry alone; start: of each group by key, rad, where the estimation of its size began."""
+    """Groups within the linear problem; all move a pose as a whole. twists: (P, u, k) of each; start: of each group by key, rad, where the
+    estimation of its size began."""
 
     problem: LinearProblem
     prior: NoisePrior
     terms: tuple[EffectTerm, ...]
     twists: tuple[np.ndarray, ...]
     noise: Noise
-    evidence: float
-    alone: float
     start: dict[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def none(cls, problem: LinearProblem, prior: NoisePrior, noise: Noise) -> _Groups:
-        out = cls(problem, prior, (), (), noise, -np.inf, 0.0)
-        evidence = out._evidence(out.extended.at(noise).after_fit(), noise)
-        return replace(out, evidence=evidence, alone=evidence)
 
     @classmethod
     def first(cls, known: _Groups, groups: Sequence[EffectTerm], here: Covariates) -> _Groups | None:
@@ -171,8 +163,7 @@ class _Groups:
             groups = groups._resized(factor)
             if max(moved, float(np.abs(variance_components.pack(noise) - variance_components.pack(earlier)).max())) < CONVERGED:
                 break
-        groups = replace(groups, noise=noise)
-        return replace(groups, evidence=groups._evidence(groups.extended.at(noise).after_fit(), noise))
+        return replace(groups, noise=noise)
 
     def _resized(self, factor: Mapping[str, float]) -> _Groups:
         """With the sizes multiplied, none beyond the largest, and without the groups that are too small to matter."""
@@ -185,8 +176,11 @@ class _Groups:
                 terms.append(replace(t, sigma=t.sigma * (size / present)))
         return replace(self, terms=tuple(terms), twists=tuple(self.twists[j] for j in kept))
 
-    def _evidence(self, system: PoseSystem, noise: Noise) -> float:
-        return variance_components.log_evidence(system, noise, self.prior, self._sigma)
+    @cached_property
+    def evidence(self) -> float:
+        """Log evidence under this noise."""
+        system = self.extended.at(self.noise).after_fit()
+        return variance_components.log_evidence(system, self.noise, self.prior, self._sigma)
 
     @property
     def _sigma(self) -> np.ndarray:

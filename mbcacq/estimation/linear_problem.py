@@ -88,7 +88,7 @@ class LinearProblem:
         )
         # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
         # holds of it already is added back.
-        residual = residual + whole.geometry @ _deviation(obs, state, layout)
+        residual = residual + whole.rows.unpad(linear.columns.change(_deviation(obs, state, layout), np.zeros((obs.n_poses, 6))))
         for one, values in zip(effects, coefficients, strict=True):
             residual = residual + terms.columns(obs, prediction, one) @ values
         for s in whole.given_stations:

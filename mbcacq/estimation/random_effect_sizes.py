@@ -158,8 +158,8 @@ def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.nd
     covariance L'L.
     """
     root = np.sqrt(prior)  # in units of their prior sigma the coefficients' normal matrix is never worse than the identity
-    normal = S * np.outer(root, root)
-    normal[np.diag_indices_from(normal)] += 1.0
+    normal, diagonal = S * np.outer(root, root), np.arange(len(S))
+    normal[diagonal, diagonal] += 1.0
     factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
     return root * cho_solve((factor, True), root * b, check_finite=False), inverse_of_lower(factor) * root
 

@@ -54,8 +54,8 @@ class _OneEffect:
         The others are eliminated, and what remains of the effect is taken along its eigenvectors, in which every size is a number.
         """
         t = np.repeat(sizes, self.width)
-        normal = t[:, None] * self.others * t
-        normal[np.diag_indices_from(normal)] += 1.0
+        normal, diagonal = t[:, None] * self.others * t, np.arange(len(t))
+        normal[diagonal, diagonal] += 1.0
         root = np.linalg.cholesky(normal)
         inverse = inverse_of_lower(root) if len(root) else root
         across, beyond = inverse @ (t[:, None] * self.across), inverse @ (t * self.others_right)
