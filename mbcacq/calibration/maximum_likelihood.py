@@ -148,8 +148,11 @@ def _with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adj
     if found is None:
         return None
     result = _collected(found.options, found.adjustment)
-    extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
-    found_cell = replace(result, effects=with_estimates(found.model, result), extra=extra)
+    said = {"log_evidence_gain": found.gain}
+    if found.wander_rad is not None:
+        said["wander_rad"] = found.wander_rad.tolist()
+    effects = with_estimates(found.model, result) if found.model else None
+    found_cell = replace(result, effects=effects, extra={**result.extra, "discrepancy": said})
     return _under(found_cell, options), found.adjustment
 
 

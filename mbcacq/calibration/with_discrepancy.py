@@ -33,18 +33,22 @@ LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no p
 LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
 EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the model lacks something: further kinds of groups are tried
-FURTHER: tuple[Callable[[Covariates], list[EffectTerm]], ...] = (discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
+Kind = Callable[[Covariates], list[EffectTerm]]
+FURTHER: tuple[Kind, ...] = (discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
+CORRELATED = 2.0  # standard deviations of the joints' serial correlation, from which wander is tried: what is kept the evidence decides
 LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are a hundred of them, most of which an arm does not have
 
 
 @dataclass(frozen=True)
 class WithDiscrepancy:
-    """An adjustment with smooth errors. model: with the groups that are left; gain: log evidence over geometry alone."""
+    """An adjustment with smooth errors. model: with the groups that are left of the arm; gain: log evidence over geometry alone;
+    wander_rad: (n,) rms of each joint's error that poses after one another share, None where they are independent."""
 
     adjustment: Adjustment
     options: CalibrationOptions
     model: EffectModel
     gain: float
+    wander_rad: np.ndarray | None
 
 
 def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> WithDiscrepancy | None:
@@ -69,10 +73,30 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
         obs, alone.state, alone.used, alone.lineariser.options.terms, alone.solution.estimate.coefficients, alone.lineariser.layout
     )
     prior = variance_components.noise_prior(obs.cell, options.noise)
-    none = best = _Groups(problem, prior, (), (), alone.noise)
-    allowed = variance_components.first_noise(obs.cell)
-    for kind in (discrepancy.own_errors, *FURTHER):
-        if kind is not discrepancy.own_errors and joint_factor(best.noise, obs.cell) < EXCESS:
+    nothing = _Groups(problem, prior, (), (), alone.noise)
+    best = _grown(nothing, (discrepancy.own_errors, *FURTHER), here)
+    if serial_correlation(alone, here.order) > CORRELATED:
+        # Where the poses follow a grid, posture and order say much the same: which of them it is the evidence decides.
+        other = _grown(nothing, (discrepancy.wander, discrepancy.own_errors, *FURTHER), here)
+        best = other if other.evidence > best.evidence + LEAST_GAIN else best
+    if not best.terms:
+        return None
+    learnt = LearntRecording.of(obs)
+    built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
+    chosen = replace(options, terms=(*options.terms, *built))
+    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
+    # What the order of the poses explains belongs to this recording: it is in the uncertainties, and says nothing of other poses.
+    of_the_arm = tuple(t for t in best.terms if t.variant != discrepancy.WANDER)
+    model = EffectModel(obs.cell.robot, of_the_arm, learnt, obs.cell.measurement)
+    return WithDiscrepancy(final, chosen, model, best.evidence - nothing.evidence, wander_of(best.terms, here.n))
+
+
+def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates) -> _Groups:
+    """The groups with those of further kinds, one kind after the other, where the evidence asks for them."""
+    allowed = variance_components.first_noise(here.obs.cell)
+    for kind in kinds:
+        further = kind in FURTHER
+        if further and joint_factor(best.noise, here.obs.cell) < EXCESS:
             break
         tried = _Groups.first(best, kind(here), here)
         if tried is None:
@@ -80,21 +104,34 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
         gain, size = tried.quick_gain(best.noise)
         if gain < LEAST_GAIN:
             continue
-        if kind is not discrepancy.own_errors:
+        if further:
             tried = tried.without([key for key in size if size[key] < LEAST_SIZE and key not in best.start])
         settled = tried.settled(allowed)
-        if kind is not discrepancy.own_errors:
+        if further:
             settled = settled.supported(best.start).settled(settled.noise)
         if settled.evidence > best.evidence + LEAST_GAIN:
             best = settled
-    if not best.terms:
-        return None
-    learnt = LearntRecording.of(obs)
-    built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
-    chosen = replace(options, terms=(*options.terms, *built))
-    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
-    model = EffectModel(obs.cell.robot, best.terms, learnt, obs.cell.measurement)
-    return WithDiscrepancy(final, chosen, model, best.evidence - none.evidence)
+    return best
+
+
+def wander_of(terms: Sequence[EffectTerm], joints: int) -> np.ndarray | None:
+    """(n,) rad rms over the poses of what wanders at each joint, by the sizes of its cosines; None where nothing does."""
+    rms = np.zeros(joints)
+    for t in terms:
+        if t.variant == discrepancy.WANDER:
+            rms[t.parts[0].index] = np.sqrt(np.sum(t.sigma**2) / 2)
+    return rms if rms.any() else None
+
+
+def serial_correlation(adjusted: Adjustment, order: np.ndarray) -> float:
+    """By how many standard deviations the joints' errors of poses after one another agree more than by chance; order: (P,) rank of each.
+
+    Products of neighbours are as often negative as positive where errors are independent, whatever their sizes.
+    """
+    rows = adjusted.lineariser.rows
+    error = rows.per_pose(adjusted.solution.poses.by_pose(lambda of: of.residual_joint * of.share[:, None]))[np.argsort(order)]
+    products = np.sum(error[1:] * error[:-1], axis=1)
+    return float(products.sum() / np.sqrt(np.maximum(np.sum(products**2), 1e-300)))
 
 
 @dataclass(frozen=True)
