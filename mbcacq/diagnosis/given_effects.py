@@ -11,7 +11,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.diagnosis.evidence.coefficients import coefficients, geometry_of
@@ -30,6 +29,7 @@ from mbcacq.effects.effect import Candidate, Parameters, label_of
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.terms import Term, term
 from mbcacq.model.observations import Observations
@@ -101,7 +101,7 @@ def evidence_given(obs: Observations, stated: Sequence[StatedParameters], option
     """
     chosen = options_for(obs, options or CalibrationOptions())
     try:
-        with threadpool_limits(1):
+        with one_thread():
             given = given_effects(prepare(obs, chosen), stated)
             return _searched(obs, given, chosen) if given else None
     except np.linalg.LinAlgError as error:
