@@ -1,12 +1,13 @@
 """What is not known, held apart from noise: hand-eye alone, contradictions, arms that err beyond their geometry, recordings of real arms.
 
-    python benchmarks/error_model.py [--arms 200] [--seeds 100] [--strikes 20] [--links 60] [--cells 12] [--data FOLDER ..]
+    python benchmarks/error_model.py [--arms 200] [--seeds 100] [--strikes 20] [--links 60] [--serial 40] [--cells 12] [--data FOLDER ..]
 
 Hand-eye: arms of three classes (KR 10 with 0.15 mm and 0.03 deg, iiwa 7 with the same, KR 10 with three times as much), one and four
 places. The normalised error squared (NEES) is d' inv(C) d / 6 of the hand-eye transform. Strikes: a place, a mount, a joint or one pose is
-off from a random pose on, sizes log-uniform from 0.1 to 5 mm. Links: ordinary arms in few poses, judged all
-over the workspace. Arms: the errors are written here as plain formulas and applied to the joints; judged at new places, without noise
-of the judging, a rigid motion of everything aside. Data: observation sets, each in five blocks of the order of measuring.
+off from a random pose on, sizes log-uniform from 0.1 to 5 mm. Links: ordinary arms in few poses, judged all over the workspace. Serial: the
+same, whose errors the poses after one another share. Arms: the errors are written here as plain formulas and applied to the joints; judged
+at new places, without noise of the judging, a rigid motion of everything aside. Data: observation sets, each in five blocks of the order
+of measuring.
 """
 
 from __future__ import annotations
@@ -279,6 +280,36 @@ def links(arms: int) -> None:
             )
 
 
+def serial(arms: int) -> None:
+    """Ordinary arms with joint errors of correlation 0.95 from one pose to the next: geometry alone, and calibrate."""
+    print("| places x poses | joints err by | geometry alone, um | calibrate, um | mean square over sigma | within 2 sigma | wander |")
+    print("|---|---|---|---|---|---|---|")
+    methods = (CalibrationOptions(discrepancy=False, refuse=False), CalibrationOptions(refuse=False))
+    for places, each in ((8, 8), (4, 24)):
+        for joint in (8e-6, 3e-5, 8e-5):
+            size, square, within, found = np.zeros((arms, 2)), np.zeros((arms, 2)), np.zeros((arms, 2)), 0
+            for seed in range(arms):
+                rng = np.random.default_rng([78, seed, places])
+                cell = scanner_cell(rng, stations=places, per_station=each, errors=ordinary_errors(kr10(), rng))
+                obs, off = cell.observations, rng.normal(size=cell.observations.q.shape)
+                for p in range(1, len(off)):
+                    off[p] = 0.95 * off[p - 1] + np.sqrt(1 - 0.95**2) * off[p]
+                xyz = forward_model.predict(obs, cell.truth, forward_model.Displacements(joint=joint * off)).xyz
+                obs = replace(obs, xyz=xyz + rng.normal(size=xyz.shape) * obs.cell.noise_mm)
+                fits = [calibrate(obs, method) for method in methods]
+                for k, fit in enumerate(fits):
+                    wrong, sigma = workspace_errors(fit, cell.truth)
+                    size[seed, k], square[seed, k] = np.sqrt(3 * np.mean(wrong**2)), np.mean((wrong / sigma) ** 2)
+                    within[seed, k] = np.mean(np.abs(wrong) < 2 * sigma)
+                found += "wander_rad" in fits[-1].extra.get("discrepancy", {})
+            rms, mean, share = 1e3 * np.sqrt(np.mean(size**2, axis=0)), square.mean(axis=0), within.mean(axis=0)
+            print(
+                f"| {places} x {each} | {1e6 * joint:.0f} urad | {rms[0]:.0f} | {rms[1]:.0f} | {mean[0]:.2f}, {mean[1]:.2f} "
+                f"| {share[0]:.1%}, {share[1]:.1%} | {found} of {arms} |",
+                flush=True,
+            )
+
+
 def least_squares(obs):
     """The geometry by plain least squares of the centres, every one of the same weight."""
     first = calibrate(obs, CalibrationOptions(discrepancy=False, refuse=False))
@@ -336,6 +367,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--strikes", type=int, default=20)
     parser.add_argument("--links", type=int, default=60)
+    parser.add_argument("--serial", type=int, default=40)
     parser.add_argument("--cells", type=int, default=12)
     parser.add_argument("--data", type=Path, nargs="*", default=[])
     parser.add_argument("--poses", type=int, default=300, help="of each recording, at most")
@@ -348,6 +380,8 @@ def main() -> None:
         strikes(given.strikes)
     if given.links:
         links(given.links)
+    if given.serial:
+        serial(given.serial)
     if given.cells:
         arms(given.cells)
     recordings(given.data, given.poses)

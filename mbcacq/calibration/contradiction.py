@@ -18,7 +18,7 @@ from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
-from mbcacq.estimation.solver import Solution, Weights, evaluated, reweighted, solve
+from mbcacq.estimation.solver import Solution, Weights, evaluated, reweighted_poses, solve
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
@@ -112,13 +112,14 @@ def stated_chi2_dof(adjustment: Adjustment, dof: int) -> float | None:
     lineariser, cell = adjustment.lineariser, adjustment.lineariser.obs.cell
     if cell.noise_mm is None or not cell.robot.repeatability_mm or dof < 1:
         return None
-    at = reweighted(lineariser, evaluated(lineariser, adjustment.solution), variance_components.first_noise(cell), adjustment.weights)
-    return at.cost / dof
+    at = evaluated(lineariser, adjustment.solution)
+    *_, chi2 = reweighted_poses(lineariser, at, variance_components.first_noise(cell), adjustment.weights).right_hand_side()
+    return (chi2 + at.prior.cost) / dof
 
 
 def every_pose(weights: Weights) -> Weights:
     """With the poses that were rejected: those after an accident may be few enough for that. Rejected centres stay out."""
-    return replace(weights, pose=np.ones_like(weights.pose))
+    return weights if np.all(weights.pose == 1) else replace(weights, pose=np.ones_like(weights.pose))
 
 
 def fault_while_recording(adjustment: Adjustment) -> str:

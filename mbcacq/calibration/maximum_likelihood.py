@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -23,6 +22,7 @@ from mbcacq.calibration.with_effects import refitted
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
+from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.phases import copies, select_phases, without_copies
 from mbcacq.estimation.random_links import with_random_links
@@ -37,7 +37,7 @@ def calibrate(observations: Observations, options: CalibrationOptions | None = N
     """
     options = options or CalibrationOptions()
     try:
-        with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
+        with one_thread():
             said = _with_rounding_said(_with_copies_said(_calibrate(observations, options), observations))
             return replace(said, calibrate_again=calibrate_with_effects)
     except ContradictionError as error:
@@ -127,13 +127,12 @@ def _hand_eye_alone(result: CalibratedCell, fitted: Adjustment) -> CalibratedCel
 def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Adjustment) -> CalibratedCell:
     """With smooth errors of the joints where the evidence asks for them; a simpler one where it predicts better; and a warning where the
     joints' noise is beyond the data sheet."""
-    refuse_unusable(_collected(options, fitted))
+    result = _collected(options, fitted)
+    refuse_unusable(result)
     fault = fault_while_recording(fitted) if options.discrepancy else ""
     # What happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
-    if not options.discrepancy or options.terms or fault:
-        result = _collected(options, fitted)
-    else:
-        result, fitted = _with_discrepancy(obs, options, fitted)
+    if options.discrepancy and not options.terms and not fault:
+        result, fitted = _with_discrepancy(obs, options, fitted) or (result, fitted)
         if joint_factor(fitted.noise, obs.cell) > InfluenceOptions.noise_factor:
             result, fitted = _unless_it_loses(obs, options, result, fitted)
     result = _with_joint_noise_check(result, fitted)
@@ -143,14 +142,17 @@ def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Ad
     return _warned(result, f"Something changed while the recording was made: {fault}", first=True)
 
 
-def _with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> tuple[CalibratedCell, Adjustment]:
-    """The calibration with smooth errors of the joints; as it is alone where the evidence does not ask for them."""
+def _with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> tuple[CalibratedCell, Adjustment] | None:
+    """The calibration with smooth errors of the joints; None where the evidence does not ask for them."""
     found = with_discrepancy(obs, options, alone)
     if found is None:
-        return _collected(options, alone), alone
+        return None
     result = _collected(found.options, found.adjustment)
-    extra = {**result.extra, "discrepancy": {"log_evidence_gain": found.gain}}
-    found_cell = replace(result, effects=with_estimates(found.model, result), extra=extra)
+    said = {"log_evidence_gain": found.gain}
+    if found.wander_rad is not None:
+        said["wander_rad"] = found.wander_rad.tolist()
+    effects = with_estimates(found.model, result) if found.model else None
+    found_cell = replace(result, effects=effects, extra={**result.extra, "discrepancy": said})
     return _under(found_cell, options), found.adjustment
 
 
@@ -168,7 +170,7 @@ def _unless_it_loses(
         return shared[id(some)][1]
 
     fits: dict[str, Callable[[Observations], tuple[CalibratedCell, Adjustment]]] = {
-        own: lambda some: _with_discrepancy(some, lenient, linked(some)),
+        own: lambda some: _with_discrepancy(some, lenient, linked(some)) or _by(lenient, linked(some)),
         "the adjustment without smooth errors": lambda some: _by(lenient, linked(some)),
         "plain least squares": lambda some: _by(lenient, plain_least_squares(linked(some))),
         "the nominal arm": lambda some: _of_nominal_arm(some, lenient),

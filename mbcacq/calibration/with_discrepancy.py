@@ -9,18 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from mbcacq.calibration.influence import joint_factor
 from mbcacq.effects import discrepancy
 from mbcacq.effects.covariates import Covariates
+from mbcacq.effects.described import evaluated
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, LearntRecording
 from mbcacq.estimation import variance_components
 from mbcacq.estimation.adjustment import Adjustment, adjust
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
-from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups, supported_groups
 from mbcacq.estimation.random_links import with_random_links
@@ -32,18 +33,22 @@ LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no p
 LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
 EXCESS = 1.2  # of the joints' noise over the data sheet's, above which the model lacks something: further kinds of groups are tried
-FURTHER: tuple[Callable[[Covariates], list[EffectTerm]], ...] = (discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
+Kind = Callable[[Covariates], list[EffectTerm]]
+FURTHER: tuple[Kind, ...] = (discrepancy.gear_stages, discrepancy.couplings, discrepancy.pairs)
+CORRELATED = 2.0  # standard deviations of the joints' serial correlation, from which wander is tried: what is kept the evidence decides
 LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are a hundred of them, most of which an arm does not have
 
 
 @dataclass(frozen=True)
 class WithDiscrepancy:
-    """An adjustment with smooth errors. model: with the groups that are left; gain: log evidence over geometry alone."""
+    """An adjustment with smooth errors. model: with the groups that are left of the arm; gain: log evidence over geometry alone;
+    wander_rad: (n,) rms of each joint's error that poses after one another share, None where they are independent."""
 
     adjustment: Adjustment
     options: CalibrationOptions
     model: EffectModel
     gain: float
+    wander_rad: np.ndarray | None
 
 
 def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adjustment) -> WithDiscrepancy | None:
@@ -63,77 +68,102 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     WithDiscrepancy or None
         None where geometry alone is as probable.
     """
-    here, learnt = Covariates(obs), LearntRecording.of(obs)
+    here = Covariates(obs)
     problem = LinearProblem.of(
         obs, alone.state, alone.used, alone.lineariser.options.terms, alone.solution.estimate.coefficients, alone.lineariser.layout
     )
     prior = variance_components.noise_prior(obs.cell, options.noise)
-    best = _Groups.none(problem, prior, alone.noise)
-    allowed = variance_components.first_noise(obs.cell)
-    for kind in (discrepancy.own_errors, *FURTHER):
-        if kind is not discrepancy.own_errors and joint_factor(best.noise, obs.cell) < EXCESS:
+    nothing = _Groups(problem, prior, (), (), alone.noise)
+    best = _grown(nothing, (discrepancy.own_errors, *FURTHER), here)
+    if serial_correlation(alone, here.order) > CORRELATED:
+        # Where the poses follow a grid, posture and order say much the same: which of them it is the evidence decides.
+        other = _grown(nothing, (discrepancy.wander, discrepancy.own_errors, *FURTHER), here)
+        best = other if other.evidence > best.evidence + LEAST_GAIN else best
+    if not best.terms:
+        return None
+    learnt = LearntRecording.of(obs)
+    built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
+    chosen = replace(options, terms=(*options.terms, *built))
+    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
+    # What the order of the poses explains belongs to this recording: it is in the uncertainties, and says nothing of other poses.
+    of_the_arm = tuple(t for t in best.terms if t.variant != discrepancy.WANDER)
+    model = EffectModel(obs.cell.robot, of_the_arm, learnt, obs.cell.measurement)
+    return WithDiscrepancy(final, chosen, model, best.evidence - nothing.evidence, wander_of(best.terms, here.n))
+
+
+def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates) -> _Groups:
+    """The groups with those of further kinds, one kind after the other, where the evidence asks for them."""
+    allowed = variance_components.first_noise(here.obs.cell)
+    for kind in kinds:
+        further = kind in FURTHER
+        if further and joint_factor(best.noise, here.obs.cell) < EXCESS:
             break
-        tried = _Groups.first(best, kind(here), here, learnt)
+        tried = _Groups.first(best, kind(here), here)
         if tried is None:
             continue
         gain, size = tried.quick_gain(best.noise)
         if gain < LEAST_GAIN:
             continue
-        if kind is not discrepancy.own_errors:
+        if further:
             tried = tried.without([key for key in size if size[key] < LEAST_SIZE and key not in best.start])
         settled = tried.settled(allowed)
-        if kind is not discrepancy.own_errors:
+        if further:
             settled = settled.supported(best.start).settled(settled.noise)
         if settled.evidence > best.evidence + LEAST_GAIN:
             best = settled
-    if not best.terms:
-        return None
-    built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
-    chosen = replace(options, terms=(*options.terms, *built))
-    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
-    model = EffectModel(obs.cell.robot, best.terms, learnt, obs.cell.measurement)
-    return WithDiscrepancy(final, chosen, model, best.evidence - best.alone)
+    return best
+
+
+def wander_of(terms: Sequence[EffectTerm], joints: int) -> np.ndarray | None:
+    """(n,) rad rms over the poses of what wanders at each joint, by the sizes of its cosines; None where nothing does."""
+    rms = np.zeros(joints)
+    for t in terms:
+        if t.variant == discrepancy.WANDER:
+            rms[t.parts[0].index] = np.sqrt(np.sum(t.sigma**2) / 2)
+    return rms if rms.any() else None
+
+
+def serial_correlation(adjusted: Adjustment, order: np.ndarray) -> float:
+    """By how many standard deviations the joints' errors of poses after one another agree more than by chance; order: (P,) rank of each.
+
+    Products of neighbours are as often negative as positive where errors are independent, whatever their sizes.
+    """
+    rows = adjusted.lineariser.rows
+    error = rows.per_pose(adjusted.solution.poses.by_pose(lambda of: of.residual_joint * of.share[:, None]))[np.argsort(order)]
+    products = np.sum(error[1:] * error[:-1], axis=1)
+    return float(products.sum() / np.sqrt(np.maximum(np.sum(products**2), 1e-300)))
 
 
 @dataclass(frozen=True)
 class _Groups:
-    """Groups within the linear problem. columns: (M, R, k) of each; evidence: log, where it was settled; alone: of geometry alone; start:
-    of each group by key, rad, where the estimation of its size began."""
+    """Groups within the linear problem; all move a pose as a whole. twists: (P, u, k) of each; start: of each group by key, rad, where the
+    estimation of its size began."""
 
     problem: LinearProblem
     prior: NoisePrior
     terms: tuple[EffectTerm, ...]
-    columns: tuple[np.ndarray, ...]
+    twists: tuple[np.ndarray, ...]
     noise: Noise
-    evidence: float
-    alone: float
     start: dict[str, float] = field(default_factory=dict)
 
     @classmethod
-    def none(cls, problem: LinearProblem, prior: NoisePrior, noise: Noise) -> _Groups:
-        out = cls(problem, prior, (), (), noise, -np.inf, 0.0)
-        evidence = out._evidence(out.extended.at(noise).after_fit(), noise)
-        return replace(out, evidence=evidence, alone=evidence)
-
-    @classmethod
-    def first(cls, known: _Groups, groups: Sequence[EffectTerm], here: Covariates, learnt: LearntRecording) -> _Groups | None:
-        """The known groups with further ones."""
+    def first(cls, known: _Groups, groups: Sequence[EffectTerm], here: Covariates) -> _Groups | None:
+        """The known groups with further ones of this recording, whose functions are where they are learnt."""
         if not groups:
             return None
-        built = (problem_columns(known.problem, g, here, learnt) for g in groups)
+        built = (known.problem.twists_of(evaluated(here, g.parts)) for g in groups)
         start = known.start | {g.key: float(g.sigma.max()) for g in groups}
-        return replace(known, terms=(*known.terms, *groups), columns=(*known.columns, *built), start=start)
+        return replace(known, terms=(*known.terms, *groups), twists=(*known.twists, *built), start=start)
 
     @property
     def extended(self) -> ExtendedProblem:
-        width = self.problem.residual.shape
-        columns = np.concatenate([np.zeros((*width, 0)), *self.columns], axis=2)
-        return self.problem.extended(columns, np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)]))
+        nothing = self.problem.columns_by_pose.twists[:, :, :0]
+        return self.problem.extended_by_twists(np.concatenate([nothing, *self.twists], axis=2), self._sigma)
 
     @property
     def index(self) -> dict[str, np.ndarray]:
-        """Indices of each group's coefficients among the parameters, which come last."""
-        first = self.problem.columns_by_pose.size
+        """Indices of each group's coefficients among the parameters."""
+        first = self.problem.columns_by_pose.twists.shape[2]
         ends = first + np.cumsum([0] + [t.k for t in self.terms])
         return {t.key: np.arange(a, b) for t, a, b in zip(self.terms, ends[:-1], ends[1:], strict=True)}
 
@@ -153,7 +183,7 @@ class _Groups:
     def without(self, keys: Collection[str]) -> _Groups:
         """The groups but these."""
         kept = [j for j, t in enumerate(self.terms) if t.key not in keys]
-        return replace(self, terms=tuple(self.terms[j] for j in kept), columns=tuple(self.columns[j] for j in kept))
+        return replace(self, terms=tuple(self.terms[j] for j in kept), twists=tuple(self.twists[j] for j in kept))
 
     def settled(self, noise: Noise) -> _Groups:
         """Sizes and noise by turns, from sizes at their start and this noise. A group that shrinks to nothing is left out at once:
@@ -170,8 +200,7 @@ class _Groups:
             groups = groups._resized(factor)
             if max(moved, float(np.abs(variance_components.pack(noise) - variance_components.pack(earlier)).max())) < CONVERGED:
                 break
-        groups = replace(groups, noise=noise)
-        return replace(groups, evidence=groups._evidence(groups.extended.at(noise).after_fit(), noise))
+        return replace(groups, noise=noise)
 
     def _resized(self, factor: Mapping[str, float]) -> _Groups:
         """With the sizes multiplied, none beyond the largest, and without the groups that are too small to matter."""
@@ -182,13 +211,15 @@ class _Groups:
             if size > LEAST_SIZE * start:
                 kept.append(j)
                 terms.append(replace(t, sigma=t.sigma * (size / present)))
-        return replace(self, terms=tuple(terms), columns=tuple(self.columns[j] for j in kept))
+        return replace(self, terms=tuple(terms), twists=tuple(self.twists[j] for j in kept))
 
-    def _evidence(self, system: PoseSystem, noise: Noise) -> float:
-        sigma = np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)])
-        return variance_components.log_evidence(system, noise, self.prior, sigma)
+    @cached_property
+    def evidence(self) -> float:
+        """Log evidence under this noise."""
+        system = self.extended.at(self.noise).after_fit()
+        return variance_components.log_evidence(system, self.noise, self.prior, self._sigma)
 
-
-def problem_columns(problem: LinearProblem, group: EffectTerm, here: Covariates, learnt: LearntRecording) -> np.ndarray:
-    """(M, R, k) columns of a group in a linear problem."""
-    return problem.columns(group.parts_at(here, learnt))
+    @property
+    def _sigma(self) -> np.ndarray:
+        """Prior sigma of all coefficients."""
+        return np.concatenate([np.zeros(0), *(t.sigma for t in self.terms)])

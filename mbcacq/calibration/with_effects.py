@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -21,6 +20,7 @@ from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment, most_probable_noise
 from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
@@ -68,7 +68,7 @@ def refitted(
     obs = select_phases(observations, options)
     if obs.n_poses > OPTIONS.most_learnt and not hold and any(t.name == UNKNOWN for t in model.terms):
         obs = obs.select(some_poses(obs, OPTIONS.most_learnt))
-    with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
+    with one_thread():
         return fitted_with_effects(obs, options, model, hold, fit)
 
 

@@ -181,7 +181,9 @@ def _repeatability(result: dict[str, Any]) -> str:
     if result["robot"].get("flange_poses"):  # displacements in mm, then rotations in rad
         places, turns = (listed([scale * s for s in part]) for part, scale in ((found[:3], 1e3), (found[3:], 1e6)))
         return f"; poses of the flange are off by {places} µm and {turns} µrad along and about x, y, z of the base"
-    return f"; joints repeat within {listed([1e6 * s for s in found])} µrad"
+    text = f"; joints repeat within {listed([1e6 * s for s in found])} µrad"
+    wander = result.get("discrepancy", {}).get("wander_rad")
+    return f"{text} about errors that poses after one another share ({listed([1e6 * s for s in wander])} µrad)" if wander else text
 
 
 def remarks(result: dict[str, Any]) -> list[str]:

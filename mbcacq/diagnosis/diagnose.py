@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.formulas.propose import propose
+from mbcacq.diagnosis.memory import freed_memory_kept
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
@@ -23,6 +23,7 @@ from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.diagnosis.verdict import conclude, judge
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError, ContradictionError
+from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
@@ -60,8 +61,7 @@ def diagnose(
     if poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
-        # The matrices are small: two threads of linear algebra take longer for them than one, and three times the work.
-        with threadpool_limits(1), WorkerPool(min(workers, OPTIONS.folds)) as pool:
+        with one_thread(), freed_memory_kept(), WorkerPool(min(workers, OPTIONS.folds)) as pool:
             budget = TimeBudget.of_minutes(minutes)
             chosen = options_for(first, options or CalibrationOptions())
             return _diagnose(recordings, folds, progress, pool, chosen, formulas=formulas, refit=refit, budget=budget)

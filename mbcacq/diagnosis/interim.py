@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
@@ -26,6 +25,7 @@ from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare
 from mbcacq.diagnosis.result import EvidenceSummary
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.errors import CalibrationError, ContradictionError
+from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
 
@@ -120,7 +120,7 @@ def weigh(recordings: Observations | Sequence[Observations], options: Calibratio
     if first.n_poses < OPTIONS.fewest_poses:
         raise CalibrationError(f"{first.n_poses} poses are too few for a diagnosis: measure at least {OPTIONS.fewest_poses}")
     try:
-        with threadpool_limits(1):
+        with one_thread():
             problem = prepare(recordings, options_for(first, options or CalibrationOptions()))
             return InterimEvidence(problem, fit_model(problem))
     except ContradictionError as error:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -191,6 +192,19 @@ class Covariates:
 
     def value(self, name: str) -> np.ndarray:
         """A covariate by its name: (P,), or (M,) of those in OF_CENTRES. Raises Missing where the recording lacks it."""
+        return self.computed_once(("value", name), lambda: self._value(name))
+
+    def computed_once(self, key: tuple[str, ...], compute: Callable[[], Any]) -> Any:
+        """What a function returns, computed when first asked for under this key: a hundred groups are functions of one covariate."""
+        if key not in self._known:
+            self._known[key] = compute()
+        return self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[tuple[str, ...], Any]:
+        return {}
+
+    def _value(self, name: str) -> np.ndarray:
         obs = self.obs
         plain = {
             "time": lambda: self.time,

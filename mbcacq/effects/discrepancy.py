@@ -17,7 +17,7 @@ import numpy as np
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect import Missing
 from mbcacq.effects.effect_term import SMOOTH, EffectTerm
-from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, sine, times
+from mbcacq.effects.functions import Column, DescribedPart, Function, Product, cosine, linear, of, sine, times
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,9 +32,12 @@ class DiscrepancyOptions:
     softening: float = 0.3  # share of a wind-up that is not proportional to the torque
     least_travel_rad: float = 0.02  # joints that move by less show nothing of their own
     least_torque: float = 0.02  # of the largest torque's range, below which the torque about a joint says nothing
+    wander_rad: float = 1e-4  # ten times a joint's repeatability
+    wander_functions: int = 60  # cosines over the order of the poses, and no more than half of these: one a pair of poses
 
 
 OPTIONS = DiscrepancyOptions()
+WANDER = "wander"
 
 
 def own_errors(here: Covariates) -> list[EffectTerm]:
@@ -89,6 +92,18 @@ def pairs(here: Covariates) -> list[EffectTerm]:
         sigma = np.full(len(columns), OPTIONS.start_rad / 3)
         out += [_term(here, j, f"q{a + 1}*q{b + 1}", columns, sigma) for j in moving]
     return out
+
+
+def wander(here: Covariates) -> list[EffectTerm]:
+    """Groups of each joint by the order of the poses: errors that the poses after one another share, of gears that warm up and of drives
+    that hunt slowly.
+
+    Cosines of k half periods over all poses have sizes that fall as 1/k, as those of a random walk do.
+    """
+    last = here.obs.n_poses - 1
+    k = np.arange(1, min(OPTIONS.wander_functions, here.obs.n_poses // 2) + 1)
+    columns = [of("pose", "cosine", 0.0, float(last), float(each)) for each in k]
+    return [_term(here, j, "pose", columns, OPTIONS.wander_rad / k, WANDER) for j in range(here.n)] if len(k) else []
 
 
 def _moving(here: Covariates) -> list[int]:

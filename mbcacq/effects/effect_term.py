@@ -319,7 +319,13 @@ def learnt_ranges(here: Covariates, parts: Iterable[DescribedPart]) -> dict[str,
     functions = [f for part in parts for column in part.columns for product in column for f in product.functions]
     counting_turns = {f.covariate for f in functions if f.kind not in REPEATING}
     names = {f.covariate for f in functions if not f.covariate.startswith((MOVEMENT, TRAVEL))} - {*OF_RECORDING, "ball"}
-    return {name: LearntRange.of(name, here.value(name), name in counting_turns) for name in sorted(names)}
+    return {name: learnt_range(here, name, name in counting_turns) for name in sorted(names)}
+
+
+def learnt_range(here: Covariates, name: str, counts_turns: bool) -> LearntRange:
+    """The range of a covariate in a recording."""
+    key = "learnt range", name, "turns" if counts_turns else ""
+    return here.computed_once(key, lambda: LearntRange.of(name, here.value(name), counts_turns))
 
 
 def _times(part: Part, factor: np.ndarray) -> Part:

@@ -19,13 +19,57 @@ Values = Callable[[str], np.ndarray]  # name of a covariate -> its values, one a
 Known = dict[int, tuple["tuple[Function, ...]", np.ndarray]]  # by identity, with the functions: what is held here keeps its identity
 INCIDENCE = ("incidence_x", "incidence_y", "incidence_z")
 SIGHT = ("sight_x", "sight_y", "sight_z")
+EQUAL = 1e-11  # difference of two orders below which they are the same
 OF_CENTRES = ("x", "y", "z", "ball", *INCIDENCE, *SIGHT)  # covariates with a value for each centre; all others have one for each pose
+
+
+def turned(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sine and cosine (H, P) of orders (H, 1), in ascending order, times an angle x (P,).
+
+    A scan has hundreds of orders in equal steps, with a few that are preferred in between. The second half of a run of equal steps is the
+    first, turned by a fixed angle: sums of products take an eighth of the time of as many sines and cosines, and are as exact.
+    """
+    order = orders[:, 0]
+    sine, cosine = np.empty((len(order), len(x))), np.empty((len(order), len(x)))
+    for first, end in _equal_steps(order):
+        s, c = sine[first:end], cosine[first:end]
+        s[0], c[0] = np.sin(order[first] * x), np.cos(order[first] * x)
+        known = 1
+        while known < end - first:
+            turn = (order[first + known] - order[first]) * x
+            across, along = np.sin(turn), np.cos(turn)
+            more = min(known, end - first - known)
+            s[known : known + more] = s[:more] * along + c[:more] * across
+            c[known : known + more] = c[:more] * along - s[:more] * across
+            known += more
+    return sine, cosine
+
+
+def _equal_steps(order: np.ndarray) -> list[tuple[int, int]]:
+    """First and end of runs of orders (H,) whose steps are equal, to rounding."""
+    runs, first = [], 0
+    while first < len(order):
+        along = order[first] + (order[min(first + 1, len(order) - 1)] - order[first]) * np.arange(len(order) - first)
+        off = np.abs(order[first:] - along) > EQUAL
+        end = first + int(off.argmax()) if off.any() else len(order)
+        runs.append((first, end))
+        first = end
+    return runs
+
+
+def _sine(x: np.ndarray, order: Any) -> np.ndarray:
+    return np.sin(order * x) if np.ndim(order) == 0 else turned(x, order)[0]
+
+
+def _cosine(x: np.ndarray, order: Any) -> np.ndarray:
+    return np.cos(order * x) if np.ndim(order) == 0 else turned(x, order)[1]
+
 
 # Name of a function -> its value for a covariate x and its numbers.
 FUNCTIONS: Mapping[str, Callable[..., np.ndarray]] = {
     "power": lambda x, p: x**p,
-    "sin": lambda x, order: np.sin(order * x),
-    "cos": lambda x, order: np.cos(order * x),
+    "sin": _sine,
+    "cos": _cosine,
     "sign": lambda x: np.sign(x),
     "tanh": lambda x, width: np.tanh(x / width),
     "sigmoid": lambda x, at, width: np.tanh((x - at) / width),
@@ -161,9 +205,18 @@ def evaluate(columns: Sequence[Column], values: Values, rows: int, known: Known 
     known = {} if known is None else known
     out: list[Any] = [np.zeros(rows)]
     for column in columns:
-        products = [product.factor * _of_functions(product.functions, values, known) for product in column]
+        products = [_value(product, values, known) for product in column]
         out.append(sum(products[1:], products[0]) if products else 0.0)
-    return np.stack(np.broadcast_arrays(*out)[1:], axis=-1) if columns else np.zeros((rows, 0))
+    if not columns:
+        return np.zeros((rows, 0))
+    each = np.broadcast_arrays(*out)[1:]
+    # Of a scan the rows of a column stay together in memory: they are summed over.
+    return np.stack(each, axis=-1) if each[0].ndim == 1 else np.swapaxes(np.stack(each, axis=1), 1, 2)
+
+
+def _value(product: Product, values: Values, known: Known) -> np.ndarray | float:
+    value = _of_functions(product.functions, values, known)
+    return value if np.ndim(product.factor) == 0 and product.factor == 1.0 else product.factor * value
 
 
 def _of_functions(functions: tuple[Function, ...], values: Values, known: Known) -> np.ndarray | float:

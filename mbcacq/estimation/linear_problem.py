@@ -88,7 +88,7 @@ class LinearProblem:
         )
         # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
         # holds of it already is added back.
-        residual = residual + whole.geometry @ _deviation(obs, state, layout)
+        residual = residual + whole.rows.unpad(linear.columns.change(_deviation(obs, state, layout), np.zeros((obs.n_poses, 6))))
         for one, values in zip(effects, coefficients, strict=True):
             residual = residual + terms.columns(obs, prediction, one) @ values
         for s in whole.given_stations:
@@ -156,6 +156,15 @@ class LinearProblem:
         for part in parts:
             unit = self.unit(part.place, part.index, part.component)[:, rows, None]
             total = total + unit * self.by_centre(part, part.basis)[:, None, :]
+        return total
+
+    def twists_of(self, parts: Sequence[Part]) -> np.ndarray:
+        """(P, u, k): an effect whose parts move poses as a whole, by the twists of ``columns_by_pose`` and in the order of its poses."""
+        total = np.zeros(())
+        for part in parts:
+            key = part.place, part.index, part.component
+            moved = self.rows.pad(self.unit(*key)) if self.columns_by_pose.by_rows else self.twist(*key)[self.rows.order]
+            total = total + moved[:, :, None] * part.basis[self.rows.order][:, None, :]
         return total
 
     def displacement(self, parts: Sequence[Part], coefficients: np.ndarray) -> np.ndarray:
@@ -236,8 +245,16 @@ class LinearProblem:
 
     def extended(self, columns: np.ndarray, sigma: np.ndarray) -> ExtendedProblem:
         """Geometry together with columns (M, R, k) of prior sigma (k,)."""
-        every = self.columns_by_pose.with_parameters(self.rows.pad(columns))
-        widths = np.concatenate([self.sigma, sigma])
+        return self._extended(self.columns_by_pose.with_parameters(self.rows.pad(columns)), np.concatenate([self.sigma, sigma]))
+
+    def extended_by_twists(self, twists: np.ndarray, sigma: np.ndarray) -> ExtendedProblem:
+        """Geometry together with parameters of prior sigma (k,), each of which moves every pose by a twist, ``twists_of``; they come after
+        those of arm and hand-eye.
+        """
+        first = self.columns_by_pose.twists.shape[2]
+        return self._extended(self.columns_by_pose.with_twists(twists), np.insert(self.sigma, first, sigma))
+
+    def _extended(self, every: PoseColumns, widths: np.ndarray) -> ExtendedProblem:
         information = np.zeros((len(self.rows.stations), 6, 6))
         for j, s in enumerate(self.rows.stations):
             if s in self.given_stations:

@@ -119,8 +119,9 @@ class PoseBlock:
         inverse = np.eye(R * B) - rows @ self.N @ np.swapaxes(rows, 1, 2)
         return np.swapaxes(np.linalg.cholesky(inverse), 1, 2) @ rows * np.sqrt(self.share)[:, None, None]
 
-    def normal_equations(self) -> NormalBlocks:
-        """Sums over the poses and over those of each station at which the block is."""
+    def products(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Products of the columns, summed over the poses, and over those of each station at which the block is: H (g, g), Hss (S', 6, 6),
+        Hsg (S', 6, g)."""
         A, S, share = self.columns.twists, self.columns.station, self.share[:, None, None]
         f, e = A.shape[2], self.own.columns.size
         H = np.empty((f + e, f + e))
@@ -140,8 +141,7 @@ class PoseBlock:
             H[f:, :f] = H[:f, f:].T
             H[f:, f:] = self.own.gram(self.precision) - flat_product(self.own_twist, self.N @ self.own_twist * share)
             Hsg = np.concatenate([Hsg, self.place.runs.products(S, own)], axis=2)
-        b, bs, chi2 = self.right_hand_side()
-        return NormalBlocks((H + H.T) / 2, b, chi2, Hss, Hsg, bs)
+        return (H + H.T) / 2, Hss, Hsg
 
     def _products_by_rows(self, W: np.ndarray, station: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Products of the twists with each other (f, f) and with the stations (S', 6, f). W: (P, u, u), ``whitened_basis``; station:
@@ -189,7 +189,7 @@ def flat_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     return left.reshape(rows, left.shape[2]).T @ right.reshape(rows, right.shape[2])
 
 
-@dataclass
+@dataclass(frozen=True)
 class NormalBlocks:
     """Normal equations of g parameters and 6 of each station. H (g, g), b (g,), chi2 of the residual; Hss (S', 6, 6), Hsg (S', 6, g),
     bs (S', 6)."""
@@ -200,16 +200,3 @@ class NormalBlocks:
     Hss: np.ndarray
     Hsg: np.ndarray
     bs: np.ndarray
-
-    @classmethod
-    def zero(cls, g: int, stations: int) -> NormalBlocks:
-        return cls(np.zeros((g, g)), np.zeros(g), 0.0, np.zeros((stations, 6, 6)), np.zeros((stations, 6, g)), np.zeros((stations, 6)))
-
-    def add(self, part: NormalBlocks, stations: slice) -> None:
-        """Add those of further poses, at these of the stations."""
-        self.H += part.H
-        self.b += part.b
-        self.chi2 += part.chi2
-        self.Hss[stations] += part.Hss
-        self.Hsg[stations] += part.Hsg
-        self.bs[stations] += part.bs

@@ -83,6 +83,10 @@ class PoseColumns:
             return replace(self, twists=np.concatenate([self.twists, np.pad(columns, [(0, 0), (0, further), (0, 0)])], axis=2))
         return replace(self, own=replace(self.own, other=np.concatenate([self.own.other, columns], axis=2)))
 
+    def with_twists(self, twists: np.ndarray) -> PoseColumns:
+        """The same with further parameters (P, u, k), each of which moves a pose by a twist; they come after the first f."""
+        return replace(self, twists=np.concatenate([self.twists, twists], axis=2))
+
     def with_noise(self, columns: np.ndarray) -> PoseColumns:
         """The same with further noise of each pose: columns (P, B R, k) are taken as those of the joints are."""
         assert not self.wide, "effects are beside further noise only where none of them is wide"

@@ -37,6 +37,7 @@ class PoseInformation:
         self.precision = 1.0 / noise.row_sigma(self.rows.width) ** 2
         sigma = np.broadcast_to(self.rows.joint_sigma(noise), (self.rows.n_poses, 1, columns.joints.shape[2]))
         self.blocks = [PoseBlock(block, columns.of_poses(block.place.poses), noise, sigma[block.place.poses]) for block in weighted.blocks]
+        self._products: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     @classmethod
     def of(cls, rows: PoseRows, columns: PoseColumns, noise: Noise, weight: np.ndarray, pose_weight: np.ndarray) -> PoseInformation:
@@ -65,10 +66,22 @@ class PoseInformation:
 
     def normal_equations(self) -> NormalBlocks:
         """Sums over all poses and over those of each station."""
-        total = NormalBlocks.zero(self.columns.size, len(self.rows.stations))
-        for block in self.blocks:
-            total.add(block.normal_equations(), block.place.stations)
-        return total
+        H, Hss, Hsg = self.products()
+        b, bs, chi2 = self.right_hand_side()
+        return NormalBlocks(H, b, chi2, Hss, Hsg, bs)
+
+    def products(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Products of the columns: H (g, g), and of each station Hss (S', 6, 6), Hsg (S', 6, g). Made once for all residuals."""
+        if self._products is None:
+            g, count = self.columns.size, len(self.rows.stations)
+            H, Hss, Hsg = np.zeros((g, g)), np.zeros((count, 6, 6)), np.zeros((count, 6, g))
+            for block in self.blocks:
+                part, of_stations, mixed = block.products()
+                H += part
+                Hss[block.place.stations] += of_stations
+                Hsg[block.place.stations] += mixed
+            self._products = H, Hss, Hsg
+        return self._products
 
     def right_hand_side(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Products of the residual with the columns, (g,) and those (S', 6) of the stations, and its chi square."""

@@ -38,29 +38,35 @@ def sizes_by_marginal_likelihood(
     """
     least, most = limits
     kept = np.zeros(len(slices), bool) if fixed is None else fixed
-    variance = start**2
+    variance, floor = start**2, np.broadcast_to(least, len(slices)) ** 2
     usual = np.zeros(len(slices)) if expected is None else expected
     others = np.where(usual > 0, OTHERS, 0.0)
+    others_square = others * usual**2
+    alive = np.flatnonzero(variance > 0)
+    normal, right, count = _equations_of(S, b, slices, alive)
     for _ in range(rounds):
-        alive = np.flatnonzero(variance > 0)
         if not len(alive):
             break
-        own = [slices[int(g)] for g in alive]
-        index, count = joined(own), np.array([p.stop - p.start for p in own])
-        mean, half = posterior_of(S[np.ix_(index, index)], b[index], np.repeat(variance[alive], count))
-        posterior = np.einsum("ij,ij->j", half, half)
-        first = np.cumsum(count) - count
-        determined = count - np.add.reduceat(posterior, first) / variance[alive]
-        others_square = others[alive] * usual[alive] ** 2
-        asked = (np.add.reduceat(mean**2, first) + others_square) / np.maximum(determined + others[alive], 1e-3)
-        before = variance[alive]
-        after = np.where(kept[alive], before, np.where(determined + others[alive] > LEAST_DETERMINED, np.minimum(asked, most**2), 0.0))
-        floor = np.broadcast_to(least, len(slices))[alive] ** 2
-        after = np.where(kept[alive] | (after > floor), after, 0.0)
+        before, first = variance[alive], np.cumsum(count) - count
+        mean, half = posterior_of(normal, right, np.repeat(before, count))
+        determined = count - np.add.reduceat(np.einsum("ij,ij->j", half, half), first) / before + others[alive]
+        asked = (np.add.reduceat(mean**2, first) + others_square[alive]) / np.maximum(determined, 1e-3)
+        after = np.where(determined > LEAST_DETERMINED, np.minimum(asked, most**2), 0.0)
+        after = np.where(kept[alive], before, np.where(after > floor[alive], after, 0.0))
         variance[alive] = after
         if np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
             break
+        if not after.all():
+            alive = alive[after > 0]
+            normal, right, count = _equations_of(S, b, slices, alive)
     return np.sqrt(variance)
+
+
+def _equations_of(S: np.ndarray, b: np.ndarray, slices: Sequence[slice], groups: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The normal equations of the coefficients of some groups (indices), and how many coefficients each has."""
+    own = [slices[int(g)] for g in groups]
+    index = joined(own)
+    return S[np.ix_(index, index)], b[index], np.array([p.stop - p.start for p in own], dtype=int)
 
 
 def sizes_of_groups(
@@ -152,8 +158,8 @@ def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.nd
     covariance L'L.
     """
     root = np.sqrt(prior)  # in units of their prior sigma the coefficients' normal matrix is never worse than the identity
-    normal = S * np.outer(root, root)
-    normal[np.diag_indices_from(normal)] += 1.0
+    normal, diagonal = S * np.outer(root, root), np.arange(len(S))
+    normal[diagonal, diagonal] += 1.0
     factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
     return root * cho_solve((factor, True), root * b, check_finite=False), inverse_of_lower(factor) * root
 

@@ -114,12 +114,16 @@ def reweighted(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weig
     if noise is at.noise and weights is at.weights:
         return at
     at = at if at.step is None else at.step.start
-    if weights is at.weights:
-        poses = at.poses.with_noise(noise)
-    else:
-        poses = PoseInformation.of(lineariser.rows, at.linear.columns, noise, weights.centre, weights.pose)
+    poses = reweighted_poses(lineariser, at, noise, weights)
     normal = Normal(lineariser.rows, poses.normal_equations(), at.prior)
     return replace(at, poses=poses, normal=normal, noise=noise, weights=weights)
+
+
+def reweighted_poses(lineariser: Lineariser, at: Solution, noise: Noise, weights: Weights) -> PoseInformation:
+    """The poses at the estimate of an exact solution, with other noise or weights."""
+    if weights is at.weights:
+        return at.poses.with_noise(noise)
+    return PoseInformation.of(lineariser.rows, at.linear.columns, noise, weights.centre, weights.pose)
 
 
 def with_prior_of(lineariser: Lineariser, at: Solution) -> Solution:
@@ -240,8 +244,8 @@ def gauss_newton_step(normal: Normal, scale: np.ndarray, damping: float) -> np.n
     """Step (g,) of the reduced normal equations: Gauss-Newton without ``damping``, Levenberg-Marquardt with it (relative to each
     parameter's own information)."""
     H = scale[:, None] * normal.information * scale
-    diagonal = np.diag(H).copy()
-    H[np.diag_indices_from(H)] += damping * diagonal + 1e-14 * diagonal.max(initial=0.0)
+    diagonal, on = np.diag(H).copy(), np.arange(len(H))
+    H[on, on] += damping * diagonal + 1e-14 * diagonal.max(initial=0.0)
     return scale * np.linalg.solve(H, scale * normal.gradient)
 
 

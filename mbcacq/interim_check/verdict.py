@@ -8,10 +8,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 from scipy.special import logsumexp
-from threadpoolctl import threadpool_limits
 
 from mbcacq.errors import DeviceFault
 from mbcacq.estimation.forward_model import arm_jacobian
+from mbcacq.estimation.one_thread import one_thread
 from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
 from mbcacq.interim_check.options import OPTIONS, CheckOptions
@@ -98,7 +98,7 @@ def evidence_of(check: PlannedCheck, history: CheckHistory, options: CheckOption
 
 def verdict_of(check: PlannedCheck, history: CheckHistory, options: CheckOptions = OPTIONS) -> CheckVerdict:
     """What all checks so far say together."""
-    with threadpool_limits(1):  # the matrices are small: two threads of linear algebra take longer for them than one
+    with one_thread():
         return verdict_by(evidence_of(check, history, options), check, options)
 
 

@@ -1,14 +1,19 @@
 """What an arm does beyond its geometry is learnt by a calibration that knows nothing of it, and is right at places that took no part."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from cells import scanner_cell
 from erring_arms import LAWS, erring_arm, placed_wrong
 
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.challenge.simulated_cells import observe
 from mbcacq.design.adaptive.first_block import first_block
+from mbcacq.estimation import forward_model
+from mbcacq.geometry import se3
 from mbcacq.plan import expand, load
 
 GEOMETRY = CalibrationOptions(discrepancy=False)
@@ -51,3 +56,45 @@ def test_few_poses_in_which_no_group_is_left_are_calibrated():
     fit = calibrate(obs).own_fit
     assert fit is not None
     assert fit.rms_mm < 0.03
+
+
+def shared_by_neighbours(correlation, joint_rad, seed):
+    """96 poses of an arm whose joints' errors have this standard deviation, and this correlation with those of the pose before."""
+    rng = np.random.default_rng([78, seed])
+    cell = scanner_cell(rng, stations=4, per_station=24)
+    obs, off = cell.observations, np.zeros((96, 6))
+    for p in range(96):
+        fresh = rng.normal(size=6)
+        off[p] = correlation * off[p - 1] + np.sqrt(1 - correlation**2) * fresh if p else fresh
+    xyz = forward_model.predict(obs, cell.truth, forward_model.Displacements(joint=joint_rad * off)).xyz
+    return replace(obs, xyz=xyz + rng.normal(size=xyz.shape) * obs.cell.noise_mm), cell.truth
+
+
+def wrong_in_the_workspace(found, truth):
+    """mm rms at 100 random postures, a rigid motion of everything aside."""
+    obs, rng = found.fit.observations, np.random.default_rng(5)
+    q = rng.uniform(*found.state.chain.drawn_between(obs.cell.robot.limits), size=(100, 6))
+    xyz = np.tile(obs.xyz.mean(axis=0), (100, 1))
+    points, true = found.to_base(q, xyz), se3.apply(truth.chain.frames(q)[:, -1] @ truth.T_flange_scanner, xyz)
+    rigid = np.concatenate([np.tile(np.eye(3), (100, 1, 1)), -1e-3 * se3.skew(points)], axis=2).reshape(-1, 6)
+    off = (points - true).ravel()
+    return np.sqrt(3 * np.mean((off - rigid @ np.linalg.lstsq(rigid, off)[0]) ** 2))
+
+
+def test_errors_that_neighbouring_poses_share_are_no_functions_of_posture_and_cost_no_accuracy():
+    better = []
+    for seed in range(3):
+        obs, truth = shared_by_neighbours(0.95, 8e-5, seed)
+        found = calibrate(obs, CalibrationOptions(refuse=False))
+        wander = np.array(found.extra["discrepancy"]["wander_rad"])
+        assert 5e-5 < np.sqrt(np.mean(wander**2)) < 1.2e-4
+        assert not found.effects or all("pose" not in t.covariates for t in found.effects.terms)
+        geometry = calibrate(obs, CalibrationOptions(refuse=False, discrepancy=False))
+        better.append(wrong_in_the_workspace(found, truth) / wrong_in_the_workspace(geometry, truth))
+    assert np.mean(better) < 0.75
+
+
+def test_independent_errors_do_not_wander():
+    for seed in range(3):
+        found = calibrate(shared_by_neighbours(0.0, 8e-6, seed)[0], CalibrationOptions(refuse=False))
+        assert "wander_rad" not in found.extra.get("discrepancy", {})

@@ -12,6 +12,8 @@ from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.moments import sizes_with, with_others
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import alternatives_of
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
@@ -21,6 +23,9 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductS
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 
 SIZES = np.array([0.3, 1.0, 3.0])
+
+
+GEAR, ELASTIC = ("gear_transmission_error", ("A1",)), ("joint_compliance", ("A2",))
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +147,24 @@ def test_blocks_made_of_sums_equal_those_made_of_whitened_columns(small):
         typical = setup.design_blocks.candidate(number).typical / np.linalg.norm(X, axis=0)
         S, b = X.T @ X - (basis.T @ X).T @ (basis.T @ X), X.T @ projected.r
         assert log == pytest.approx(log_bayes_factors((S * np.outer(typical, typical))[None], (b * typical)[None])[0], rel=1e-5, abs=1e-4)
+
+
+def test_sizes_at_other_orders_are_those_of_a_fit_with_all_columns(small):
+    """The coefficients of a gear at three orders beside an elastic joint: by geometry and both effects in one least-squares problem."""
+    setup = problem.prepare(simulated.observe(small, 11, [("joint_compliance", ("A2",), [2e-6], None)]))
+    gear, elastic = (next(c for c in setup.candidates if (c.name, c.where) == of) for of in (GEAR, ELASTIC))
+    point, orders = NoisePoint(setup.linear, setup.prior_noise, setup.prior_noise.centre), np.array([2.0, 2.5, 3.7])
+    member, beside = Member(gear, 2.0), Member(elastic, None, size=1.0)
+    hypothesis = Hypothesis((member, beside), point, 0.0)
+    found = sizes_with(with_others(hypothesis, member), member, orders)
+    geometry, sigma = setup.linear.nuisance()
+    sigma = np.concatenate([sigma, member.sizes[-1] * gear.typical, elastic.typical])
+    whiten = setup.linear.whitener(point.complete_noise)
+    for order, sizes in zip(orders, found, strict=True):
+        effects = [candidate_columns(setup.linear, gear, float(order)), candidate_columns(setup.linear, elastic)]
+        X = whiten(np.concatenate([geometry, *effects], axis=2)) * sigma
+        whole = sigma * np.linalg.solve(X.T @ X + np.eye(len(sigma)), X.T @ whiten(setup.linear.residual))
+        np.testing.assert_allclose(sizes, whole[-3:-1], rtol=1e-5, atol=1e-5 * np.abs(whole[-3:-1]).max())
 
 
 @pytest.mark.parametrize("stated", [0.2, 1.0, 5.0])

@@ -11,6 +11,7 @@ from mbcacq.diagnosis.problem import prepare
 from mbcacq.estimation import parameters
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.terms import Part
 from mbcacq.estimation.variance_components import reml_score_and_information
 
 
@@ -62,3 +63,24 @@ def test_effects_as_twists_of_a_pose_of_few_rows_give_what_their_own_columns_giv
     np.testing.assert_allclose(one.normal.gradient / size, other.normal.gradient / size, atol=1e-6 * np.sqrt(one.normal.cost))
     for a, b in zip(reml_score_and_information(one, noise), reml_score_and_information(other, noise), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("shown", [1, 8])
+def test_what_turns_a_joint_gives_as_a_twist_what_its_columns_give(plan, shown):
+    """The normal equations of a group of a joint's functions, with balls free, are those of its columns in another order."""
+    obs = plan
+    if shown == 1:
+        first = np.flatnonzero(np.r_[True, np.diff(plan.pose) != 0])
+        obs = dataclasses.replace(plan, pose=plan.pose[first], ball=plan.ball[first], xyz=plan.xyz[first])
+    linear = LinearProblem.of(obs, simulated.nominal_state(obs))
+    parts = [Part("joint", 1, 0, np.random.default_rng(0).normal(size=(obs.n_poses, 3))), Part("frame", 3, 4, np.ones((obs.n_poses, 3)))]
+    sigma, noise = np.array([1e-4, 2e-4, 3e-4]), Noise(np.array([0.01, 0.02, 0.03]), np.full(6, 2e-5), 1e-4)
+    one = linear.extended_by_twists(linear.twists_of(parts), sigma).at(noise).normal
+    other = linear.extended(linear.columns(parts), sigma).at(noise).normal
+    first, g = linear.columns_by_pose.twists.shape[2], linear.columns_by_pose.size
+    order = np.r_[:first, g : g + 3, first:g]
+    size = np.sqrt(np.diag(one.information))
+    np.testing.assert_allclose(
+        one.information / np.outer(size, size), other.information[np.ix_(order, order)] / np.outer(size, size), atol=1e-9
+    )
+    np.testing.assert_allclose(one.gradient / size, other.gradient[order] / size, atol=1e-6 * np.sqrt(one.cost))

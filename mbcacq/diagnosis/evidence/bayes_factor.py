@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_twice_normal
+from mbcacq.estimation.normal_equations import inverse_of_lower
 
 
 def log_set_bayes_factor(
@@ -15,46 +16,61 @@ def log_set_bayes_factor(
     A (k, k), a (k,): of all coefficients in typical sizes; slices: of each effect. The average over the sizes of all is taken about the
     most probable ones, one effect at a time.
     """
-    chosen = [float(np.median(s)) for s in sizes]
-    spread: list[float] = [0.0] * len(slices)
-    best = -np.inf
+    chosen = np.array([float(np.median(s)) for s in sizes])
+    effects = [_OneEffect(A, a, slices, j, positive) for j in range(len(slices))]
+    spread, best = np.zeros(len(slices)), np.full(len(slices), -np.inf)
+    asked: list[list[float] | None] = [None] * len(slices)  # sizes of the others with which an effect was evaluated last
     for _ in range(3):
-        before = list(chosen)
+        before = chosen.tolist()
         for j, own in enumerate(sizes):
-            values = _log_factors(A, a, slices, chosen, j, own, positive)
-            chosen[j], best = float(own[values.argmax()]), float(values.max())
-            spread[j] = float(np.logaddexp.reduce(values) - best) - float(np.log(len(own)))
-        if chosen == before:
+            others = np.delete(chosen, j)
+            if others.tolist() == asked[j]:
+                continue
+            asked[j] = others.tolist()
+            values = effects[j].log_factors(others, own)
+            chosen[j], best[j] = own[values.argmax()], values.max()
+            spread[j] = float(np.logaddexp.reduce(values) - best[j]) - float(np.log(len(own)))
+        if chosen.tolist() == before:
             break
-    return best + sum(spread), chosen
+    return float(best[-1]) + float(sum(spread)), chosen.tolist()
 
 
-def _log_factors(
-    A: np.ndarray, a: np.ndarray, slices: list[slice], chosen: list[float], j: int, own: np.ndarray, positive: list[bool]
-) -> np.ndarray:
-    """(S,) log Bayes factor of the set with each of the sizes own (S,) of the effect j, the others having those that are chosen.
+class _OneEffect:
+    """An effect j of a set, the others of which are eliminated at given sizes."""
 
-    The others are eliminated, and what remains of the effect is taken along its eigenvectors, in which every size is a number.
-    """
-    mine = np.arange(slices[j].start, slices[j].stop)
-    rest = np.r_[0 : slices[j].start, slices[j].stop : len(a)]
-    t = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, chosen, strict=True)])[rest]
-    root = np.linalg.cholesky(np.eye(len(rest)) + t[:, None] * A[rest][:, rest] * t)
-    inverse = np.linalg.inv(root)
-    across, beyond = inverse @ (t[:, None] * A[rest][:, mine]), inverse @ (t * a[rest])
-    value, vectors = np.linalg.eigh(A[mine][:, mine] - across.T @ across)
-    along, square = vectors.T @ (a[mine] - across.T @ beyond), own[:, None] ** 2
-    grown = 1.0 + square * np.maximum(value, 0.0)
-    constant = 0.5 * float(beyond @ beyond) - float(np.log(np.diag(root)).sum())
-    logs = constant + 0.5 * np.sum(square * along**2 / grown - np.log(grown), axis=1)
-    if positive[j]:
-        logs = logs + log_twice_normal(own * along[0] / np.sqrt(grown[:, 0]))
-    others = [p.start for i, p in enumerate(slices) if positive[i] and i != j]
-    if others:
-        # Mean and variance of the others' coefficients, in their sizes, fall and grow with what the effect takes.
-        back = inverse[:, np.searchsorted(rest, others)].T
-        moved, mean = back @ (across @ vectors), back @ beyond
-        share = square / grown
-        variance = np.sum(back**2, axis=1) + share @ (moved**2).T
-        logs = logs + np.sum(log_twice_normal((mean - (share * along) @ moved.T) / np.sqrt(variance)), axis=1)
-    return logs
+    def __init__(self, A: np.ndarray, a: np.ndarray, slices: list[slice], j: int, positive: list[bool]):
+        own, width = slices[j], np.array([p.stop - p.start for p in slices])
+        mine, rest = np.arange(own.start, own.stop), np.delete(np.arange(len(a)), own)
+        self.width = np.delete(width, j)
+        self.positive = positive[j]
+        self.own, self.right = A[own, own], a[own]
+        self.across, self.others, self.others_right = A[np.ix_(rest, mine)], A[np.ix_(rest, rest)], a[rest]
+        starts = [p.start for i, p in enumerate(slices) if positive[i] and i != j]
+        self.positive_others = np.searchsorted(rest, starts)
+
+    def log_factors(self, sizes: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """(S,) log Bayes factor of the set with each of the sizes own (S,) of the effect, the others having these sizes.
+
+        The others are eliminated, and what remains of the effect is taken along its eigenvectors, in which every size is a number.
+        """
+        t = np.repeat(sizes, self.width)
+        normal, diagonal = t[:, None] * self.others * t, np.arange(len(t))
+        normal[diagonal, diagonal] += 1.0
+        root = np.linalg.cholesky(normal)
+        inverse = inverse_of_lower(root) if len(root) else root
+        across, beyond = inverse @ (t[:, None] * self.across), inverse @ (t * self.others_right)
+        value, vectors = np.linalg.eigh(self.own - across.T @ across)
+        along, square = vectors.T @ (self.right - across.T @ beyond), own[:, None] ** 2
+        grown = 1.0 + square * np.maximum(value, 0.0)
+        constant = 0.5 * float(beyond @ beyond) - float(np.log(np.diag(root)).sum())
+        logs = constant + 0.5 * np.sum(square * along**2 / grown - np.log(grown), axis=1)
+        if self.positive:
+            logs = logs + log_twice_normal(own * along[0] / np.sqrt(grown[:, 0]))
+        if len(self.positive_others):
+            # Mean and variance of the others' coefficients, in their sizes, fall and grow with what the effect takes.
+            back = inverse[:, self.positive_others].T
+            moved, mean = back @ (across @ vectors), back @ beyond
+            share = square / grown
+            variance = np.sum(back**2, axis=1) + share @ (moved**2).T
+            logs = logs + np.sum(log_twice_normal((mean - (share * along) @ moved.T) / np.sqrt(variance)), axis=1)
+        return logs

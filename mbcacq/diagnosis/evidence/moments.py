@@ -12,8 +12,9 @@ from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import covariates
-from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, ORDER, Candidate, ParameterEstimate, Parameters
+from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, ORDER, Candidate, HyperEstimate, ParameterEstimate, Parameters
 
 FAST = 3.0  # periods over the travel, from which an order is determined whatever the amplitude
 LOWEST_ORDER = 1.0  # an error of a joint repeats after a turn at the latest
@@ -38,7 +39,7 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
     else:
         return candidate
 
-    def report(c: np.ndarray, v: np.ndarray, rank: float | None) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, rank: HyperEstimate) -> Parameters:
         whole = candidate.report(c, v, rank)
         return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == name else p for k, p in whole.items()}
 
@@ -54,14 +55,15 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
     assert found is not None, "only asked of effects with a time constant"
     name = candidate.hyper.name
     values = np.geomspace(candidate.hyper.values.min(), SLOWER * candidate.hyper.values.max(), OPTIONS.fine)
-    probability = likelihood(hypothesis, member, values)
+    others = with_others(hypothesis, member)
+    probability = likelihood(others, candidate, values)
     std = float(np.sqrt(probability @ (values - found) ** 2))
     there = coefficients(hypothesis)
     reported = there.mean[there.slices[hypothesis.members.index(member)]]
-    away = np.array([size_with(hypothesis, member, float(v)) for v in values]) - reported
+    away = sizes_with(others, member, values) - reported
     along = (away * probability[:, None]).T @ away
 
-    def report(c: np.ndarray, v: np.ndarray, tau: float | None) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, tau: HyperEstimate) -> Parameters:
         whole = candidate.report(c, v + along, tau)
         return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == name else p for k, p in whole.items()}
 
@@ -80,9 +82,11 @@ def with_uncertain_order(hypothesis: Hypothesis, member: Member) -> Candidate:
     if found > FAST * resolution:  # the order is determined by itself, and what it reports says how well
         return candidate
     values = np.linspace(max(LOWEST_ORDER, found - resolution), found + resolution, OPTIONS.fine)
-    probability = likelihood(hypothesis, member, values)
+    others = with_others(hypothesis, member)
+    probability = likelihood(others, candidate, values)
     nothing = np.zeros((candidate.k, candidate.k))
-    there = [candidate.report(size_with(hypothesis, member, float(v)), nothing, float(v)) for v in values]
+    sizes = sizes_with(others, member, values)
+    there = [candidate.parameters(size, nothing, float(v)) for size, v in zip(sizes, values, strict=True)]
     name = candidate.hyper.name
 
     def spread_of(key: str, value: float) -> float:
@@ -90,7 +94,7 @@ def with_uncertain_order(hypothesis: Hypothesis, member: Member) -> Candidate:
         away = (away + 180.0) % 360.0 - 180.0 if key.endswith("phase_deg") else away
         return float(np.sqrt(probability @ away**2))
 
-    def report(c: np.ndarray, v: np.ndarray, order: float | None) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, order: HyperEstimate) -> Parameters:
         whole = candidate.report(c, v, order)
         own = {key: (float(np.max(p.value)), float(np.max(p.std))) for key, p in whole.items()}
         wide = {
@@ -102,22 +106,26 @@ def with_uncertain_order(hypothesis: Hypothesis, member: Member) -> Candidate:
     return replace(candidate, report=report)
 
 
-def size_with(hypothesis: Hypothesis, member: Member, value: float) -> np.ndarray:
-    """(k,) coefficients of a member, had its hyper-parameter this value, of whatever size that asks for."""
-    j = hypothesis.members.index(member)
-    members = (*hypothesis.members[:j], replace(member, hyper=value, size=member.sizes[-1]), *hypothesis.members[j + 1 :])
-    there = coefficients(replace(hypothesis, members=members))
-    return there.mean[there.slices[j]]
+def with_others(hypothesis: Hypothesis, member: Member) -> CandidateScoring:
+    """The problem with the other effects of a set in place, each at its most probable size."""
+    return hypothesis.point.conditioned([m for m in hypothesis.members if m is not member])
+
+
+def sizes_with(others: CandidateScoring, member: Member, values: np.ndarray) -> np.ndarray:
+    """(H, k) coefficients of a member, had its hyper-parameter each of these values (H,), of whatever size that asks for."""
+    S, b = others.normal_matrices(member.candidate, values)
+    sigma = member.sizes[-1] * member.candidate.typical
+    return np.linalg.solve(S + np.diag(sigma**-2.0), b[:, :, None])[:, :, 0]
 
 
 def spread(hypothesis: Hypothesis, member: Member, values: np.ndarray) -> float:
     """Root mean square distance of these values (H,) of the hyper-parameter from the member's, by their likelihood."""
     assert member.hyper is not None, "only asked of effects with a hyper-parameter"
-    return float(np.sqrt(likelihood(hypothesis, member, values) @ (values - member.hyper) ** 2))
+    probability = likelihood(with_others(hypothesis, member), member.candidate, values)
+    return float(np.sqrt(probability @ (values - member.hyper) ** 2))
 
 
-def likelihood(hypothesis: Hypothesis, member: Member, values: np.ndarray) -> np.ndarray:
-    """(H,) probability of each of these values of the member's hyper-parameter, all being as probable before."""
-    others = hypothesis.point.conditioned([m for m in hypothesis.members if m is not member])
-    logs = log_factors(others, member.candidate, values)
+def likelihood(others: CandidateScoring, candidate: Candidate, values: np.ndarray) -> np.ndarray:
+    """(H,) probability of each of these values of an effect's hyper-parameter beside the others, all being as probable before."""
+    logs = log_factors(others, candidate, values)
     return np.exp(logs - np.logaddexp.reduce(logs))

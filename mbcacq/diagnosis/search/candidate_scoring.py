@@ -34,6 +34,7 @@ class ProductStore:
     units: dict[UnitKey, np.ndarray] = field(default_factory=dict)
     candidates: dict[tuple[str, float | None], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     scans: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    last_scan: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     pose_products: dict[tuple[UnitKey, ...], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
     beyond_geometry: list[np.ndarray] = field(default_factory=list)
@@ -91,11 +92,13 @@ class CandidateScoring:
     def conditioned_on(self, blocks: list[tuple[np.ndarray, np.ndarray]]) -> CandidateScoring:
         """The problem that also projects out whitened blocks (rows, k), each with the prior weight (k,) of its coefficients."""
         basis = self.conditioned
-        for X, weight in blocks:
-            Y = X - self.Q @ (self.Q.T @ X) - basis @ (basis.T @ X)
-            S = X.T @ Y + np.diag(weight)
-            L = np.linalg.cholesky(S + 1e-12 * np.diag(np.sum(X * X, axis=0)))
-            basis = np.concatenate([basis, Y @ inverse_of_lower(L).T], axis=1)
+        if blocks:
+            X, weight = (np.concatenate(each, axis=-1) for each in zip(*blocks, strict=True))
+            Y = X - self.Q @ self.absorbed(X)
+            if basis.shape[1]:
+                Y -= basis @ (basis.T @ X)
+            S = X.T @ Y + np.diag(weight + 1e-12 * np.sum(X * X, axis=0))
+            basis = np.concatenate([basis, Y @ inverse_of_lower(np.linalg.cholesky(S)).T], axis=1)
         along = basis.T @ self.r0
         r = self.beyond_geometry() - basis @ along
         return replace(self, conditioned=basis, along=along, r=r, conditioned_products={})
@@ -230,42 +233,51 @@ class CandidateScoring:
         if not candidate.components:
             products = [self.candidate_products(candidate, value) for value in values]
             return np.array([S for _, S, _ in products]), np.array([X.T @ self.noise_draws() for X, _, _ in products])
-        flat, S, _ = self._normal_matrices(candidate, np.array(values, dtype=float), None)
+        flat, S, _ = self._normal_matrices(candidate, np.array(values, dtype=float))
         by_pose = self.whiten.pose_products(self._units(candidate.components), self.noise_draws())
         return S, _of_functions(flat, by_pose, len(S))
 
     def normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrices (H, k, k) and right-hand sides (H, k) of a candidate with components beyond all that is projected out."""
         assert candidate.hyper is not None, "a candidate with components has a hyper-parameter"
-        key = candidate.key if values is candidate.hyper.values else None
-        flat, S, b = self._normal_matrices(candidate, values, key)
+        flat, S, b = self._normal_matrices(candidate, values)
         if self.conditioned.shape[1]:
             absorbed = _of_functions(flat, self.conditioned_pose_products(candidate.components), len(S))
             S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
         return S, b
 
-    def _normal_matrices(self, candidate: Candidate, values: np.ndarray, key: str | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Functions (H f, P), normal matrices (H, k, k) and right-hand sides (H, k), geometry projected out; kept under ``key``."""
-        if key is not None and key in self.store.scans:
-            return self.store.scans[key]
+    def _normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Functions (H f, P), normal matrices (H, k, k) and right-hand sides (H, k), geometry projected out.
+
+        Kept of the grid of each candidate, and of the last scan of other values: it is asked for again with draws of noise.
+        """
+        if candidate.hyper is not None and values is candidate.hyper.values:
+            if candidate.key not in self.store.scans:
+                self.store.scans[candidate.key] = self._scanned(candidate, values)
+            return self.store.scans[candidate.key]
+        key, last = (candidate.key, values.tobytes()), self.store.last_scan
+        if key not in last:
+            last.clear()
+            last[key] = self._scanned(candidate, values)
+        return last[key]
+
+    def _scanned(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         b, A, C = self.pose_products(candidate.components)
         P, c = b.shape
         F = scanned_functions(self.linear, candidate, values)
         H, _, f = F.shape
-        flat = np.ascontiguousarray(np.swapaxes(F, 1, 2)).reshape(H * f, P)
+        by_function = np.ascontiguousarray(np.swapaxes(F, 1, 2))
+        flat = by_function.reshape(H * f, P)
         xr = (flat @ b).reshape(H, f, c).transpose(0, 2, 1).reshape(H, c * f)
         xq = _of_functions(flat, C, H)
         xx = np.empty((H, c, f, c, f))
         for i in range(f):
             for j in range(i + 1):
-                block = ((F[:, :, i] * F[:, :, j]) @ A.reshape(P, c * c)).reshape(H, c, c)
+                block = ((by_function[:, i] * by_function[:, j]) @ A.reshape(P, c * c)).reshape(H, c, c)
                 xx[:, :, i, :, j] = block
                 xx[:, :, j, :, i] = block
         xx = xx.reshape(H, c * f, c * f)
-        result = flat, xx - xq @ np.swapaxes(xq, 1, 2), xr
-        if key is not None:
-            self.store.scans[key] = result
-        return result
+        return flat, xx - xq @ np.swapaxes(xq, 1, 2), xr
 
 
 def _of_functions(flat: np.ndarray, by_pose: np.ndarray, H: int) -> np.ndarray:

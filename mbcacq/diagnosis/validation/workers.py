@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
+from mbcacq.diagnosis.memory import keep_freed_memory
 from mbcacq.errors import CalibrationError
 
 # loky takes 300 MB more than at first for a leak, and starts another process, which takes a second; a part of a long recording needs more.
@@ -26,6 +27,12 @@ def cores() -> int:
     return cpu_count()
 
 
+def _begun() -> None:
+    """What another process does first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_freed_memory()
+
+
 class WorkerPool:
     """This process, which takes part, and ``workers`` - 1 others, which start while other work goes on and end with the context.
 
@@ -37,8 +44,7 @@ class WorkerPool:
         if self._others:
             from loky import ProcessPoolExecutor
 
-            deaf = (signal.SIGINT, signal.SIG_IGN)
-            self._pool = ProcessPoolExecutor(self._others, initializer=signal.signal, initargs=deaf, env=ENVIRONMENT)
+            self._pool = ProcessPoolExecutor(self._others, initializer=_begun, env=ENVIRONMENT)
             for _ in range(self._others):
                 self._pool.submit(importlib.import_module, "mbcacq.diagnosis.validation.folds")  # what they will need
 
