@@ -11,6 +11,7 @@ import numpy as np
 from mbcacq.diagnosis.motion.diagnose import base_alone, diagnose_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.effects.catalogue import declaration, effects
+from mbcacq.effects.effect import Parameters
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
 
@@ -129,14 +130,14 @@ def _text(location: Location) -> str:
     return f"{location[0]}:{'+'.join(location[1])}"
 
 
-def _errors(truth: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+def _errors(truth: Mapping[str, Any], found: Parameters) -> dict[str, float]:
     """Largest error among the components of each parameter; of several periodic components that of the nearest order counts."""
     component = _nearest_order(truth, found)
     if component is not None and component < 0:
         return {}
     out = {}
     for key in [k for k in truth if k in found]:
-        value, std = (np.atleast_1d(found[key][part]).astype(float) for part in ("value", "std"))
+        value, std = (np.array(each) for each in found[key].components)
         if component is not None:
             value, std = value[[component]], std[[component]]
         error = value - np.atleast_1d(truth[key])
@@ -148,11 +149,11 @@ def _errors(truth: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) ->
     return out
 
 
-def _nearest_order(truth: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -> int | None:
+def _nearest_order(truth: Mapping[str, Any], found: Parameters) -> int | None:
     """Which of several periodic components is meant, -1 if none is near; None for an effect without an order."""
     key = next((k for k in truth if k.endswith(".order")), None)
     if key is None or key not in found:
         return None
-    distances = np.abs(np.atleast_1d(found[key]["value"]) - truth[key])
+    distances = np.abs(np.array(found[key].components[0]) - truth[key])
     nearest = int(np.argmin(distances))
     return nearest if distances[nearest] <= SAME_ORDER else -1

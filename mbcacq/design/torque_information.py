@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.determination import canonical_correlation
-from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect, Variant
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.signals import direction_of_rotation, prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.effects import catalogue
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.dynamics import regressor
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
-
-
-@dataclass(frozen=True)
-class PlacedCandidate:
-    """An effect that every arm may have, at one value of its hyper-parameter, with the positions of its coefficients."""
-
-    candidate: MotionCandidate
-    hyper: float | None
-    at: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +27,8 @@ class TorqueInformation:
     """Normal equations of everything that is fitted to the torque: offsets, inertial parameters of the links, rotors, friction, a load on
     the flange, a balancer.
 
-    normal (P, P): of the recordings, with the priors. weights (J,): of a sample at each joint; step_s: between two of them. named:
+    normal (P, P): of the recordings, with the priors. weights (J,): of a sample at each joint; step_s: between two of them. placed:
+    the effects that every arm may have, whose columns are those of ``normal``. named:
     positions of the parameters that are to be separated, names: with their unit; scale (P,): from coefficients to these units. arm:
     positions of the links' inertial parameters.
     """
@@ -45,7 +38,7 @@ class TorqueInformation:
     normal: np.ndarray
     weights: np.ndarray
     step_s: float
-    placed: tuple[PlacedCandidate, ...]
+    placed: tuple[Member, ...]
     named: np.ndarray
     names: tuple[str, ...]
     scale: np.ndarray
@@ -61,18 +54,15 @@ class TorqueInformation:
             raise ConfigError("the recordings have no torque (tau*_Nm, motor_tau*_Nm or i*_A); record it, or give others to --motion")
         group = groups[0]
         model = MotionModel(group, runs)
-        nothing = np.zeros(len(group.joints))
         for candidate in catalogue.motion_candidates(group, runs):
-            if candidate.usual and not candidate.extends:
+            if candidate.rows.usual and not candidate.rows.extends:
                 hyper = None if candidate.hyper is None else float(candidate.hyper.values[len(candidate.hyper.values) // 2])
-                model.selected.append(SelectedEffect(Variant(candidate, hyper, model.add(candidate, hyper)), 0.0, nothing, nothing))
+                model.selected.append(SelectedEffect(Member(candidate, hyper, columns=model.add(candidate, hyper))))
         chosen = model.chosen()
         weights = model.weights(chosen)
         normal = model.store.normal(weights)[np.ix_(chosen, chosen)] + np.diag(1.0 / np.array(model.store.prior)[chosen] ** 2)
         position = {int(c): i for i, c in enumerate(chosen)}
-        placed = tuple(
-            PlacedCandidate(e.candidate, e.variant.hyper, np.array([position[int(i)] for i in e.variant.ids])) for e in model.selected
-        )
+        placed = tuple(replace(e.member, columns=np.array([position[int(i)] for i in e.member.columns])) for e in model.selected)
         named, names, scale = _named(placed, len(chosen))
         arm = np.array([position[int(i)] for i in model.store.base[len(group.joints) : -robot.n]], dtype=int)
         return cls(
@@ -100,8 +90,8 @@ class TorqueInformation:
             X[:, j] = 1.0
             X[:, J : J + group.base[0].shape[2]] = group.base[0][:, here]
             for one in self.placed:
-                if joint in one.candidate.joints:
-                    X[:, one.at] = one.candidate.columns(run, joint, one.hyper)
+                if joint in one.candidate.rows.joints:
+                    X[:, one.columns] = one.candidate.rows.columns(run, joint, one.hyper)
             X = X[group.use[0][:, here]]
             out += self.weights[j] * step_s / self.step_s * (X.T @ X)
         return out
@@ -138,17 +128,17 @@ class TorqueInformation:
 
     def correlations(self, covariance: np.ndarray) -> dict[str, float]:
         """Largest canonical correlation of balancer and load with each other and with the inertial parameters of the links."""
-        at = {one.candidate.name: [int(i) for i in one.at if i in self.named] for one in self.placed}
+        at = {one.candidate.name: [int(i) for i in one.columns if i in self.named] for one in self.placed}
         at = {name: own for name, own in at.items() if own} | {"arm": [int(i) for i in self.arm]}
         pairs = [(a, b) for a, b in combinations(at, 2) if at[b]]
         return {f"{a} and {b}": canonical_correlation(covariance, at[a], at[b]) for a, b in pairs}
 
 
-def _named(placed: Sequence[PlacedCandidate], count: int) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
+def _named(placed: Sequence[Member], count: int) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
     """Positions, names and scale (P,) of the parameters of a balancer and of a load."""
     named, names, scale = [], [], np.ones(count)
     for one in placed:
-        for position, (name, factor) in zip(one.at, one.candidate.load_parameters, strict=False):
+        for position, (name, factor) in zip(one.columns, one.candidate.rows.load_parameters, strict=False):
             named.append(int(position))
             names.append(name)
             scale[position] = factor

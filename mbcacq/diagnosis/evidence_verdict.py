@@ -10,12 +10,12 @@ import numpy as np
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis, undecided
+from mbcacq.diagnosis.evidence.posterior import alternatives_of, not_separable, reported_hypothesis, undecided
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
-from mbcacq.diagnosis.result import TOGETHER, Alternative, EffectFound, NotSeparable
+from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
 from mbcacq.effects.effect_term import UNKNOWN
 
 
@@ -53,19 +53,13 @@ def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[Ef
                 for other in alternatives_of(fit, reported, label):
                     found[other.label] = max(other.odds, found.get(other.label, 0.0))
         best = sorted(found.items(), key=lambda item: -item[1])[: OPTIONS.beam]
-        ranked = [alternative(label, odds) for label, odds in best]
+        ranked = [Alternative.of_label(label, odds) for label, odds in best]
         if full.everywhere and effect.name == UNKNOWN:
             first, *others = full.cells
             odds_of = [(c.location, float(np.exp(c.log_bayes_factor - first.log_bayes_factor))) for c in others[: OPTIONS.beam]]
             ranked = [Alternative(UNKNOWN, (at,), 0.0, odds) for at, odds in odds_of]
         out.append(replace(effect, alternatives=tuple(ranked)))
     return out
-
-
-def alternative(label: str, odds: float) -> Alternative:
-    """From ``name:where``."""
-    name, _, where = label.partition(":")
-    return Alternative(name, tuple(where.split("+")), 0.0, odds)
 
 
 def labels_of(reported: Hypothesis, name: str, where: str) -> list[str]:
@@ -81,9 +75,8 @@ def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tup
     for other in alternatives_to(fit, reported):
         ours, theirs = reported.labels - other.labels, other.labels - reported.labels
         a, b = sized(reported, ours), sized(other, theirs)
-        odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
         alike = correlation(displaced(reported, reported, ours), displaced(reported, other, theirs))
-        entries.append(NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), alike, odds))
+        entries.append(not_separable(reported, other, alike))
         if a is not None and b is not None:
             pairs.append((a, b))
     return tuple(entries), tuple(pairs)

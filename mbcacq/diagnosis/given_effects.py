@@ -24,9 +24,8 @@ from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, is_long, pre
 from mbcacq.diagnosis.result import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.covariates import Covariates
-from mbcacq.effects.declaration import Estimates
 from mbcacq.effects.described import can_be_kept
-from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect import Candidate, Parameters, label_of
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import CalibrationError
@@ -44,7 +43,7 @@ class StatedParameters:
 
     name: str
     where: tuple[str, ...]
-    parameters: Estimates
+    parameters: Parameters
 
     @property
     def label(self) -> str:
@@ -116,13 +115,8 @@ def _searched(obs: Observations, given: Sequence[GivenEffect], options: Calibrat
     fit = with_untried_rivals(problem, fit_evidence(problem))
     found, hypotheses = summarized(problem, fit), tuple(shown(fit))
     sets = tuple(with_those_given(one, given, h) for one, h in zip(found.sets, hypotheses, strict=True))
-    evidence = GivenEvidence(tuple(label_of(g.candidate.name, g.candidate.where) for g in given), replace(found, sets=sets))
+    evidence = GivenEvidence(tuple(g.candidate.label for g in given), replace(found, sets=sets))
     return PosesGiven(problem, evidence, hypotheses)
-
-
-def label_of(name: str, where: Sequence[str]) -> str:
-    """``name:where``."""
-    return f"{name}:{'+'.join(where)}"
 
 
 def with_those_given(one: ComparedSet, given: Sequence[GivenEffect], hypothesis: Hypothesis) -> ComparedSet:
@@ -135,8 +129,8 @@ def with_those_given(one: ComparedSet, given: Sequence[GivenEffect], hypothesis:
     m, v = mean[-len(given) :], np.minimum(np.diag(covariance)[-len(given) :], 1 - LEAST_INFORMATION)
     effects = []
     for g, centre, spread in zip(given, m / (1 - v), v / (1 - v), strict=True):
-        own = g.candidate.report(g.mean + g.std * centre, np.diag(g.std**2 * spread), None)
-        before = g.candidate.report(g.mean, np.diag(g.std**2), None)
+        own = g.candidate.parameters(g.mean + g.std * centre, np.diag(g.std**2 * spread))
+        before = g.candidate.parameters(g.mean, np.diag(g.std**2))
         effects.append(ComparedEffect(g.candidate.name, g.candidate.where, own, prior=before))
     return replace(one, effects=(*effects, *one.effects))
 
@@ -146,7 +140,7 @@ def given_effects(problem: DiagnosisProblem, stated: Sequence[StatedParameters])
     by_label = {one.label: one for one in stated}
     found = []
     for candidate in problem.candidates:
-        one = by_label.get(label_of(candidate.name, candidate.where))
+        one = by_label.get(candidate.label)
         known = None if one is None or candidate.variant else coefficient_of(candidate, one.parameters)
         if known is not None:
             parts = tuple(candidate_parts(problem.linear, candidate))
@@ -154,19 +148,19 @@ def given_effects(problem: DiagnosisProblem, stated: Sequence[StatedParameters])
     return tuple(found)
 
 
-def coefficient_of(candidate: Candidate, parameters: Estimates) -> tuple[np.ndarray, np.ndarray] | None:
+def coefficient_of(candidate: Candidate, parameters: Parameters) -> tuple[np.ndarray, np.ndarray] | None:
     """Mean and standard deviation (1,) of the coefficient of an effect with a single one; None where it does not follow.
 
     The parameter must be in proportion to the coefficient, sign included: a width does not tell on which side of its motion a joint is.
     """
     if candidate.k != 1 or candidate.hyper is not None:
         return None
-    unit, opposite = (candidate.report(np.full(1, sign), np.eye(1), None) for sign in (1.0, -1.0))
+    unit, opposite = (candidate.parameters(np.full(1, sign), np.eye(1)) for sign in (1.0, -1.0))
     if len(unit) != 1 or not set(unit) <= set(parameters):
         return None
     ((name, per_unit),) = unit.items()
-    of_one, of_other = (np.atleast_1d(np.asarray(p.value, dtype=float)) for p in (per_unit, opposite[name]))
-    mean, std = (np.atleast_1d(np.asarray(parameters[name][part], dtype=float)) for part in ("value", "std"))
+    of_one, of_other = (np.array(p.components[0]) for p in (per_unit, opposite[name]))
+    mean, std = map(np.array, parameters[name].components)
     if len(mean) != 1 or len(of_one) != 1 or not of_one[0] or of_other[0] != -of_one[0]:
         return None
     return (mean / of_one, std / np.abs(of_one)) if np.isfinite(mean[0]) and std[0] > 0 else None

@@ -17,7 +17,7 @@ from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
-from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, ParameterEstimate, Parameters
+from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, HyperEstimate, ParameterEstimate, Parameters, StandstillRows
 from mbcacq.effects.functions import of, times
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
@@ -131,15 +131,15 @@ def of_each_recording(candidate: Candidate, obs: Observations) -> Candidate:
     here = [of(RECORDING, "is", r) for r in range(count)]
     parts = [replace(p, columns=tuple(times(one, p.columns[0]) for one in here)) for p in candidate.parts()]
 
-    def report(c: np.ndarray, v: np.ndarray, hyper: float | None) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, hyper: HyperEstimate) -> Parameters:
         each = [candidate.report(c[r : r + 1], v[r : r + 1, r : r + 1], hyper) for r in range(count)]
         return {
             name: ParameterEstimate(tuple(_first(e[name].value) for e in each), tuple(_first(e[name].std) for e in each))
             for name in each[0]
         }
 
-    typical = np.repeat(candidate.typical, count)
-    return replace(candidate, described=parts, report=report, typical=typical, positive=False, variant=EACH_RECORDING)
+    rows = StandstillRows(parts, np.repeat(candidate.typical, count))
+    return replace(candidate, rows=rows, report=report, positive=False, variant=EACH_RECORDING)
 
 
 def _first(value: float | tuple[float, ...]) -> float:

@@ -104,6 +104,12 @@ class Alternative:
     held_out_gain: Number
     odds: float | None = None
 
+    @classmethod
+    def of_label(cls, label: str, odds: float) -> Self:
+        """From ``name:where``; what it would remove is not computed."""
+        name, _, where = label.partition(":")
+        return cls(name, tuple(where.split("+")), 0.0, odds)
+
 
 @dataclass(frozen=True, kw_only=True)
 class EffectFound:

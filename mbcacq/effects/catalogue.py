@@ -25,7 +25,7 @@ from mbcacq.effects import kinds
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import NOTHING_PARTICULAR, Declaration, EffectCoupling, PeriodicInMotion
 from mbcacq.effects.effect import Candidate, Missing
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 from mbcacq.errors import ConfigError
 
 Added = Path | str | ModuleType | Callable[[Context], list[Candidate]]
@@ -154,7 +154,7 @@ def candidates(context: Context) -> tuple[list[Candidate], dict[str, str]]:
     return out, dropped
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     """All candidates in motion for one group of channels."""
     return [c for module in effects().values() if hasattr(module, "motion_candidates") for c in module.motion_candidates(group, runs)]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.effect import Candidate, Parameters
 
 Where = tuple[str, ...]  # locations of a candidate
-Estimates = Mapping[str, Mapping[str, Any]]  # name of a parameter -> {"value": .., "std": ..}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +163,7 @@ class Declaration:
     motor_side: bool = False
     adds_body: bool = False
     model_block: str = ""
-    in_terms_of_poses: Callable[[Estimates, Estimates], Estimates] | None = None
+    in_terms_of_poses: Callable[[Parameters, Parameters], Parameters] | None = None
     needs: tuple[str, ...] = ()
     challenge: Challenge | None = None
 

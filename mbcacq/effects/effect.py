@@ -8,14 +8,15 @@ on one hyper-parameter (an order, a time constant, the moment of a step), for wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from mbcacq.effects.functions import OF_CENTRES, ZERO, Column, DescribedPart
+from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import Number
 from mbcacq.quantities import K, measured, split_unit
 
@@ -24,6 +25,7 @@ __all__ = [
     "Candidate",
     "DescribedPart",
     "FADING",
+    "HyperEstimate",
     "Hyperparameter",
     "MOMENT",
     "Missing",
@@ -31,10 +33,15 @@ __all__ = [
     "ORDER",
     "ParameterEstimate",
     "Parameters",
+    "StandstillRows",
+    "Report",
+    "joined_parameters",
+    "label_of",
     "number",
     "parameter_in_words",
     "plain_effect",
-    "scalar_report",
+    "plain_report",
+    "standard_deviations",
     "vector",
 ]
 
@@ -71,6 +78,14 @@ class Hyperparameter:
 
 
 @dataclass(frozen=True)
+class HyperEstimate:
+    """The value of a hyper-parameter and its standard deviation: 0 where that is not estimated. Not a number for an effect without one."""
+
+    value: float
+    std: float = 0.0
+
+
+@dataclass(frozen=True)
 class ParameterEstimate:
     """A reported parameter and its standard deviation, in the unit that its name ends with; tuples where it has several components."""
 
@@ -98,26 +113,50 @@ def parameter_in_words(name: str, estimate: ParameterEstimate) -> str:
 
 
 Parameters = Mapping[str, ParameterEstimate]
-Report = Callable[[np.ndarray, np.ndarray, float | None], Parameters]
+Report = Callable[[np.ndarray, np.ndarray, HyperEstimate], Parameters]
 Described = Sequence[DescribedPart] | Callable[[Any], Sequence[DescribedPart]]
 
 
+class EffectRows(Protocol):
+    """What an effect adds to the rows of a kind of recording, linear in its coefficients: ``StandstillRows``, or ``MotionRows`` in time."""
+
+    @property
+    def typical(self) -> np.ndarray: ...
+
+
+R = TypeVar("R", bound=EffectRows)
+
+
 @dataclass(frozen=True)
-class Candidate:
-    """One effect at one location, ready to be tested.
+class StandstillRows:
+    """What an effect displaces in poses at standstill.
+
+    Attributes
+    ----------
+    described
+        The parts that move, as functions of covariates; with a hyper-parameter, a function of its value that returns them. It is also
+        called with an array (H, 1) of values, and then passes these on to its functions as they are.
+    typical
+        (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable each size
+        of it is.
+    """
+
+    described: Described
+    typical: np.ndarray
+
+
+@dataclass(frozen=True)
+class Candidate(Generic[R]):
+    """One effect at one location, ready to be tested in recordings of one kind: of poses, or of motion.
 
     Attributes
     ----------
     name, where, depends_on
         Name of the effect, its locations, and the covariate that it is reported to depend on.
-    described
-        The parts that move, as functions of covariates; with a hyper-parameter, a function of its value that returns them. It is also
-        called with an array (H, 1) of values, and then passes these on to its functions as they are.
+    rows
+        What it adds to a recording: ``StandstillRows`` or ``MotionRows``.
     report
-        (coefficients (k,), covariance (k, k), value of the hyper-parameter) -> parameters by name.
-    typical
-        (k,) size of each coefficient in a real cell. From it follow whether these poses can observe the effect, and how probable each size
-        of it is.
+        (coefficients (k,), covariance (k, k), hyper-parameter with its standard deviation) -> parameters by name.
     hyper
         The hyper-parameter, if there is one.
     positive
@@ -134,14 +173,25 @@ class Candidate:
     name: str
     where: tuple[str, ...]
     depends_on: str
-    described: Described = field(compare=False)
+    rows: R = field(compare=False)
     report: Report
-    typical: np.ndarray
     hyper: Hyperparameter | None = None
     positive: bool = False
     several: bool = False
     variant: str = ""
     rarity: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not hasattr(self.rows, "typical"):
+            raise ConfigError(
+                f"the effect {self.name} has a {type(self.rows).__name__} for its rows; give StandstillRows(parts, typical) for poses, or "
+                "MotionRows(joints, columns) for motion"
+            )
+
+    @property
+    def typical(self) -> np.ndarray:
+        """(k,) sizes of the coefficients."""
+        return self.rows.typical
 
     @property
     def k(self) -> int:
@@ -149,16 +199,36 @@ class Candidate:
         return len(self.typical)
 
     @property
+    def location(self) -> tuple[str, tuple[str, ...]]:
+        """Name and location: what identifies an effect whatever its form."""
+        return self.name, self.where
+
+    @property
+    def label(self) -> str:
+        """``name:where``."""
+        return label_of(self.name, self.where)
+
+    @property
+    def form(self) -> tuple[tuple[str, tuple[str, ...]], str]:
+        """Location and variant."""
+        return self.location, self.variant
+
+    @property
     def key(self) -> str:
         """Identifies the candidate among all of a recording."""
-        return f"{self.name}:{'+'.join(self.where)}:{self.depends_on}:{self.variant}"
+        return f"{self.label}:{self.depends_on}:{self.variant}"
 
-    def parts(self, hyper: Any = None) -> tuple[DescribedPart, ...]:
+    def parameters(self, c: np.ndarray, v: np.ndarray, hyper: float | None = None, std: float = 0.0) -> Parameters:
+        """What coefficients (k,) with covariance (k, k) are reported as. hyper, std: value of the hyper-parameter and its uncertainty."""
+        return self.report(c, v, HyperEstimate(np.nan if hyper is None else hyper, std))
+
+    def parts(self: Candidate[StandstillRows], hyper: Any = None) -> tuple[DescribedPart, ...]:
         """The parts at a value of the hyper-parameter, or at an array (H, 1) of values."""
-        return tuple(self.described(hyper) if callable(self.described) else self.described)
+        described = self.rows.described
+        return tuple(described(hyper) if callable(described) else described)
 
     @cached_property
-    def components(self) -> tuple[tuple[str, int, int], ...]:
+    def components(self: Candidate[StandstillRows]) -> tuple[tuple[str, int, int], ...]:
         """The (place, index, component) of its parts if all are multiplied by the same functions of the pose, so that all values of the
         hyper-parameter can be scanned at once; coefficients are then ordered component by component. Empty for other effects.
         """
@@ -172,7 +242,7 @@ class Candidate:
         alike = all(p.columns == _placed(own, j, len(parts)) for j, p in enumerate(parts))
         return tuple((p.place, p.index, p.component) for p in parts) if alike else ()
 
-    def functions(self, values: np.ndarray) -> tuple[Column, ...]:
+    def functions(self: Candidate[StandstillRows], values: np.ndarray) -> tuple[Column, ...]:
         """The functions by which each component of an effect with ``components`` is multiplied, at values (H,) of the hyper-parameter."""
         (first, *_) = self.parts(values[:, None])
         return first.columns[: self.k // len(self.components)]
@@ -188,6 +258,11 @@ def _placed(own: tuple[Column, ...], j: int, count: int) -> tuple[Column, ...]:
     return (ZERO,) * (j * len(own)) + own + (ZERO,) * ((count - 1 - j) * len(own))
 
 
+def label_of(name: str, where: Iterable[str]) -> str:
+    """``name:where`` of an effect; several harmonics of a joint are one."""
+    return f"{name}:{'+'.join(where)}"
+
+
 def number(value: float, std: float) -> ParameterEstimate:
     """A parameter of one component."""
     return ParameterEstimate(float(value), float(std))
@@ -198,9 +273,34 @@ def vector(values: np.ndarray, covariance: np.ndarray) -> ParameterEstimate:
     return ParameterEstimate(tuple(float(v) for v in values), tuple(float(s) for s in np.sqrt(np.diag(covariance))))
 
 
-def scalar_report(name: str, scale: float = 1.0) -> Report:
-    """The report of an effect with a single coefficient, which ``scale`` converts to the unit that the name ends with."""
-    return lambda c, v, _: {name: number(scale * c[0], abs(scale) * np.sqrt(v[0, 0]))}
+def standard_deviations(covariance: np.ndarray) -> np.ndarray:
+    """(k,) from a covariance (k, k); rounding may leave a variance slightly below zero."""
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def plain_report(*names: str, scale: float = 1.0, hyper_name: str | None = None) -> Report:
+    """The report of coefficients as they are, by name, converted by ``scale`` to the unit that the names end with, and of the
+    hyper-parameter by its name.
+    """
+
+    def report(c: np.ndarray, v: np.ndarray, hyper: HyperEstimate) -> Parameters:
+        std = abs(scale) * standard_deviations(v)
+        out = {name: number(scale * c[k], std[k]) for k, name in enumerate(names)}
+        return out if hyper_name is None else out | {hyper_name: number(hyper.value, hyper.std)}
+
+    return report
+
+
+def joined_parameters(each: Iterable[Parameters]) -> dict[str, ParameterEstimate]:
+    """The parameters of several effects; a name that occurs several times (several orders at one joint) gets a tuple of values."""
+    out: dict[str, ParameterEstimate] = {}
+    for parameters in each:
+        for name, new in parameters.items():
+            if name in out:
+                (values, stds), (more, spread) = out[name].components, new.components
+                new = ParameterEstimate((*values, *more), (*stds, *spread))
+            out[name] = new
+    return out
 
 
 def plain_effect(
@@ -217,10 +317,5 @@ def plain_effect(
     fields
         Further fields of ``Candidate`` (``hyper``, ``positive``, ``several``, ``variant``).
     """
-    names = tuple(parameters)
-
-    def report(c: np.ndarray, v: np.ndarray, hyper: float | None) -> Parameters:
-        std = np.sqrt(np.diag(v))
-        return {one: number(c[j], std[j]) for j, one in enumerate(names)}
-
-    return Candidate(name, tuple(where), depends_on, described, report, np.array(list(parameters.values()), dtype=float), **fields)
+    typical = np.array(list(parameters.values()), dtype=float)
+    return Candidate(name, tuple(where), depends_on, StandstillRows(described, typical), plain_report(*parameters), **fields)

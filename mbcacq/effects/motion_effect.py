@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from mbcacq.effects.effect import Hyperparameter, ParameterEstimate
 from mbcacq.model.cell import RobotModel
 
 FILTER_OVERSAMPLING = 4  # filter steps in one sample, where a time constant is as short as the sampling interval
@@ -74,84 +74,57 @@ class ChannelGroup:
         return self.joints.index(joint)
 
 
-Columns = Callable[[MotionSignals, int, float | None], np.ndarray]
-Parameters = dict[str, dict]
-Report = Callable[[np.ndarray, np.ndarray, float | None, float], Parameters]
+Columns = Callable[[MotionSignals, int, Any], np.ndarray]
 
 
 @dataclass(frozen=True)
-class MotionCandidate:
-    """columns(run, joint, hyper) -> (T, k), with the same k coefficients for all of ``joints``.
+class MotionRows:
+    """What an effect adds to a mismatch in motion.
 
-    report(coefficients (k,), covariance (k, k), hyper, its standard deviation) -> parameters. hyper: as of a candidate of poses; with
-    ``refine`` it is estimated with the coefficients, and at the first or last of its values it is a bound of what was tried, no estimate.
-    positive: physics demands a positive first coefficient.
-    extends: a refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
-    shares_hyper: its hyper-parameter is that of the effect extended. variant: distinguishes several forms of one effect at one location.
-    channel_delay: the hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the
-    remaining delay.
-    follows_load: its columns follow the load, which is known better the further the torque is explained.
-    usual: so common that it starts selected and is dropped where it is not needed.
-    tested: so many leading coefficients must differ from zero; the others only follow (None: all).
-    load_parameters: of an effect that loads the arm as its own masses do, names of its leading coefficients and factors to their units.
-    sigma: prior standard deviation of the coefficients, one number or one each; it bounds what the data do not determine.
+    Attributes
+    ----------
+    joints
+        Joints in whose mismatch it shows.
+    columns
+        (run, joint, value of the hyper-parameter) -> (T, k), with the same k coefficients for all of the joints. With ``refine`` the
+        hyper-parameter is estimated with these, and at the first or last of its values it is a bound of what was tried, no estimate.
+    sigma
+        Prior standard deviation of the coefficients, one number or one each; it bounds what the data do not determine.
+    extends
+        A refinement of the effect of this name and location, offered only once that is selected; its parameters join that one's.
+    shares_hyper
+        Its hyper-parameter is that of the effect extended.
+    channel_delay
+        The hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the remaining delay.
+    follows_load
+        Its columns follow the load, which is known better the further the torque is explained.
+    usual
+        So common that it starts selected and is dropped where it is not needed.
+    tested
+        So many leading coefficients must differ from zero; the others only follow (None: all).
+    load_parameters
+        Of an effect that loads the arm as its own masses do, names of its leading coefficients and factors to their units.
+    typical
+        (k,) sizes of the coefficients as the search compares them, which follow from sigma or from the recording.
     """
 
-    name: str
-    where: tuple[str, ...]
-    depends_on: str
     joints: tuple[int, ...]
     columns: Columns
-    report: Report
-    hyper: Hyperparameter | None = None
-    positive: bool = False
+    sigma: float | tuple[float, ...] = np.inf
     extends: bool = False
     shares_hyper: bool = False
-    sigma: float | tuple[float, ...] = np.inf
     channel_delay: bool = False
     follows_load: bool = False
-    variant: str = ""
     usual: bool = False
     tested: int | None = None
     load_parameters: tuple[tuple[str, float], ...] = ()
-
-    @property
-    def location(self) -> tuple[str, tuple[str, ...]]:
-        """Name and location: what identifies an effect whatever its form."""
-        return self.name, self.where
+    typical: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def available(signal: np.ndarray | None) -> np.ndarray:
     """The signal of a run. A candidate is offered only where its signals were recorded, so None is an error of the program."""
     assert signal is not None, "an effect was offered without the signal that it needs"
     return signal
-
-
-def standard_deviations(covariance: np.ndarray) -> np.ndarray:
-    """(k,) from a covariance (k, k); rounding may leave a variance slightly below zero."""
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
-
-
-def plain_report(*names: str, scale: float = 1.0, hyper_name: str | None = None) -> Report:
-    """Coefficients by name, each multiplied by ``scale``, and the hyper-parameter by its name."""
-
-    def report(c: np.ndarray, v: np.ndarray, hyper: float | None, std: float) -> Parameters:
-        std_of = scale * standard_deviations(v)
-        out = {name: {"value": scale * float(c[k]), "std": float(std_of[k])} for k, name in enumerate(names)}
-        if hyper_name is not None and hyper is not None:
-            out[hyper_name] = {"value": float(hyper), "std": float(std)}
-        return out
-
-    return report
-
-
-def as_estimates(parameters: Mapping[str, ParameterEstimate]) -> Parameters:
-    """Parameters as they are reported of poses in the form in which they are reported of motion."""
-
-    def plain(value: float | tuple[float, ...]) -> float | list[float]:
-        return list(value) if isinstance(value, tuple) else value
-
-    return {name: {"value": plain(p.value), "std": plain(p.std)} for name, p in parameters.items()}
 
 
 def low_pass(signal: np.ndarray, time_constant_s: float, step_s: float) -> np.ndarray:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.declaration import PeriodicInMotion
-from mbcacq.effects.effect import Hyperparameter
-from mbcacq.effects.motion_effect import Columns, MotionCandidate, MotionSignals, Parameters, Report
+from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Parameters, Report, number
+from mbcacq.effects.motion_effect import Columns, MotionRows, MotionSignals
 
 HIGHEST_ORDER = 1500.0  # an encoder ring has a thousand lines, a motor some hundred turns with its poles
 LEAST_TRAVEL = np.radians(2.0)  # below, a joint hardly moved
@@ -30,18 +30,18 @@ class OrderRange:
 
 def periodic_component(
     effect: tuple[str, PeriodicInMotion], joint: int, order: float, spacing: float, trials: float, observed: tuple[float, float]
-) -> MotionCandidate:
+) -> Candidate:
     """The candidate of one order. effect: its name, and how it is periodic; spacing: of the orders to try around it; trials: how many were
     compared; observed: lowest and highest angle (rad) of the data that take part: elsewhere its phase is not known, and it is zero."""
     name, declared = effect
-    return MotionCandidate(
+    return Candidate(
         name,
         (f"A{joint + 1}",),
         f"q{joint + 1}",
-        (joint,),
-        _columns(observed),
+        MotionRows((joint,), _columns(observed)),
         _report(f"A{joint + 1}", declared.amplitude, declared.scale),
         Hyperparameter("", order + spacing * np.array([-0.5, 0.0, 0.5]), trials),
+        several=True,
         variant=f"{order:.4g}",
     )
 
@@ -59,8 +59,7 @@ def range_of_orders(lowest_order: float, runs: tuple[MotionSignals, ...], joint:
 
 
 def _columns(observed: tuple[float, float]) -> Columns:
-    def columns(run: MotionSignals, joint: int, order: float | None) -> np.ndarray:
-        assert order is not None
+    def columns(run: MotionSignals, joint: int, order: float) -> np.ndarray:
         q = run.q[:, joint]
         inside = (q >= observed[0] - OUTSIDE) & (q <= observed[1] + OUTSIDE)
         return np.stack([np.sin(order * q), np.cos(order * q)], axis=1) * inside[:, None]
@@ -71,16 +70,15 @@ def _columns(observed: tuple[float, float]) -> Columns:
 def _report(axis: str, amplitude_name: str, scale: float) -> Report:
     """amplitude * sin(order q + phase) from the coefficients of sine and cosine."""
 
-    def report(c: np.ndarray, v: np.ndarray, order: float | None, std: float) -> Parameters:
-        assert order is not None
+    def report(c: np.ndarray, v: np.ndarray, order: HyperEstimate) -> Parameters:
         amplitude = float(np.hypot(*c))
         radial = c / max(amplitude, 1e-300)
         tangential = np.array([-radial[1], radial[0]])
         phase_std = np.sqrt(max(tangential @ v @ tangential, 0.0)) / max(amplitude, 1e-300)
         return {
-            f"{axis}.order": {"value": float(order), "std": float(std)},
-            f"{axis}.{amplitude_name}": {"value": scale * amplitude, "std": scale * float(np.sqrt(max(radial @ v @ radial, 0.0)))},
-            f"{axis}.phase_deg": {"value": float(np.degrees(np.arctan2(c[1], c[0]))), "std": float(np.degrees(phase_std))},
+            f"{axis}.order": number(order.value, order.std),
+            f"{axis}.{amplitude_name}": number(scale * amplitude, scale * float(np.sqrt(max(radial @ v @ radial, 0.0)))),
+            f"{axis}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), float(np.degrees(phase_std))),
         }
 
     return report

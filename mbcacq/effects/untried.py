@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect import Candidate, StandstillRows
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.functions import DescribedPart, cosine, linear, sine
 
@@ -77,4 +77,4 @@ def _weights(context: Context) -> list[UntriedEffect]:
 
 def _unnamed(where: tuple[str, ...], on: str, described: list[DescribedPart], typical: np.ndarray, variant: str) -> Candidate:
     """It has no parameters to report."""
-    return Candidate(UNKNOWN, where, on, described, lambda c, v, h: {}, typical, several=True, variant=variant)
+    return Candidate(UNKNOWN, where, on, StandstillRows(described, typical), lambda c, v, h: {}, several=True, variant=variant)

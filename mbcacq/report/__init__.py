@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identity, read_run_info
 
 if TYPE_CHECKING:
+    from mbcacq.diagnosis.motion.combine import PosesAndMotion
     from mbcacq.diagnosis.motion.result import MotionDiagnosis
     from mbcacq.model.observations import Observations
     from mbcacq.report.content import ChangesContent, Content, FleetContent, ReportVerdict
@@ -89,19 +90,19 @@ def write_diagnosis_page(
     path: str | Path,
     title: str = "Diagnosis",
     about: Sequence[tuple[str, str]] = (),
-    motion: MotionDiagnosis | None = None,
+    motion: MotionDiagnosis | PosesAndMotion | None = None,
 ) -> Path:
     """Write a diagnosis as a page of its own: of poses (its JSON and what its pictures need), of motion, or of both.
 
-    about: robot, data and date (label, text). Raises ConfigError for a motion that was read from JSON, RecordingError where the file cannot
-    be written.
+    motion: with the poses of the same run, where there are both. about: robot, data and date (label, text). Raises ConfigError for a motion
+    that was read from JSON, RecordingError where the file cannot be written.
     """
     from mbcacq.report.page import render_diagnosis, write
     from mbcacq.report.sources.from_diagnosis import diagnosis_content
     from mbcacq.report.sources.from_motion import motion_content
 
     of_poses = None if diagnosis is None else diagnosis_content(diagnosis, pictures)
-    return write(render_diagnosis(of_poses, None if motion is None else motion_content(motion, diagnosis), title, about), path)
+    return write(render_diagnosis(of_poses, None if motion is None else motion_content(motion), title, about), path)
 
 
 def write_changes_page(changes: ChangesContent, path: str | Path) -> Path:

@@ -112,18 +112,24 @@ def _block_of(effect: MotionEffect, arm: MujocoArm, fit: RollOutFit, found: Moti
     if kind == "inertia":
         return parameters.inertia(arm, _last_body(arm), _with_tool(arm, found), PAYLOAD_SIGMA)
     if kind == "sensor_delay":
-        delay = float(effect.parameters["latency_s"]["value"])
+        delay = _value(effect, "latency_s")
         block = parameters.sensor_delay(arm, effect.where[0])
         return replace(block, first=np.clip(np.array([delay]), block.lower, block.upper))
     axis = int(effect.where[0][1:]) - 1
     torque, speed = _reached(fit)
     if kind == "gear":
-        added = float(effect.parameters[f"A{axis + 1}.compliance_rad_per_Nm"]["value"])
+        added = _value(effect, f"A{axis + 1}.compliance_rad_per_Nm")
         return parameters.gear(arm, arm.joints[axis], added, torque[axis])
     block = parameters.friction(arm, arm.joints[axis], torque[axis], speed[axis])
-    p = effect.parameters
-    added = [float(p.get(f"A{axis + 1}.{name}", {"value": 0.0})["value"]) for name in ("coulomb_Nm", "viscous_Nms_per_rad")]
+    names = (f"A{axis + 1}.{name}" for name in ("coulomb_Nm", "viscous_Nms_per_rad"))
+    added = [_value(effect, name) if name in effect.parameters else 0.0 for name in names]
     return replace(block, first=np.clip(block.start + added, block.lower, block.upper))
+
+
+def _value(effect: MotionEffect, name: str) -> float:
+    """A parameter of one component."""
+    (value,), _ = effect.parameters[name].components
+    return value
 
 
 def candidates(arm: MujocoArm, fit: RollOutFit) -> list[Block]:

@@ -62,13 +62,13 @@ def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Que
     what is kept.
     """
     from mbcacq.diagnosis.given_effects import evidence_given
-    from mbcacq.diagnosis.motion.combine import given_by_motion
+    from mbcacq.diagnosis.motion.combine import PosesAndMotion
 
     if found.poses is None or found.observations is None or motion is None:
         return replace(found, motion=motion)
     how.progress("searching the poses again, with what the motion shows")
     try:
-        searched = evidence_given(found.observations, given_by_motion(found.poses.to_json(), motion), how.options)
+        searched = evidence_given(found.observations, PosesAndMotion(found.poses, motion).given_by_motion, how.options)
     except CalibrationError:  # poses that do not determine the cell with it say nothing more
         searched = None
     if searched is None:
@@ -78,8 +78,8 @@ def with_motion(found: DiagnosisResult, motion: MotionDiagnosis | None, how: Que
 
 def _with_effects_of_both(found: DiagnosisResult, searched: PosesGiven) -> DiagnosisResult:
     """The diagnosis with the effects that poses and motion decide together as its model, where they do."""
-    both = found.together()
-    model = searched.model(both.sets[0].effects) if both.decided and both.significant else None
+    both = None if found.both is None else found.both.together
+    model = searched.model(both.sets[0].effects) if both is not None and both.decided and both.significant else None
     if model is None or found.poses is None or found.observations is None:
         return found
     fitted, notes = fitted_model(found.observations, model)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
 
 if TYPE_CHECKING:
-    from mbcacq.diagnosis.motion.joint_sets import JointEvidence
+    from mbcacq.diagnosis.motion.combine import PosesAndMotion
     from mbcacq.figure import Figure
 
 HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these estimates are linear, and the runs above decide:"
@@ -60,23 +60,14 @@ class DiagnosisResult:
     @property
     def verdict(self) -> str:
         """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'; of poses and motion together where there are both."""
-        from mbcacq.diagnosis.motion.combine import verdict_of_both
+        return self.main.verdict if self.both is None else self.both.verdict
 
-        if self.poses is None or self.motion is None:
-            return self.main.verdict
-        return verdict_of_both(self._poses_as_json(), self.motion, self.together())
+    @cached_property
+    def both(self) -> PosesAndMotion | None:
+        """Poses and motion as one problem, where there are both."""
+        from mbcacq.diagnosis.motion.combine import PosesAndMotion
 
-    def together(self) -> JointEvidence:
-        """The evidence of poses and motion as one problem; without sets where there are not both."""
-        from mbcacq.diagnosis.motion.combine import together
-        from mbcacq.diagnosis.motion.joint_sets import JointEvidence
-
-        return JointEvidence((), -math.inf) if self.motion is None else together(self._poses_as_json(), self.motion)
-
-    def _poses_as_json(self) -> dict[str, Any]:
-        """The poses' part of the JSON, with their evidence beside the motion."""
-        content = {} if self.poses is None else self.poses.to_json()
-        return content if self.given_motion is None else content | {"given_motion": plain(self.given_motion)}
+        return None if self.poses is None or self.motion is None else PosesAndMotion(self.poses, self.motion, self.given_motion)
 
     @property
     def effects(self) -> Sequence[EffectFound | MotionEffect | UnmodelledMotionEffect]:
@@ -102,7 +93,6 @@ class DiagnosisResult:
 
     def in_words(self, calibrated: bool = False) -> str:
         """``text``; calibrated: the cell was calibrated with what was found, and the next step follows that."""
-        from mbcacq.diagnosis.motion.combine import combined_text
         from mbcacq.diagnosis.motion.text import headline, motion_details, motion_text
         from mbcacq.diagnosis.output.text import words
 
@@ -112,7 +102,7 @@ class DiagnosisResult:
         if self.poses is None:
             return "\n".join([motion_text(self.motion), *written]) if self.motion else ""
         text = words(self.poses, calibrated)
-        text = text if self.motion is None else combined_text(self._poses_as_json(), text, self.motion)
+        text = text if self.both is None else self.both.in_words(text)
         return "\n".join([text, *(check.text for check in self.checks), *written])
 
     def pictures(self) -> dict[str, Any]:
@@ -146,8 +136,8 @@ class DiagnosisResult:
         ConfigError for one that was read from JSON."""
         from mbcacq.report import write_diagnosis_page
 
-        poses = (None, None) if self.poses is None else (self._poses_as_json(), self.pictures())
-        return write_diagnosis_page(*poses, path, about=self._about(), motion=self.motion)
+        poses = (None, None) if self.poses is None else (self.poses.to_json(), self.pictures())
+        return write_diagnosis_page(*poses, path, about=self._about(), motion=self.both or self.motion)
 
     def _about(self) -> list[tuple[str, str]]:
         """Robot, data and date, as the page names them."""
@@ -187,9 +177,7 @@ class DiagnosisResult:
     def to_dict(self) -> dict[str, Any]:
         """The JSON content, format mbcacq-diagnosis/3 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
         motion stands under its own key."""
-        from mbcacq.diagnosis.motion.combine import combined
-
-        content = self.main.to_json() if self.poses is None else self._poses_as_json()
+        content = self.main.to_json() | ({} if self.given_motion is None else {"given_motion": plain(self.given_motion)})
         if self.simulation is not None:
             content["simulation"] = plain(self.simulation.to_dict())
         if self.poses is None:
@@ -199,7 +187,7 @@ class DiagnosisResult:
             "checks": [plain(check.to_dict()) for check in self.checks],
             "provenance": plain(dict(self.provenance or {})),
         }
-        return content if self.motion is None else combined(content, self.motion)
+        return content if self.both is None else content | self.both.to_json()
 
     def _recordings(self) -> list[dict[str, Any]]:
         """Before and after in each recording: the one learnt from, and those that it was tried on."""

@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import parts_of
-from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.effect import Candidate, StandstillRows, plain_report
 from mbcacq.estimation import forward_model, initial_guess
 from mbcacq.estimation.forward_model import CellState, Displacements
 from mbcacq.estimation.terms import Part, accumulate, term
@@ -205,7 +205,7 @@ def observe(
 
 def candidate(name: str, where: str, typical: list[float], depends_on: str = "pose", **options) -> Candidate:
     """A candidate without parts, for rules that ask only what it is."""
-    return Candidate(name, (where,), depends_on, no_parts, scalar_report("size"), np.array(typical), **options)
+    return Candidate(name, (where,), depends_on, StandstillRows(no_parts, np.array(typical)), plain_report("size"), **options)
 
 
 def no_parts(_: float | None) -> list[Part]:

@@ -17,7 +17,7 @@ from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.given_effects import StatedParameters, as_displaced, coefficient_of, evidence_given, given_effects
 from mbcacq.diagnosis.interim import weigh
 from mbcacq.diagnosis.problem import prepare
-from mbcacq.effects.effect import Candidate, number, scalar_report
+from mbcacq.effects.effect import Candidate, ParameterEstimate, StandstillRows, number, plain_report
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
@@ -37,9 +37,7 @@ HEAVY = [
 
 def of_motion(value: float = SOFT, std: float = KNOWN) -> list[StatedParameters]:
     """The compliance of both joints as a motion would state it."""
-    return [
-        StatedParameters("joint_compliance", (at,), {f"{at}.compliance_rad_per_Nm": {"value": value, "std": std}}) for at in ("A2", "A3")
-    ]
+    return [StatedParameters("joint_compliance", (at,), {f"{at}.compliance_rad_per_Nm": number(value, std)}) for at in ("A2", "A3")]
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +80,7 @@ def test_a_cell_calibrated_with_it_has_the_given_effects_as_they_were_given(reco
 
 
 def test_effects_of_which_nothing_is_a_candidate_change_nothing(recorded):
-    assert evidence_given(recorded, [StatedParameters("friction", ("A2",), {"A2.coulomb_Nm": {"value": 30.0, "std": 1.0}})]) is None
+    assert evidence_given(recorded, [StatedParameters("friction", ("A2",), {"A2.coulomb_Nm": number(30.0, 1.0)})]) is None
 
 
 def log_density(linear: LinearProblem, noise: Noise, mean: np.ndarray, columns: np.ndarray, sigma: np.ndarray) -> float:
@@ -127,11 +125,11 @@ def test_a_parameter_without_a_sign_is_no_coefficient():
     def width(c, v, _):
         return {"A4.width_deg": number(abs(c[0]), np.sqrt(v[0, 0]))}
 
-    parameters = {"A4.width_deg": {"value": 0.006, "std": 1e-4}}
-    signed = Candidate("play", ("A4",), "direction_4", [], scalar_report("A4.width_deg", 2.0), np.array([3e-5]))
+    parameters = {"A4.width_deg": number(0.006, 1e-4)}
+    signed = Candidate("play", ("A4",), "direction_4", StandstillRows([], np.array([3e-5])), plain_report("A4.width_deg", scale=2.0))
     known = coefficient_of(signed, parameters)
     assert known is not None
     assert known[0] == pytest.approx(0.003)
     assert known[1] == pytest.approx(5e-5)
     assert coefficient_of(replace(signed, report=width), parameters) is None
-    assert coefficient_of(signed, {"A4.width_deg": {"value": [0.006, 0.007], "std": [1e-4, 1e-4]}}) is None
+    assert coefficient_of(signed, {"A4.width_deg": ParameterEstimate((0.006, 0.007), (1e-4, 1e-4))}) is None

@@ -44,7 +44,7 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
         ("joint_compliance", ("A3",)),
     }
     for (candidate, hyper), p in zip(found.model.effects, found.model.slices(), strict=True):
-        reported = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)
+        reported = candidate.parameters(found.model.coefficients[p], found.model.covariance[p, p], hyper)
         for name, entry in reported.items():
             true = {"mass_kg": mass, "com_mm": np.array(com)}.get(name, softness)
             assert np.all(np.abs(np.array(entry.value) - true) < 3 * np.array(entry.std)), name
@@ -61,7 +61,7 @@ def test_a_far_too_heavy_tool_on_soft_joints_is_measured(seeing):
     assert set(found.model.names) == {"payload", "joint_compliance"}
     candidate, hyper = found.model.effects[-1]
     p = found.model.slices()[-1]
-    mass = candidate.report(found.model.coefficients[p], found.model.covariance[p, p], hyper)["mass_kg"]
+    mass = candidate.parameters(found.model.coefficients[p], found.model.covariance[p, p], hyper)["mass_kg"]
     assert abs(mass.value - 12.0) < 3 * mass.std
     assert mass.std < 1.5
 

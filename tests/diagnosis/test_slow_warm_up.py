@@ -13,7 +13,7 @@ def measured(plan, seed, offset_mm, time_constant_s):
     model = model_fit.fit_model(model_fit.prepare(observed)).model
     ((candidate, hyper),) = model.effects
     assert candidate.name == "scanner_warmup"
-    offset, constant = candidate.report(model.coefficients, model.covariance, hyper).values()
+    offset, constant = candidate.parameters(model.coefficients, model.covariance, hyper).values()
     away = (np.array(offset.value) - offset_mm) / np.array(offset.std)
     return away, (constant.value - time_constant_s) / constant.std, constant.std
 

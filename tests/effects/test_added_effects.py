@@ -5,7 +5,7 @@ import types
 import pytest
 
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import plain_effect
+from mbcacq.effects.effect import Candidate, plain_effect, plain_report
 from mbcacq.effects.functions import DescribedPart, sine
 from mbcacq.errors import ConfigError
 
@@ -54,3 +54,9 @@ def test_what_is_no_effect_is_refused_in_a_sentence():
     for wrong, words in ((other_name, "makes candidates of an effect hose_pull"), (no_list, "returns no list of candidates")):
         with catalogue.with_added([wrong]), pytest.raises(ConfigError, match=words):
             catalogue.effects()[wrong.__name__].candidates(None)
+
+
+def test_a_candidate_says_what_its_rows_must_be():
+    parts = [DescribedPart("joint", 0, 0, (sine("q2", 1),))]
+    with pytest.raises(ConfigError, match=r"hose_pull has a list for its rows; give StandstillRows\(parts, typical\)"):
+        Candidate("hose_pull", ("A1",), "q2", parts, plain_report("A1.pull_rad"))

@@ -70,7 +70,7 @@ def test_parameters_are_the_turns_about_the_targets_axes(variant):
     to_tracker = np.linalg.inv(T_BASE_TRACKER)
     seen_from = [(to_tracker @ plain.frames(q)[-1] @ T_FLANGE_TARGET) for q in obs.q]
     turns = np.array([LINEAR @ T[:3, :3].T @ (T[:3, 3] / np.linalg.norm(T[:3, 3])) for T in seen_from])
-    reported = candidate.report(found, 1e-16 * np.eye(candidate.k), None)
+    reported = candidate.parameters(found, 1e-16 * np.eye(candidate.k), None)
     for axis, size in zip("xyz", turns.std(axis=0), strict=True):
         assert reported[f"about_{axis}_rad"].value == pytest.approx(size, rel=1e-3)
 

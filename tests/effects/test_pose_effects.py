@@ -75,7 +75,7 @@ def test_the_reported_parameters_are_those_of_the_physics(case, world, context):
     candidate = the_candidate(case, here)
     *_, coefficients = fitted(case, candidate, world, here)
 
-    reported = candidate.report(coefficients, 1e-12 * np.diag(coefficients**2), case.hyper)
+    reported = candidate.parameters(coefficients, 1e-12 * np.diag(coefficients**2), case.hyper)
 
     wanted = expected(case, world)
     assert set(reported) == set(wanted)
@@ -89,12 +89,14 @@ def test_a_stated_deviation_is_that_of_the_coefficients_propagated(case, world, 
     candidate = the_candidate(case, here)
     *_, c = fitted(case, candidate, world, here)
     deviation = 1e-3 * np.maximum(np.abs(c), 1e-3 * np.abs(c).max())
-    reported = candidate.report(c, np.diag(deviation**2), case.hyper)
+    reported = candidate.parameters(c, np.diag(deviation**2), case.hyper)
 
     for name, entry in reported.items():
         if name.split(".")[-1] in ESTIMATED_WITH_A_CURVE:
             continue
-        moved = [np.atleast_1d(candidate.report(c + step, np.diag(deviation**2), case.hyper)[name].value) for step in np.diag(deviation)]
+        moved = [
+            np.atleast_1d(candidate.parameters(c + step, np.diag(deviation**2), case.hyper)[name].value) for step in np.diag(deviation)
+        ]
         propagated = np.sqrt(np.sum((np.array(moved) - np.atleast_1d(entry.value)) ** 2, axis=0))
         np.testing.assert_allclose(np.atleast_1d(entry.std), WIDENED.get((case.name, name), 1.0) * propagated, rtol=5e-3, err_msg=name)
 

@@ -3,16 +3,30 @@
 import json
 import pickle
 
+import numpy as np
 import pytest
 
-from mbcacq.diagnosis.motion.combine import agreement, combined, combined_text, decided
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, NotSeparable
+from mbcacq.effects.effect import ParameterEstimate, number
 from mbcacq.errors import ConfigError
+
+FIT = FitSummary(FitFigures(0.1, 0.05, 4.0, 1.0), HeldOutFigures(0.1, 0.05, 4.0, 1.0, "station"), 0.05)
+
+
+def of_poses(*effects, not_separable=()):
+    """effects: name, locations and parameters."""
+    found = tuple(EffectFound(name=n, where=w, parameters=p, p_value=0.0, held_out_gain=1.0) for n, w, p in effects)
+    return Diagnosis(verdict="explained", mismatch=(), effects=found, fit=FIT, not_separable=not_separable)
 
 
 def poses(value, std):
-    effect = {"name": "joint_compliance", "where": ["A2"], "parameters": {"A2.compliance_rad_per_Nm": {"value": value, "std": std}}}
-    return {"verdict": "explained", "effects": [effect]}
+    return of_poses(("joint_compliance", ("A2",), {"A2.compliance_rad_per_Nm": number(value, std)}))
+
+
+def both(poses, motion):
+    return PosesAndMotion(poses, motion)
 
 
 COMPARED = {"name": "joint_compliance", "where": ["A2"], "parameters": {"com_mm": {"value": [1.0, 2.0], "std": [0.1, 0.2]}}, "tried": True}
@@ -55,23 +69,29 @@ def motion(value=4.2e-6, std=1e-7, named=True):
 
 
 def test_two_measurements_of_one_compliance():
-    found = agreement(poses(4.0e-6, 1e-7), MotionDiagnosis.from_json(motion()))
+    found = both(poses(4.0e-6, 1e-7), MotionDiagnosis.from_json(motion())).agreement
     assert [(a.parameter, a.agrees) for a in found] == [("A2.compliance_rad_per_Nm", True)]
     assert abs(found[0].sigmas - 1.414) < 1e-3
-    assert not agreement(poses(4.0e-6, 1e-8), MotionDiagnosis.from_json(motion(std=1e-8)))[0].agrees
-    assert agreement(poses(4.0e-6, 1e-8), MotionDiagnosis.from_json(motion(named=False))) == []
+    assert not both(poses(4.0e-6, 1e-8), MotionDiagnosis.from_json(motion(std=1e-8))).agreement[0].agrees
+    assert both(poses(4.0e-6, 1e-8), MotionDiagnosis.from_json(motion(named=False))).agreement == []
 
 
 def test_combined_json_has_both_diagnoses_and_the_agreement():
-    both = combined(poses(4.0e-6, 1e-7), MotionDiagnosis.from_json(motion()))
-    assert both["motion"] == motion()
-    assert both["agreement"][0]["poses"] == {"value": 4.0e-6, "std": 1e-7}
-    assert both["agreement"][0]["motion"] == {"value": 4.2e-6, "std": 1e-7}
-    assert both["together"]["verdict"] == "partly_explained"
+    content = both(poses(4.0e-6, 1e-7), MotionDiagnosis.from_json(motion())).to_json()
+    assert content["motion"] == motion()
+    assert content["agreement"][0]["poses"] == {"value": 4.0e-6, "std": 1e-7}
+    assert content["agreement"][0]["motion"] == {"value": 4.2e-6, "std": 1e-7}
+    assert content["together"]["verdict"] == "partly_explained"
+
+
+def test_poses_and_motion_are_read_from_json_as_they_were_written():
+    written = both(poses(4.0e-6, 1e-7), MotionDiagnosis.from_json(motion()))
+    content = json.loads(json.dumps(written.poses.to_json() | written.to_json(), allow_nan=False))
+    assert PosesAndMotion.of_json(content).to_json() == written.to_json()
 
 
 def test_a_contradiction_is_the_verdict_on_the_run():
-    assert combined(poses(4.0e-6, 1e-8), MotionDiagnosis.from_json(motion(std=1e-8)))["together"]["verdict"] == "cannot_tell"
+    assert both(poses(4.0e-6, 1e-8), MotionDiagnosis.from_json(motion(std=1e-8))).verdict == "cannot_tell"
 
 
 def test_diagnosis_of_motion_goes_through_json_and_pickle_unchanged():
@@ -101,8 +121,7 @@ def test_a_diagnosis_of_poses_is_no_diagnosis_of_motion():
 
 
 def in_poses(name, where, **parameters):
-    estimates = {key.replace("__", "."): {"value": v, "std": s} for key, (v, s) in parameters.items()}
-    return {"verdict": "explained", "effects": [{"name": name, "where": where, "parameters": estimates}], "not_separable": []}
+    return name, tuple(where), {key.replace("__", "."): ParameterEstimate(v, s) for key, (v, s) in parameters.items()}
 
 
 def in_motion(name, where, **parameters):
@@ -113,20 +132,20 @@ def in_motion(name, where, **parameters):
 
 
 def test_a_tool_of_12_kg_in_the_poses_contradicts_one_of_15_kg_in_the_motion():
-    poses = in_poses("payload", ["mount"], mass_kg=(12.0, 0.5), com_mm=([0.0, 0.0, 90.0], [5.0, 5.0, 5.0]))
+    tool = in_poses("payload", ["mount"], mass_kg=(12.0, 0.5), com_mm=((0.0, 0.0, 90.0), (5.0, 5.0, 5.0)))
     found = in_motion("payload", ["mount"], mass_kg=(15.0, 0.2), com_mm=([3.0, -4.0, 95.0], [5.0, 5.0, 5.0]))
-    assert [(a.parameter, a.agrees) for a in agreement(poses, found)] == [("mass_kg", False), ("com_mm", True)]
-    text = combined_text(poses, "", found)
+    assert [(a.parameter, a.agrees) for a in both(of_poses(tool), found).agreement] == [("mass_kg", False), ("com_mm", True)]
+    text = both(of_poses(tool), found).in_words("")
     assert text.startswith(
         "Poses and motion contradict each other on payload at mount, mass: 12.0 ± 1.0 kg by the poses and 15.00 ± 0.40 kg"
     )
 
 
 def test_a_balancer_s_torque_is_compared_by_the_angle_to_which_the_gear_gives_way():
-    poses = in_poses("gravity_compensator", ["A2"], A2__preload_deg=(-0.0344, 0.001), A2__zero_deg=(-90.0, 1.0))
-    poses["effects"] += in_poses("joint_compliance", ["A2"], A2__compliance_rad_per_Nm=(2e-7, 2e-9))["effects"]
+    balancer = in_poses("gravity_compensator", ["A2"], A2__preload_deg=(-0.0344, 0.001), A2__zero_deg=(-90.0, 1.0))
+    soft = in_poses("joint_compliance", ["A2"], A2__compliance_rad_per_Nm=(2e-7, 2e-9))
     torque = {"A2__preload_Nm": (3000.0, 30.0), "A2__zero_deg": (-95.0, 1.0)}
-    found = {a.parameter: a for a in agreement(poses, in_motion("gravity_compensator", ["A2"], **torque))}
+    found = {a.parameter: a for a in both(of_poses(balancer, soft), in_motion("gravity_compensator", ["A2"], **torque)).agreement}
     assert found["A2.preload_deg"].agrees
     assert found["A2.preload_deg"].motion.value == pytest.approx(-3000 * 2e-7 * 57.29578)
     assert not found["A2.zero_deg"].agrees  # 5 deg apart, 1.4 deg uncertain
@@ -134,24 +153,27 @@ def test_a_balancer_s_torque_is_compared_by_the_angle_to_which_the_gear_gives_wa
 
 def test_couplings_are_compared_where_they_join_the_same_joints():
     found = in_motion("wrist_coupling", ["A4", "A6"], ratio=(3e-4, 1e-5))
-    assert [a.agrees for a in agreement(in_poses("wrist_coupling", ["A4", "A6"], ratio=(3.1e-4, 1e-5)), found)] == [True]
-    assert agreement(in_poses("wrist_coupling", ["A4", "A5"], ratio=(9e-4, 1e-5)), found) == []
+    alike, elsewhere = (in_poses("wrist_coupling", ["A4", at], ratio=(r, 1e-5)) for at, r in (("A6", 3.1e-4), ("A5", 9e-4)))
+    assert [a.agrees for a in both(of_poses(alike), found).agreement] == [True]
+    assert both(of_poses(elsewhere), found).agreement == []
 
 
 def test_of_several_orders_those_of_one_order_are_compared():
-    many = {"A4__order": ([60.0, 2.0], [0.1, 0.1]), "A4__phase_deg": ([10.0, 179.0], [2.0, 2.0])}
+    many = {"A4__order": ((60.0, 2.0), (0.1, 0.1)), "A4__phase_deg": ((10.0, 179.0), (2.0, 2.0))}
     one = {"A4__order": (2.05, 0.1), "A4__phase_deg": (-179.5, 2.0)}
-    found = agreement(in_poses("gear_transmission_error", ["A4"], **many), in_motion("gear_transmission_error", ["A4"], **one))
+    name = "gear_transmission_error"
+    found = both(of_poses(in_poses(name, ["A4"], **many)), in_motion(name, ["A4"], **one)).agreement
     assert [(a.parameter, a.poses.value, a.agrees) for a in found] == [("A4.order", 2.0, True), ("A4.phase_deg", 179.0, True)]
     assert found[1].sigmas == pytest.approx(1.5 / 8**0.5)
 
 
 def test_what_one_cannot_tell_apart_is_named_by_the_other():
-    poses = in_poses("payload", ["mount"], mass_kg=(12.0, 0.5))
-    (pair,) = decided(poses, MotionDiagnosis.from_json(motion()))
+    tool = in_poses("payload", ["mount"], mass_kg=(12.0, 0.5))
+    (pair,) = both(of_poses(tool), MotionDiagnosis.from_json(motion())).decided
     assert (pair.effects, pair.named, pair.by) == (("payload:mount", "arm"), "payload:mount", "poses")
-    poses |= {"not_separable": [{"effects": ["joint_compliance:A2", "backlash:A2"], "correlation": None}]}
-    assert {(p.named, p.by) for p in decided(poses, MotionDiagnosis.from_json(motion()))} == {
+    alike = NotSeparable(("joint_compliance:A2", "backlash:A2"), np.nan)
+    undecided = of_poses(tool, not_separable=(alike,))
+    assert {(p.named, p.by) for p in both(undecided, MotionDiagnosis.from_json(motion())).decided} == {
         ("payload:mount", "poses"),
         ("joint_compliance:A2", "motion"),
     }

@@ -114,7 +114,7 @@ def test_an_ideal_arm_shows_no_effect():
 def test_latency_of_the_joint_encoder():
     result = diagnose_trajectories([recording(1, latency=0.003), recording(2, latency=0.003)])
     found = value(result, "channel_latency", "latency_s")
-    assert abs(found["value"] - 0.003) < max(3 * found["std"], 2e-5)
+    assert abs(found.value - 0.003) < max(3 * found.std, 2e-5)
     assert ("channel_latency", "q_joint") in named(result)
 
 
@@ -122,24 +122,24 @@ def test_torque_ripple_is_late_with_its_channel():
     """A delay that shifts a fast periodic component by half a radian leaves delay and amplitude alone."""
     result = diagnose_trajectories([recording(k, late_torque=0.004, torque_ripple=5.0) for k in (1, 2)], cross_validation=False)
     late = value(result, "channel_latency", "latency_s")
-    assert abs(late["value"] - 0.004) < 3 * late["std"] < 2e-4
+    assert abs(late.value - 0.004) < 3 * late.std < 2e-4
     for axis in ("A1", "A2"):
         found = value(result, "torque_ripple", f"{axis}.amplitude_Nm")
-        assert abs(found["value"] - 5.0) < 3 * found["std"] < 0.2
+        assert abs(found.value - 5.0) < 3 * found.std < 0.2
 
 
 def test_friction_grows_with_the_actual_load_not_with_the_described_one():
     result = diagnose_trajectories([recording(k, coulomb=5.0, load_share=0.15, heavier=1.08) for k in (1, 2)], cross_validation=False)
     for name, true in (("A2.load_dependent", 0.15), ("A2.coulomb_Nm", 5.0)):
         found = value(result, "friction", name)
-        assert abs(found["value"] - true) < 3 * found["std"]
+        assert abs(found.value - true) < 3 * found.std
 
 
 def test_backlash_is_crossed_in_a_time_of_its_own():
     result = diagnose_trajectories([recording(k, clearance=1e-4, flank_s=0.012) for k in (1, 2)], cross_validation=False)
     width = value(result, "backlash", "A1.width_deg")
-    assert abs(width["value"] - np.degrees(1e-4)) < 3 * width["std"] < 0.1 * np.degrees(1e-4)
-    assert value(result, "backlash", "A1.crossing_s")["value"] == pytest.approx(0.012, rel=0.3)
+    assert abs(width.value - np.degrees(1e-4)) < 3 * width.std < 0.1 * np.degrees(1e-4)
+    assert value(result, "backlash", "A1.crossing_s").value == pytest.approx(0.012, rel=0.3)
 
 
 def test_wind_up_is_distinguished_from_friction_and_latency():
@@ -147,23 +147,23 @@ def test_wind_up_is_distinguished_from_friction_and_latency():
     result = diagnose_trajectories(runs)
     assert {("channel_latency", "q_joint"), ("joint_compliance", "A2"), ("friction", "A1"), ("friction", "A2")} <= named(result)
     wound = value(result, "joint_compliance", "A2.compliance_rad_per_Nm")
-    assert abs(wound["value"] - 2e-5) < max(3 * wound["std"], 4e-7)
+    assert abs(wound.value - 2e-5) < max(3 * wound.std, 4e-7)
     for axis in ("A1", "A2"):
         rub = value(result, "friction", f"{axis}.viscous_Nms_per_rad")
-        assert abs(rub["value"] - 15.0) < max(3 * rub["std"], 1.0)
+        assert abs(rub.value - 15.0) < max(3 * rub.std, 1.0)
 
 
 def test_transmission_error_with_its_order():
     result = diagnose_trajectories([recording(k, transmission_error=3e-5) for k in (1, 2)])
     assert {("gear_transmission_error", "A1"), ("gear_transmission_error", "A2")} <= named(result)
-    assert value(result, "gear_transmission_error", "A2.order")["value"] == pytest.approx(20.0, abs=0.3)
-    assert value(result, "gear_transmission_error", "A2.amplitude_deg")["value"] == pytest.approx(np.degrees(3e-5), rel=0.1)
+    assert value(result, "gear_transmission_error", "A2.order").value == pytest.approx(20.0, abs=0.3)
+    assert value(result, "gear_transmission_error", "A2.amplitude_deg").value == pytest.approx(np.degrees(3e-5), rel=0.1)
 
 
 def test_backlash():
     result = diagnose_trajectories([recording(k, clearance=1e-4) for k in (1, 2)])
     assert {("backlash", "A1"), ("backlash", "A2")} <= named(result)
-    assert value(result, "backlash", "A1.width_deg")["value"] == pytest.approx(np.degrees(1e-4), rel=0.1)
+    assert value(result, "backlash", "A1.width_deg").value == pytest.approx(np.degrees(1e-4), rel=0.1)
 
 
 def test_uneven_sampling_and_missing_channels():
@@ -194,7 +194,7 @@ def test_a_joint_that_stands_in_a_recording_does_not_change_its_friction():
     result = diagnose_trajectories(runs, cross_validation=False)
     for axis in ("A1", "A2"):
         rub = value(result, "friction", f"{axis}.coulomb_Nm")
-        assert abs(rub["value"] - 8.0) < 3 * rub["std"] < 1.0
+        assert abs(rub.value - 8.0) < 3 * rub.std < 1.0
 
 
 @pytest.mark.parametrize(

@@ -67,10 +67,10 @@ def candidate(module, channel, run, where, form=""):
 
 def fitted(chosen, run, joint, mismatch, hyper=None, use=slice(None)):
     """Parameters that the columns of a candidate give for a mismatch (T,), and the largest residual."""
-    columns = chosen.columns(run, joint, hyper)
+    columns = chosen.rows.columns(run, joint, hyper)
     c = np.linalg.lstsq(columns[use], mismatch[use], rcond=None)[0]
-    reported = chosen.report(c, np.zeros((len(c), len(c))), hyper, 0.0)
-    return {key: entry["value"] for key, entry in reported.items()}, np.abs(columns[use] @ c - mismatch[use]).max()
+    reported = chosen.parameters(c, np.zeros((len(c), len(c))), hyper)
+    return {key: entry.value for key, entry in reported.items()}, np.abs(columns[use] @ c - mismatch[use]).max()
 
 
 def check_joint_scale():
@@ -83,7 +83,7 @@ def check_joint_scale():
 def check_wrist_coupling():
     """A6 follows 0.03 % of the rotation of A4."""
     chosen = candidate(wrist_coupling, "q_joint", signals(), ("A4", "A6"))
-    assert chosen.joints == (5,)
+    assert chosen.rows.joints == (5,)
     found, _ = fitted(chosen, signals(), 5, 3e-4 * Q[:, 3])
     assert found == pytest.approx({"ratio": 3e-4})
 
@@ -176,10 +176,10 @@ def check_payload():
     # mass, first moment, then the tensor about the flange: a point on its x axis has two equal moments
     inertial = mass * np.array([1.0, offset, 0, 0, *(offset**2 * np.array([0, 0, 0, 1, 0, 1]))])
     for joint, torque in ((0, first), (1, second)):
-        np.testing.assert_allclose((chosen.columns(run, joint, None) @ inertial)[100:-100], torque[100:-100], atol=1e-2)
-    reported = chosen.report(inertial, np.zeros((10, 10)), None, 0.0)
-    assert reported["mass_kg"]["value"] == mass
-    assert reported["com_mm"]["value"] == pytest.approx([60.0, 0.0, 0.0])
+        np.testing.assert_allclose((chosen.rows.columns(run, joint, None) @ inertial)[100:-100], torque[100:-100], atol=1e-2)
+    reported = chosen.parameters(inertial, np.zeros((10, 10)))
+    assert reported["mass_kg"].value == mass
+    assert reported["com_mm"].value == pytest.approx([60.0, 0.0, 0.0])
 
 
 def check_gravity_compensator():

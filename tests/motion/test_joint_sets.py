@@ -5,13 +5,14 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, StatedEffect, joint_evidence, log_of_one, not_excluded
+from mbcacq.effects.effect import number
 
 TOOL, SOFT, BALANCER, PLAY = "payload:mount", "joint_compliance:A2", "gravity_compensator:A2", "backlash:A4"
 PRIOR = 8.0  # kg, of a tool
 
 
 def kilograms(value, std=0.1, log_prior=-3.0):
-    return StatedEffect({"mass_kg": {"value": value, "std": std}}, {"mass_kg": {"value": 10.0, "std": PRIOR}}, log_prior)
+    return StatedEffect({"mass_kg": number(value, std)}, {"mass_kg": number(10.0, PRIOR)}, log_prior)
 
 
 NOTHING_STATED = StatedEffect()
@@ -65,8 +66,8 @@ def log_evidence(X, y, prior_std):
 def stated(X, y, prior_std, log_prior):
     """Posterior of that coefficient as a kilogram beyond 5 kg."""
     variance = 1 / (X @ X + prior_std**-2)
-    entry = {"value": 5.0 + variance * (X @ y), "std": np.sqrt(variance)}
-    return StatedEffect({"mass_kg": entry}, {"mass_kg": {"value": 5.0, "std": prior_std}}, log_prior)
+    entry = number(5.0 + variance * (X @ y), np.sqrt(variance))
+    return StatedEffect({"mass_kg": entry}, {"mass_kg": number(5.0, prior_std)}, log_prior)
 
 
 @pytest.mark.parametrize("true", [0.3, 2.5])
@@ -103,8 +104,8 @@ def test_what_neither_shows_alone_is_shown_by_both():
 
 def test_a_phase_is_compared_the_shorter_way_round_and_has_no_wider_prior_than_a_turn():
     def wave(phase):
-        entries = {"A4.order": {"value": 2.0, "std": 0.1}, "A4.phase_deg": {"value": phase, "std": 3.0}}
-        return StatedEffect(entries, {"A4.phase_deg": {"value": 0.0, "std": 1e6}}, 0.0)
+        entries = {"A4.order": number(2.0, 0.1), "A4.phase_deg": number(phase, 3.0)}
+        return StatedEffect(entries, {"A4.phase_deg": number(0.0, 1e6)}, 0.0)
 
     near, far = log_of_one([wave(179.0), wave(-179.5)]), log_of_one([wave(179.0), wave(0.0)])
     combined = 3.0 * np.sqrt(2.0)
@@ -113,5 +114,5 @@ def test_a_phase_is_compared_the_shorter_way_round_and_has_no_wider_prior_than_a
 
 
 def test_without_priors_half_the_squared_distance_is_taken_off():
-    one, other = (StatedEffect({"mass_kg": {"value": v, "std": 0.1}}) for v in (12.0, 12.1))
+    one, other = (StatedEffect({"mass_kg": number(v, 0.1)}) for v in (12.0, 12.1))
     assert log_of_one([one, other]) == pytest.approx(-0.25)

@@ -50,10 +50,10 @@ HEAVIER = [0.0, 0.08, -0.05, 0.06, 0.0, 0.0]
 def test_a_balancer_is_an_alternative_where_masses_are_off_over_a_small_range(kr10, half_range, heavier, asked):
     chosen, _ = selection(kr10, half_range, heavier)
 
-    found = [a for a in load_alternatives(chosen.model, chosen.pool) if a.alternative == "gravity_compensator:A2"]
+    found = [a for a in load_alternatives(chosen.model, chosen.pool) if a.effects[1] == "gravity_compensator:A2"]
 
     assert bool(found) == asked
-    assert all(a.reported == "arm" and 0.05 < a.odds <= 1.0 and a.correlation > 0.9 for a in found)
+    assert all(a.effects[0] == "arm" and 0.05 < a.odds <= 1.0 and a.correlation > 0.9 for a in found)
 
 
 def test_the_verdict_says_that_it_cannot_tell_and_names_the_motion_that_would(kr10):

@@ -28,7 +28,7 @@ def test_joint_side_angles_are_explained_to_five_thousandths_of_a_degree(kr300):
         assert c.held_out.after_rms <= 0.005
     late = next(e for e in kr300.named_effects if e.name == "channel_latency")
     assert late.where == ("q_joint",)
-    assert late.parameters["latency_s"]["value"] == pytest.approx(0.003, abs=2e-4)
+    assert late.parameters["latency_s"].value == pytest.approx(0.003, abs=2e-4)
 
 
 @pytest.mark.parametrize(("axis", "rms"), [("A1", 200), ("A2", 350), ("A3", 235), ("A4", 50), ("A5", 50), ("A6", 40)])
@@ -42,14 +42,14 @@ def test_the_load_and_the_balancer_that_nobody_described_are_found(kr300):
     """150 kg at the flange, and a balancer whose torque is zero at -95 deg."""
     found = {e.name: e.parameters for e in kr300.named_effects if e.name in ("payload", "gravity_compensator")}
     load, zero = found["payload"]["mass_kg"], found["gravity_compensator"]["A2.zero_deg"]
-    assert abs(load["value"] - 150.0) < 3.0 * load["std"]
-    assert abs(zero["value"] + 95.0) < 3.0 * zero["std"]
+    assert abs(load.value - 150.0) < 3.0 * load.std
+    assert abs(zero.value + 95.0) < 3.0 * zero.std
 
 
 def test_no_channel_is_worse_than_without_a_model_and_no_bound_is_a_value(kr300):
     assert all(c.held_out.after_rms <= c.held_out.before_rms for c in kr300.channels)
     lags = [e for e in kr300.named_effects if e.name == "drive_lag"]
-    assert all(entry["value"] < 99.0 for e in lags for name, entry in e.parameters.items() if name.endswith("time_constant_s"))
+    assert all(entry.value < 99.0 for e in lags for name, entry in e.parameters.items() if name.endswith("time_constant_s"))
     assert any(e.notes for e in lags)
 
 

@@ -8,11 +8,10 @@ from scipy.stats import multivariate_normal
 from test_diagnose_trajectories import recording
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
-from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion import diagnose
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
-from mbcacq.diagnosis.motion.effect_search import term_of
+from mbcacq.diagnosis.motion.effect_search import sized
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.motion_model import MotionModel
@@ -35,9 +34,9 @@ def test_the_evidence_from_gram_matrices_is_that_of_all_samples():
     problem = GramProblem.of(model, np.ones(2))
     information = np.diag(problem.weighted(sigma**-2.0, corrected=True))[:-1]
     (friction,) = (v[0] for v in selection.pool.forms if v[0].candidate.location == ("friction", ("A2",)))
-    term = term_of(friction, np.array(store.prior), information)
+    member = sized(friction, np.array(store.prior), information)
     point = GramPoint(problem, 2.0 * np.log(sigma))
-    system = point.with_effects(point.extended([Member(term, None, 0.0, term.sizes)]))
+    system = point.with_effects(point.extended([member]))
     found, _ = log_set_bayes_factor(system.A, system.a, [slice(0, 2)], [np.array([size])], [False])
 
     def columns(j, ids):
@@ -47,7 +46,7 @@ def test_the_evidence_from_gram_matrices_is_that_of_all_samples():
         return out[store.present(j) > 0]
 
     base = np.concatenate([columns(j, store.base) for j in (0, 1)]) * np.array(store.prior)[store.base]
-    effect = np.concatenate([columns(j, friction.ids) for j in (0, 1)]) * term.typical * size
+    effect = np.concatenate([columns(j, friction.columns) for j in (0, 1)]) * member.candidate.typical * size
     mismatch = np.concatenate([store.matrix[j][store.present(j) > 0, 0] for j in (0, 1)])
     noise = np.concatenate([np.full(int(store.present(j).sum()), sigma[j] ** 2) for j in (0, 1)])
     without = np.diag(noise) + base @ base.T

@@ -7,7 +7,7 @@ from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, Respon
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.output.text import describe
 from mbcacq.diagnosis.result import EffectFound
-from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.effect import ParameterEstimate, number
 
 
 def text_of(*effects):
@@ -16,7 +16,7 @@ def text_of(*effects):
 
 @pytest.mark.parametrize(("std", "said"), [(125.3, "A2 phase is not determined"), (20.0, "A2 phase (−84 ± 40)°")])
 def test_a_phase_that_may_be_anywhere_is_not_given_as_a_number(std, said):
-    parameters = {"A2.order": {"value": 829.2, "std": 1.93}, "A2.phase_deg": {"value": -83.65, "std": std}}
+    parameters = {"A2.order": number(829.2, 1.93), "A2.phase_deg": number(-83.65, std)}
     effect = MotionEffect(
         name="gear_transmission_error",
         where=("A2",),
@@ -40,7 +40,7 @@ def friction(at, value, std):
         where=(at,),
         depends_on="qd2",
         channel="tau",
-        parameters={f"{at}.coulomb_Nm": {"value": [value, -value], "std": [std, std]}},
+        parameters={f"{at}.coulomb_Nm": ParameterEstimate((value, -value), (std, std))},
         p_value=1e-9,
         held_out_gain=0.1,
         held_out_gain_here=0.1,

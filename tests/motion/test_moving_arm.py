@@ -79,7 +79,7 @@ def test_torque_constant_of_a_current_follows_from_the_weight_of_the_arm(kr10):
     found = next(e for e in diagnosis.effects if e.where == ("A2",))
     assert found.name == "friction"
     true = recording.truth[0]["parameters"]["A2.coulomb_Nm"]
-    assert found.parameters["A2.coulomb_Nm"]["value"] == pytest.approx(true, rel=0.08)
+    assert found.parameters["A2.coulomb_Nm"].value == pytest.approx(true, rel=0.08)
 
 
 def test_an_unknown_effect_is_refused(kr10):

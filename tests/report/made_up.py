@@ -12,6 +12,7 @@ from mbcacq.diagnosis.motion.result import (
     UnmodelledMotionEffect,
 )
 from mbcacq.diagnosis.result import Alternative
+from mbcacq.effects.effect import number
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.report.content import Devices
 
@@ -119,7 +120,7 @@ def motion(seed=0):
             series.append(ChannelSeries(kind, f"A{k + 1}", unit, 0, time, measured, before=before, after=after))
             error = ErrorBeforeAfter(0.7 * size, 0.05 * size, 6.54e6, 246.0)
             channels.append(ChannelFit(kind, f"A{k + 1}", unit, 1e-4 * size, error, error, 2.0 * size if refused else None))
-    parameters = {"A2.coulomb_Nm": {"value": 90.0, "std": 8.0}, "A2.viscous_Nms_per_rad": {"value": 390.0, "std": 17.0}}
+    parameters = {"A2.coulomb_Nm": number(90.0, 8.0), "A2.viscous_Nms_per_rad": number(390.0, 17.0)}
     return MotionDiagnosis(
         verdict="partly_explained",
         mismatch=(MotionMismatch("A2", "tau", "qd2", 0.8, 1e-90), MotionMismatch("q_joint", "q_joint", "qd", 0.001, 1e-9)),

@@ -10,7 +10,9 @@ import pytest
 from made_up import diagnosis, motion, pictures
 from result_page import AFTER, BEFORE, Page, make_observations, make_result, page
 
-from mbcacq.diagnosis.motion.combine import combined
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
+from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.quantities import fixed as fixed_point
 from mbcacq.quantities import signed
@@ -26,10 +28,10 @@ def headline(verdict):
 def test_the_report_of_a_run_holds_the_motion_between_its_poses_too(tmp_path):
     """As it is kept: JSON alone, read again."""
     of_motion = motion()
-    weak = replace(of_motion.named_effects[0], where=("A3",), parameters={"A3.coulomb_Nm": {"value": 5.0, "std": 4.0}})
+    weak = replace(of_motion.named_effects[0], where=("A3",), parameters={"A3.coulomb_Nm": ParameterEstimate(5.0, 4.0)})
     of_motion = replace(of_motion, effects=(weak, *of_motion.effects))
     info = {
-        "diagnosis": combined(diagnosis() | {"evidence": None}, of_motion),
+        "diagnosis": diagnosis() | PosesAndMotion(Diagnosis.from_json(diagnosis()), of_motion).to_json(),
         "pictures": pictures() | {"motion": motion_pictures(of_motion)},
     }
     info = json.loads(json.dumps(info, allow_nan=False))

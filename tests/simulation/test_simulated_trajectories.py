@@ -37,7 +37,7 @@ def test_friction_beyond_another_simulators_own_torque_is_found_with_its_size():
     found = diagnose_trajectories([recorded], cross_validation=False)
     (effect,) = [e for e in found.named_effects if e.name == "friction"]
     assert effect.where == ("A2",)
-    assert abs(effect.parameters["A2.coulomb_Nm"]["value"] - 3.0) < 0.1
+    assert abs(effect.parameters["A2.coulomb_Nm"].value - 3.0) < 0.1
 
 
 @pytest.mark.parametrize(

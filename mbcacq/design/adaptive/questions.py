@@ -227,7 +227,7 @@ def _hidden(look: InterimEvidence | None, linear: LinearProblem, timeless: bool)
         for hyper in values:
             X = candidate_columns(linear, c, hyper) * c.typical
             columns.append(X)
-            names += [f"{c.name}:{'+'.join(c.where)}"] * X.shape[2]
+            names += [c.label] * X.shape[2]
             weights += [1.0 / (len(kinds) * len(kinds[c.name]) * variants * len(values) * X.shape[2])] * X.shape[2]
     return names, [w * len(kinds) for w in weights], columns
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -16,30 +16,11 @@ import numpy as np
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN
 
+NO_COLUMNS = np.zeros(0, dtype=int)
 LARGEST_STEP = 1.0  # of a logarithm of the noise in one round
-
-
-class SearchedEffect(Protocol):
-    """What the search asks of a candidate: name and location, ``key`` that identifies it with its form, k coefficients of typical sizes
-    (k,), whether the only one cannot be negative, and how rare it is relative to others of its kind.
-    """
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def where(self) -> tuple[str, ...]: ...
-    @property
-    def key(self) -> str: ...
-    @property
-    def k(self) -> int: ...
-    @property
-    def typical(self) -> np.ndarray: ...
-    @property
-    def positive(self) -> bool: ...
-    @property
-    def rarity(self) -> float: ...
 
 
 class NormalSystem(Protocol):
@@ -88,15 +69,17 @@ P = TypeVar("P", bound=EvidencePoint)
 
 @dataclass(frozen=True)
 class Member:
-    """An effect of a set at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical ones; size: the most
-    probable; log_mass: log of the average over the hyper-parameter, relative to this value.
+    """An effect of a set, or one that may be, at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical
+    ones; size: the most probable; log_mass: log of the average over the hyper-parameter, relative to this value. columns: (k,) their
+    numbers among those of a motion; none of an effect of poses.
     """
 
-    candidate: Any  # a SearchedEffect: ``effects.effect.Candidate`` of poses, ``motion.gram_point.MotionTerm`` of a motion
+    candidate: Candidate
     hyper: float | None
     log_mass: float = 0.0
     sizes: tuple[float, ...] = OPTIONS.sizes
     size: float = 1.0
+    columns: np.ndarray = field(default_factory=lambda: NO_COLUMNS, compare=False)
 
     @classmethod
     def of(cls, scored: ScoredEffect) -> Member:
@@ -105,11 +88,17 @@ class Member:
     @property
     def label(self) -> str:
         """``name:where``; several harmonics of a joint are one effect."""
-        return f"{self.candidate.name}:{'+'.join(self.candidate.where)}"
+        return self.candidate.label
 
     @property
     def key(self) -> tuple[str, float]:
-        return self.candidate.key, round(self.hyper or 0.0, 1)
+        return self.candidate.key, (self.hyper or 0.0) if len(self.columns) else round(self.hyper or 0.0, 1)
+
+    @property
+    def value(self) -> float:
+        """The hyper-parameter of an effect that has one."""
+        assert self.hyper is not None, f"{self.candidate.name} has no hyper-parameter"
+        return self.hyper
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,16 +220,16 @@ class SetPrior:
     unmodelled_locations: int
 
     @classmethod
-    def of(cls, candidates: Collection[SearchedEffect], unmodelled_locations: int) -> SetPrior:
+    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int) -> SetPrior:
         return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1))
 
-    def log_probability(self, candidate: SearchedEffect, present: Sequence[SearchedEffect]) -> float:
+    def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         """Log prior of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm
         are of one make; of the first, given that there is one.
         """
         return self._of_kind_and_location(candidate, present) + float(np.log(candidate.rarity))
 
-    def _of_kind_and_location(self, candidate: SearchedEffect, present: Sequence[SearchedEffect]) -> float:
+    def _of_kind_and_location(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         unmodelled = candidate.name == UNKNOWN
         locations = self.unmodelled_locations if unmodelled else max(self.locations[candidate.name], 1)
         kind = OPTIONS.unmodelled if unmodelled else 1.0 / max(len(self.locations), 1)
@@ -254,5 +243,5 @@ class SetPrior:
         share = 1.0 / len({c.where for c in same}) if here else 1.0 / locations
         return float(np.log(OPTIONS.further / 2 / kinds * share))
 
-    def log_probability_of_set(self, candidates: Sequence[SearchedEffect]) -> float:
+    def log_probability_of_set(self, candidates: Sequence[Candidate]) -> float:
         return sum(self.log_probability(c, candidates[:j]) for j, c in enumerate(candidates))

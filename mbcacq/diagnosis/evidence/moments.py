@@ -14,7 +14,7 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import covariates
-from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, ORDER, Candidate, ParameterEstimate, Parameters
+from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, ORDER, Candidate, HyperEstimate, ParameterEstimate, Parameters
 
 FAST = 3.0  # periods over the travel, from which an order is determined whatever the amplitude
 LOWEST_ORDER = 1.0  # an error of a joint repeats after a turn at the latest
@@ -39,7 +39,7 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
     else:
         return candidate
 
-    def report(c: np.ndarray, v: np.ndarray, rank: float | None) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, rank: HyperEstimate) -> Parameters:
         whole = candidate.report(c, v, rank)
         return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == name else p for k, p in whole.items()}
 
@@ -63,7 +63,7 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
     away = sizes_with(others, member, values) - reported
     along = (away * probability[:, None]).T @ away
 
-    def report(c: np.ndarray, v: np.ndarray, tau: float | None) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, tau: HyperEstimate) -> Parameters:
         whole = candidate.report(c, v + along, tau)
         return {k: ParameterEstimate(p.value, std) if k.rpartition(".")[2] == name else p for k, p in whole.items()}
 
@@ -86,7 +86,7 @@ def with_uncertain_order(hypothesis: Hypothesis, member: Member) -> Candidate:
     probability = likelihood(others, candidate, values)
     nothing = np.zeros((candidate.k, candidate.k))
     sizes = sizes_with(others, member, values)
-    there = [candidate.report(size, nothing, float(v)) for size, v in zip(sizes, values, strict=True)]
+    there = [candidate.parameters(size, nothing, float(v)) for size, v in zip(sizes, values, strict=True)]
     name = candidate.hyper.name
 
     def spread_of(key: str, value: float) -> float:
@@ -94,7 +94,7 @@ def with_uncertain_order(hypothesis: Hypothesis, member: Member) -> Candidate:
         away = (away + 180.0) % 360.0 - 180.0 if key.endswith("phase_deg") else away
         return float(np.sqrt(probability @ away**2))
 
-    def report(c: np.ndarray, v: np.ndarray, order: float | None) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, order: HyperEstimate) -> Parameters:
         whole = candidate.report(c, v, order)
         own = {key: (float(np.max(p.value)), float(np.max(p.std))) for key, p in whole.items()}
         wide = {

@@ -10,6 +10,7 @@ from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.result import TOGETHER, NotSeparable
 from mbcacq.effects.declaration import EffectCoupling
 
 
@@ -91,6 +92,13 @@ def undecided(fit: RankedSets, reported: Hypothesis) -> list[Hypothesis]:
         if h.members and h.log_posterior > least and not nested(h, reported):
             out.setdefault(h.labels, h)
     return list(out.values())
+
+
+def not_separable(reported: Hypothesis, other: Hypothesis, correlation: float) -> NotSeparable:
+    """What only one of both sets has each. correlation: of what that explains."""
+    ours, theirs = reported.labels - other.labels, other.labels - reported.labels
+    odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
+    return NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), correlation, odds)
 
 
 def nested(one: Hypothesis, other: Hypothesis) -> bool:

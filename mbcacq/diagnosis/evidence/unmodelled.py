@@ -87,4 +87,4 @@ def relative_to_best_determined(projected: CandidateScoring, candidate: Candidat
     X, S, _ = projected.candidate_products(candidate, None)
     typical = candidate.typical / np.sqrt(without_rounding(np.sum(X * X, axis=0)))
     sizes = relative_sizes(np.linalg.eigvalsh(S * np.outer(typical, typical))[-1:])[0]
-    return Member(replace(candidate, typical=typical), None, log_mass, tuple(sizes.tolist()))
+    return Member(replace(candidate, rows=replace(candidate.rows, typical=typical)), None, log_mass, tuple(sizes.tolist()))

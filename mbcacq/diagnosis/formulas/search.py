@@ -25,7 +25,7 @@ from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import evaluated
-from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect import Candidate, StandstillRows
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, scaled
 
 NAME = "formula"
@@ -76,9 +76,8 @@ def candidate(context: Context, placed: Sequence[PlacedTerm], typical: np.ndarra
         NAME,
         (first.location.name,),
         first.term.covariates[0],
-        parts,
+        StandstillRows(parts, typical),
         lambda c, v, h: {},
-        typical,
         several=True,
         variant=" + ".join(f"{p.label}{list(p.term.columns)}" for p in placed),
     )

@@ -26,7 +26,7 @@ from mbcacq.diagnosis.motion.result import (
     MotionStep,
     UnmodelledMotionEffect,
 )
-from mbcacq.diagnosis.result import Advice, Alternative, NotSeparable
+from mbcacq.diagnosis.result import Advice, NotSeparable
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals
 
@@ -88,7 +88,7 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
             dependence, unmodelled = residual_structure(fit, j, runs, min(weight, 1.0))
             mismatch += [] if dependence is None else [dependence]
             effects += [] if unmodelled is None else [unmodelled]
-    loads = tuple(NotSeparable((a.reported, a.alternative), a.correlation, a.odds) for fit in fits for a in fit.load_alternatives)
+    loads = tuple(pair for fit in fits for pair in fit.load_alternatives)
     alike = tuple(pair for fit in fits if fit.sets is not None for pair in pairs_not_separable(fit.sets))
     not_separable = (*alike, *loads)
     return MotionDiagnosis(
@@ -135,7 +135,7 @@ def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> Moti
         p_value=effect.p_value,
         held_out_gain=share,
         held_out_gain_here=table.share(gain, at),
-        alternatives=tuple(Alternative(a.name, a.where, 0.0, a.odds) for a in effect.alternatives),
+        alternatives=tuple(effect.alternatives),
         steps=tuple(_step(fit, step, at) for step in effect.steps),
         notes=tuple(effect.notes),
     )

@@ -11,34 +11,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from mbcacq.diagnosis.given_effects import StatedParameters, label_of
-from mbcacq.diagnosis.motion.joint_sets import (
-    EvidenceSets,
-    JointEvidence,
-    SingleValue,
-    StatedEffect,
-    apart,
-    joint_evidence,
-    not_excluded,
-    paired,
-)
+from mbcacq.diagnosis.given_effects import StatedParameters
+from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointEvidence, StatedEffect, apart, joint_evidence, not_excluded, paired
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.result import ComparedEffect, Diagnosis, EffectFound, EvidenceSummary, GivenEvidence
 from mbcacq.effects import catalogue
-from mbcacq.effects.declaration import Estimates
-from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.effect import ParameterEstimate, Parameters, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words
-from mbcacq.model.json_text import from_fields, plain
-from mbcacq.quantities import K, measured, split_unit
+from mbcacq.errors import ConfigError
+from mbcacq.model.json_text import damage, from_fields, plain
+from mbcacq.quantities import split_unit
 
 VERDICT_OF_BOTH = {
     "none": "no effect.",
@@ -49,26 +42,6 @@ VERDICT_OF_BOTH = {
 }
 MOST_TOGETHER = 6  # joint sets that are reported
 FARTHEST = 38.0  # standard deviations: beyond, the probability of a normal distribution is no floating point number
-
-
-@dataclass(frozen=True)
-class SingleEstimate:
-    """A value with its standard deviation; tuples of a parameter with several components."""
-
-    value: float | tuple[float, ...]
-    std: float | tuple[float, ...]
-
-    @classmethod
-    def of(cls, one: SingleValue) -> SingleEstimate:
-        """As a number where it has one component."""
-        value, std = one.value.tolist(), one.std.tolist()
-        return cls(value[0], std[0]) if len(value) == 1 else cls(tuple(value), tuple(std))
-
-    def shown(self, parameter: str) -> str:
-        """With its expanded uncertainty (k = 2) in the unit of the parameter's name; a vector component by component."""
-        _, unit, factor = split_unit(parameter)
-        values, stds = np.atleast_1d(self.value), np.atleast_1d(self.std)
-        return ", ".join(measured(factor * v, K * factor * s, unit) for v, s in zip(values, stds, strict=True))
 
 
 @dataclass(frozen=True)
@@ -90,8 +63,8 @@ class ParameterAgreement:
     name: str
     where: tuple[str, ...]
     parameter: str
-    poses: SingleEstimate
-    motion: SingleEstimate
+    poses: ParameterEstimate
+    motion: ParameterEstimate
     sigmas: float
     agrees: bool
 
@@ -102,7 +75,13 @@ class ParameterAgreement:
 
     def stated(self) -> tuple[str, str]:
         """What the poses and what the motion state, each with its expanded uncertainty."""
-        return self.poses.shown(self.parameter), self.motion.shown(self.parameter)
+        _, unit, factor = split_unit(self.parameter)
+        return self.poses.shown(unit, factor), self.motion.shown(unit, factor)
+
+    def __str__(self) -> str:
+        of_poses, of_motion = self.stated()
+        verdict = "they agree" if self.agrees else "they contradict each other"
+        return f"{self.label}: {of_poses} from the poses, {of_motion} from the motion: {verdict} ({self.sigmas:.1f} sigma)"
 
 
 @dataclass(frozen=True)
@@ -120,108 +99,191 @@ class DecidedPair:
         )
 
 
-def combined(poses: dict[str, Any], motion: MotionDiagnosis) -> dict[str, Any]:
-    """The JSON of the pose diagnosis with that of the motion (``motion``), what both found (``agreement``), what one decides that the
-    other cannot (``decided``), and what both show as one problem (``together``).
+@dataclass(frozen=True, eq=False)
+class PosesAndMotion:
+    """What was found in the poses of a run and in the motion between them. given: the evidence of the poses with what the motion is sure of
+    as their prior, where they were searched so.
     """
-    both = together(poses, motion)
-    return poses | {
-        "motion": motion.to_json(),
-        "agreement": [asdict(a) for a in agreement(poses, motion)],
-        "decided": [asdict(d) for d in decided(poses, motion)],
-        "together": {"verdict": verdict_of_both(poses, motion, both)} | plain(both),
-    }
 
+    poses: Diagnosis
+    motion: MotionDiagnosis
+    given: GivenEvidence | None = None
 
-def verdict_of_both(poses: Mapping[str, Any], motion: MotionDiagnosis, both: JointEvidence) -> str:
-    """The verdict on a run: 'cannot_tell' where poses and motion contradict each other, or one of them cannot tell and both together cannot
-    either; else what is explained of both.
-    """
-    each = {poses["verdict"], motion.verdict}
-    if any(not a.agrees for a in agreement(poses, motion)):
-        return "cannot_tell"
-    if "cannot_tell" in each and not (both.decided and (both.significant or not both.sets[0].effects)):
-        return "cannot_tell"
-    named = bool(both.reported) or bool(each & {"explained", "partly_explained"})
-    if each & {"unexplained", "partly_explained"}:
-        return "partly_explained" if named else "unexplained"
-    return "explained" if named else "none"
+    @classmethod
+    def of_json(cls, content: Mapping[str, Any]) -> PosesAndMotion:
+        """From a diagnosis as it is written, with its ``motion``. Raises ConfigError where that is damaged."""
+        given = content.get("given_motion")
+        try:
+            beside = None if given is None else from_fields(GivenEvidence, given)
+        except ValueError as error:
+            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
+        return cls(Diagnosis.from_json(content), MotionDiagnosis.from_json(content["motion"]), beside)
 
+    def to_json(self) -> dict[str, Any]:
+        """The motion (``motion``), what both found (``agreement``), what one decides that the other cannot (``decided``), and what both
+        show as one problem (``together``)."""
+        return {
+            "motion": self.motion.to_json(),
+            "agreement": plain(self.agreement),
+            "decided": plain(self.decided),
+            "together": {"verdict": self.verdict} | plain(self.together),
+        }
 
-def agreement(poses: Mapping[str, Any], motion: MotionDiagnosis, sigmas: float = NUMBERS.agreement_sigmas) -> list[ParameterAgreement]:
-    """Every parameter that both found. poses: JSON of the pose diagnosis; sigmas: within which two values agree.
+    @cached_property
+    def verdict(self) -> str:
+        """The verdict on a run: 'cannot_tell' where poses and motion contradict each other, or one of them cannot tell and both together
+        cannot either; else what is explained of both.
+        """
+        each, both = {self.poses.verdict, self.motion.verdict}, self.together
+        if any(not a.agrees for a in self.agreement):
+            return "cannot_tell"
+        if "cannot_tell" in each and not (both.decided and (both.significant or not both.sets[0].effects)):
+            return "cannot_tell"
+        named = bool(both.reported) or bool(each & {"explained", "partly_explained"})
+        if each & {"unexplained", "partly_explained"}:
+            return "partly_explained" if named else "unexplained"
+        return "explained" if named else "none"
 
-    Where the poses were searched with what the motion states, the values of the most probable set are compared.
-    """
-    in_motion = in_terms_of_poses(poses, motion)
-    out = []
-    for effect in effects_beside_motion(poses, motion):
-        name, own = effect["name"], effect["parameters"]
-        for where, other in in_motion.get(name, []):
-            if "." not in next(iter(own), ".") and set(where) != set(effect["where"]):
-                continue  # the names of its parameters do not tell where it is
-            for key, mine, theirs in paired(own, other):
-                distance = distance_of(key, mine, theirs)
+    @cached_property
+    def agreement(self) -> list[ParameterAgreement]:
+        """Every parameter that both found.
+
+        Where the poses were searched with what the motion states, the values of the most probable set are compared.
+        """
+        out = []
+        for effect in self.beside_motion:
+            for where, other in self.in_terms_of_poses.get(effect.name, []):
+                if "." not in next(iter(effect.parameters), ".") and set(where) != set(effect.where):
+                    continue  # the names of its parameters do not tell where it is
+                for key, mine, theirs in paired(effect.parameters, other):
+                    sigmas = distance_of(key, mine, theirs)
+                    out.append(ParameterAgreement(effect.name, where, key, mine, theirs, sigmas, sigmas <= NUMBERS.agreement_sigmas))
+        return out
+
+    @property
+    def contradictions(self) -> list[str]:
+        """Sentences, in front of everything else, on what poses and motion state differently."""
+        out = []
+        for a in self.agreement:
+            if not a.agrees:
+                poses_say, motion_says = a.stated()
                 out.append(
-                    ParameterAgreement(name, where, key, SingleEstimate.of(mine), SingleEstimate.of(theirs), distance, distance <= sigmas)
+                    f"Poses and motion contradict each other on {a.label}: {poses_say} by the poses and {motion_says} by the motion "
+                    f"({a.sigmas:.1f} sigma). One of both has another cause: believe neither value before that is found."
                 )
-    return out
+        return out
+
+    @cached_property
+    def beside_motion(self) -> Sequence[EffectFound | ComparedEffect]:
+        """The effects of the poses: those in the most probable joint set where the poses were searched with what the motion states, else
+        those of the poses alone.
+        """
+        if self.given is None or not self.together.sets:
+            return self.poses.effects
+        best = set(self.together.sets[0].effects)
+        sets = (one.effects for one in self.given.evidence.sets)
+        return next((effects for effects in sets if {label_of(e.name, e.where) for e in effects} <= best), self.poses.effects)
+
+    @property
+    def given_by_motion(self) -> list[StatedParameters]:
+        """What the motion is sure of, in the words of the poses: the effects that are in every set that its evidence does not exclude."""
+        sure: set[str] = set()
+        for one in self.motion.evidence:
+            likely = [s for s in one.evidence.sets if s.log_odds > np.log(OPTIONS.undecided)]
+            sure |= set.intersection(*({label_of(e.name, e.where) for e in s.effects} for s in likely)) if likely else set()
+        stated = [StatedParameters(name, where, p) for name, found in self.in_terms_of_poses.items() for where, p in found]
+        return [one for one in stated if one.label in sure]
+
+    @cached_property
+    def every(self) -> Parameters:
+        """All parameters of both; those of the motion, where both have one."""
+        return {key: p for effect in (*self.poses.effects, *self.motion.named_effects) for key, p in effect.parameters.items()}
+
+    @cached_property
+    def in_terms_of_poses(self) -> dict[str, list[tuple[tuple[str, ...], Parameters]]]:
+        """Name of an effect of the motion -> its locations and its parameters in the words of the poses."""
+        out: dict[str, list[tuple[tuple[str, ...], Parameters]]] = {}
+        for effect in self.motion.named_effects:
+            out.setdefault(effect.name, []).append((effect.where, translated(effect.name, effect.parameters, self.every)))
+        return out
+
+    @cached_property
+    def decided(self) -> list[DecidedPair]:
+        """Pairs that one diagnosis cannot tell apart and of which the other names exactly one."""
+        in_poses = labels_of((e.name, e.where) for e in self.poses.effects)
+        in_motion = labels_of((e.name, e.where) for e in self.motion.named_effects)
+        pairs = [(p.effects, in_motion, "motion") for p in self.poses.not_separable]
+        pairs += [(p.effects, in_poses, "poses") for p in self.motion.not_separable]
+        found = [(effects, [e for e in effects if e in names], by) for effects, names, by in pairs]
+        return [DecidedPair(effects, named[0], by) for effects, named, by in found if len(named) == 1]
+
+    @cached_property
+    def together(self) -> JointEvidence:
+        """The evidence of poses and motion as one problem, by their most probable sets; no set where one of them has no evidence."""
+        if self.poses.evidence is None or not self.motion.evidence:
+            return JointEvidence((), -np.inf)
+        moving = [sets_of(one.evidence, self.every) for one in self.motion.evidence]
+        found = joint_evidence([sets_of(self.poses.evidence), *moving])
+        if self.given is not None:
+            of_poses = replace(sets_of(self.given.evidence), given=frozenset(self.given.given))
+            beside = joint_evidence([of_poses, *moving])
+            found = replace(found, sets=beside.sets or found.sets)
+        return replace(found, sets=found.sets[:MOST_TOGETHER])
+
+    def in_words(self, text: str) -> str:
+        """text: the diagnosis of the poses in words."""
+        lines = [*self.contradictions, f"Poses and motion together: {VERDICT_OF_BOTH[self.verdict]}", ""]
+        lines += ["Poses, at standstill", "====================", text, ""]
+        lines += ["Motion, between the poses", "=========================", motion_text(self.motion)]
+        for heading, said in self.in_both:
+            lines += ["", f"{heading}:", *(f"  {line}" for line in said)]
+        return "\n".join(lines)
+
+    @property
+    def in_both(self) -> list[tuple[str, list[str]]]:
+        """What poses and motion say together, in words: heading and lines."""
+        out = [("Found in both", list(map(str, self.agreement)))] if self.agreement else []
+        out += [("Decided by both together", list(map(str, self.decided)))] if self.decided else []
+        return out + self._beside_motion_in_words() + self._together_in_words()
+
+    def _beside_motion_in_words(self) -> list[tuple[str, list[str]]]:
+        """What the poses show beside the effects that the motion is sure of, where they were searched with these."""
+        if self.given is None:
+            return []
+        lines = []
+        for e in self.beside_motion:
+            if (label := label_of(e.name, e.where)) not in self.given.given:
+                values = ", ".join(parameter_in_words(name, p) for name, p in e.parameters.items())
+                lines.append(f"{effect_in_words(label)}{': ' if values else ''}{values}")
+        known = " and ".join(map(effect_in_words, self.given.given))
+        return [(f"The poses, searched with {known} as the motion states it, show", lines or ["no further effect"])]
+
+    def _together_in_words(self) -> list[tuple[str, list[str]]]:
+        """The most probable joint set, and the others that are not excluded."""
+        sets = self.together.sets
+        if not self.together.reported:
+            return []
+        names = [" and ".join(effect_in_words(label) for label in one.effects) or "no effect" for one in (sets[0], *not_excluded(sets))]
+        rest = [f"not excluded: {name}" for name in names[1:]] or ["no other set is within 20 : 1"]
+        return [("By the evidence of poses and motion together", [names[0], *rest])]
 
 
-def effects_beside_motion(poses: Mapping[str, Any], motion: MotionDiagnosis) -> Sequence[Mapping[str, Any]]:
-    """The effects of the poses: those in the most probable joint set where the poses were searched with what the motion states, else those
-    of the poses alone.
-    """
-    given, both = poses.get("given_motion"), together(poses, motion).sets
-    if not given or not both:
-        return poses["effects"]
-    best = set(both[0].effects)
-    sets = (one["effects"] for one in given["evidence"]["sets"])
-    return next((effects for effects in sets if {label_of(e["name"], e["where"]) for e in effects} <= best), poses["effects"])
+def translated(name: str, parameters: Parameters, every: Parameters) -> Parameters:
+    """The parameters that an effect has in motion in the words of the poses. every: the parameters of all effects."""
+    translate = catalogue.declaration(name).in_terms_of_poses
+    return parameters if translate is None or not parameters else translate(parameters, every)
 
 
-def given_by_motion(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[StatedParameters]:
-    """What the motion is sure of, in the words of the poses: the effects that are in every set that its evidence does not exclude."""
-    sure: set[str] = set()
-    for one in motion.evidence:
-        likely = [s for s in one.evidence.sets if s.log_odds > np.log(OPTIONS.undecided)]
-        sure |= set.intersection(*({label_of(e.name, e.where) for e in s.effects} for s in likely)) if likely else set()
-    stated = [StatedParameters(name, where, p) for name, found in in_terms_of_poses(poses, motion).items() for where, p in found]
-    return [one for one in stated if one.label in sure]
-
-
-def in_terms_of_poses(poses: Mapping[str, Any], motion: MotionDiagnosis) -> dict[str, list[tuple[tuple[str, ...], Estimates]]]:
-    """Name of an effect of the motion -> its locations and its parameters in the words of the poses."""
-    found = (*(e["parameters"] for e in poses["effects"]), *(m.parameters for m in motion.named_effects))
-    every = {key: p for parameters in found for key, p in parameters.items()}
-    out: dict[str, list[tuple[tuple[str, ...], Estimates]]] = {}
-    for effect in motion.named_effects:
-        translate = catalogue.declaration(effect.name).in_terms_of_poses
-        parameters = effect.parameters if translate is None else translate(effect.parameters, every)
-        out.setdefault(effect.name, []).append((effect.where, parameters))
-    return out
-
-
-def distance_of(key: str, mine: SingleValue, theirs: SingleValue) -> float:
+def distance_of(key: str, mine: ParameterEstimate, theirs: ParameterEstimate) -> float:
     """Distance of two estimates in combined standard deviations."""
-    sigmas = np.abs(apart(key, mine, theirs)) / np.maximum(np.hypot(mine.std, theirs.std), 1e-300)
+    sigmas = np.abs(apart(key, mine, theirs)) / np.maximum(np.hypot(mine.components[1], theirs.components[1]), 1e-300)
     if len(sigmas) == 1:
         return float(sigmas[0])
     probability = float(chdtrc(len(sigmas), np.sum(sigmas**2)))
     return float(-ndtri(probability / 2)) if probability > 0 else max(FARTHEST, float(sigmas.max()))
 
 
-def decided(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[DecidedPair]:
-    """Pairs that one diagnosis cannot tell apart and of which the other names exactly one."""
-    in_poses = labels_of((e["name"], e["where"]) for e in poses["effects"])
-    in_motion = labels_of((e.name, e.where) for e in motion.named_effects)
-    pairs = [(tuple(p["effects"]), in_motion, "motion") for p in poses.get("not_separable", ())]
-    pairs += [(p.effects, in_poses, "poses") for p in motion.not_separable]
-    found = [(effects, [e for e in effects if e in names], by) for effects, names, by in pairs]
-    return [DecidedPair(effects, named[0], by) for effects, named, by in found if len(named) == 1]
-
-
-def labels_of(effects: Any) -> set[str]:
+def labels_of(effects: Iterable[tuple[str, tuple[str, ...]]]) -> set[str]:
     """``name:location`` of effects, each location by itself unless they are one thing."""
     out = set()
     for name, where in effects:
@@ -230,98 +292,21 @@ def labels_of(effects: Any) -> set[str]:
     return out
 
 
-def together(poses: Mapping[str, Any], motion: MotionDiagnosis) -> JointEvidence:
-    """The evidence of poses and motion as one problem, by their most probable sets; no set where one of them has no evidence."""
-    of_poses, given = poses.get("evidence"), poses.get("given_motion")
-    of_motion = [plain(e.evidence) for e in motion.evidence]
-    if not of_poses or not of_motion:
-        return JointEvidence((), -np.inf)
-    every = {key: p for e in poses["effects"] for key, p in e["parameters"].items()}
-    every |= {key: p for e in motion.named_effects for key, p in e.parameters.items()}
-    moving = [_sets_of(one, every) for one in of_motion]
-    found = joint_evidence([_sets_of(of_poses, {}), *moving])
-    if given:
-        beside = joint_evidence([replace(_sets_of(given["evidence"], {}), given=frozenset(given["given"])), *moving])
-        found = replace(found, sets=beside.sets or found.sets)
-    return replace(found, sets=found.sets[:MOST_TOGETHER])
-
-
-def _sets_of(evidence: Mapping[str, Any], every: Estimates) -> EvidenceSets:
-    """The sets of an evidence, in the words of the poses where ``every`` parameter of both is given."""
+def sets_of(evidence: EvidenceSummary, every: Parameters | None = None) -> EvidenceSets:
+    """The sets of an evidence. every: parameters of both, of the evidence of a motion, which is put into the words of the poses."""
     out = []
-    for one in evidence["sets"]:
+    for one in evidence.sets:
         effects: dict[str, StatedEffect] = {}
-        for e in one["effects"]:
-            translate = catalogue.declaration(e["name"]).in_terms_of_poses if every else None
-            stated, prior = (p if translate is None or not p else translate(p, every) for p in (e["parameters"], e.get("prior", {})))
-            label = label_of(e["name"], e["where"])
+        for e in one.effects:
+            stated, prior = (p if every is None else translated(e.name, p, every) for p in (e.parameters, e.prior))
+            label = label_of(e.name, e.where)
             before = effects.get(label, StatedEffect())
-            log_prior = before.log_prior + (e.get("log_prior") or 0.0)
+            log_prior = before.log_prior + (e.log_prior or 0.0)
             effects[label] = StatedEffect({**before.parameters, **stated}, {**before.prior, **prior}, log_prior)
         out.append(effects)
-    log_odds = np.array([float(one["log_odds"]) for one in evidence["sets"]])
-    some = np.array([bool(one["effects"]) for one in evidence["sets"]])
+    log_odds = np.array([one.log_odds for one in evidence.sets])
+    some = np.array([bool(one.effects) for one in evidence.sets])
     mass = 0.0
-    if some.any() and not some.all() and evidence["log_e_value"] is not None:
-        mass = float(np.logaddexp.reduce(log_odds[some]) - log_odds[~some].max()) - float(evidence["log_e_value"])
+    if some.any() and not some.all() and np.isfinite(evidence.log_e_value):
+        mass = float(np.logaddexp.reduce(log_odds[some]) - log_odds[~some].max()) - evidence.log_e_value
     return EvidenceSets(tuple(log_odds.tolist()), tuple(out), max(mass, 0.0))
-
-
-def combined_text(poses: dict[str, Any], text: str, motion: MotionDiagnosis) -> str:
-    """poses, text: the pose diagnosis as JSON and in words."""
-    front, both = contradictions(agreement(poses, motion)), in_both(poses, motion)
-    said = VERDICT_OF_BOTH[verdict_of_both(poses, motion, together(poses, motion))]
-    lines = [*front, f"Poses and motion together: {said}", "", "Poses, at standstill", "====================", text, ""]
-    lines += ["Motion, between the poses", "=========================", motion_text(motion)]
-    for heading, said in both:
-        lines += ["", f"{heading}:", *(f"  {line}" for line in said)]
-    return "\n".join(lines)
-
-
-def in_both(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[tuple[str, list[str]]]:
-    """What poses and motion say together, in words: heading and lines. poses: JSON of the pose diagnosis."""
-    found, pairs = agreement(poses, motion), decided(poses, motion)
-    out = [("Found in both", [_agreement_in_words(a) for a in found])] if found else []
-    out += [("Decided by both together", [str(pair) for pair in pairs])] if pairs else []
-    return out + _beside_motion_in_words(poses, motion) + _together_in_words(together(poses, motion))
-
-
-def _agreement_in_words(a: ParameterAgreement) -> str:
-    poses_say, motion_says = a.stated()
-    verdict = "they agree" if a.agrees else "they contradict each other"
-    return f"{a.label}: {poses_say} from the poses, {motion_says} from the motion: {verdict} ({a.sigmas:.1f} sigma)"
-
-
-def _beside_motion_in_words(poses: Mapping[str, Any], motion: MotionDiagnosis) -> list[tuple[str, list[str]]]:
-    """What the poses show beside the effects that the motion is sure of, where they were searched with these."""
-    given = poses.get("given_motion")
-    if not given:
-        return []
-    shown = [e for e in effects_beside_motion(poses, motion) if label_of(e["name"], e["where"]) not in given["given"]]
-    values = [", ".join(parameter_in_words(k, from_fields(ParameterEstimate, p)) for k, p in e["parameters"].items()) for e in shown]
-    lines = [f"{effect_in_words(label_of(e['name'], e['where']))}{': ' if one else ''}{one}" for e, one in zip(shown, values, strict=True)]
-    known = " and ".join(effect_in_words(label) for label in given["given"])
-    return [(f"The poses, searched with {known} as the motion states it, show", lines or ["no further effect"])]
-
-
-def _together_in_words(both: JointEvidence) -> list[tuple[str, list[str]]]:
-    """The most probable joint set, and the others that are not excluded."""
-    sets = both.sets
-    if not both.reported:
-        return []
-    names = [" and ".join(effect_in_words(label) for label in one.effects) or "no effect" for one in (sets[0], *not_excluded(sets))]
-    rest = [f"not excluded: {name}" for name in names[1:]] or ["no other set is within 20 : 1"]
-    return [("By the evidence of poses and motion together", [names[0], *rest])]
-
-
-def contradictions(found: Sequence[ParameterAgreement]) -> list[str]:
-    """Sentences, in front of everything else, on what poses and motion state differently."""
-    out = []
-    for a in found:
-        if not a.agrees:
-            poses_say, motion_says = a.stated()
-            out.append(
-                f"Poses and motion contradict each other on {a.label}: {poses_say} by the poses and {motion_says} by the motion "
-                f"({a.sigmas:.1f} sigma). One of both has another cause: believe neither value before that is found."
-            )
-    return out

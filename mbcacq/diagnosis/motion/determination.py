@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.motion_model import SelectedEffect
+from mbcacq.diagnosis.evidence.hypothesis import Member
 
 BOUND = 1e-6  # relative distance from the first or last value tried within which a hyper-parameter is at that bound
 
 
-def at_bound(effect: SelectedEffect) -> bool:
+def at_bound(member: Member) -> bool:
     """The reported hyper-parameter is at the first or last value that was tried."""
-    tried, hyper = effect.candidate.hyper, effect.variant.hyper
+    tried, hyper = member.candidate.hyper, member.hyper
     if tried is None or not tried.name or hyper is None:
         return False
     first, last = float(np.min(tried.values)), float(np.max(tried.values))

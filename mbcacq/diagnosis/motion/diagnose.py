@@ -88,7 +88,7 @@ def _other_payload(found: MotionDiagnosis, robot: RobotModel) -> list[str]:
     """In words, by how much the load on the flange is not as described, where that was found."""
     masses = [e.parameters["mass_kg"] for e in found.named_effects if catalogue.declaration(e.name).adds_body]
     described = float(robot.payload_mass)
-    extra = (measured(m["value"] - described, K * m["std"], "kg") for m in masses)
+    extra = (measured(value - described, K * std, "kg") for m in masses for value, std in zip(*m.components, strict=True))
     return [f"with a load that differs by {kg} (k = 2) at the flange the torque is explained better" for kg in extra]
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
-from mbcacq.diagnosis.motion.gram_point import RATIOS, SHARES, ConditionedGram, MotionTerm
-from mbcacq.diagnosis.motion.motion_model import Variant
+from mbcacq.diagnosis.motion.gram_point import RATIOS, SHARES, ConditionedGram
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects import catalogue
+from mbcacq.effects.effect import Candidate
 
 # Log Bayes factor L at the noise of a set with the effect. Without it the noise of n samples that count grows, and what remains is about
 # n/2 log(1 + 2 L / n): with ten samples still 13, which no prior of a set outweighs.
@@ -22,50 +22,49 @@ BEYOND_DOUBT = 60.0
 
 ODDS_OF_COMMON = 0.5  # that what every arm has is large enough to show, beforehand
 
-Forms = tuple[MotionTerm, ...]  # a candidate at all values of its hyper-parameter
+Forms = tuple[Member, ...]  # a candidate at all values of its hyper-parameter
 
 
-def term_of(variant: Variant, prior: np.ndarray, information: np.ndarray) -> MotionTerm:
-    """A variant in typical sizes: its prior where it has one, else what is as large as the noise.
+def sized(member: Member, prior: np.ndarray, information: np.ndarray) -> Member:
+    """An effect in typical sizes: its prior where it has one, else what is as large as the noise.
 
     prior, information: (P,) of all columns.
     """
-    sigma = prior[variant.ids]
-    if np.isfinite(sigma).all():
-        return MotionTerm(variant, sigma, SHARES)
-    return MotionTerm(variant, 1.0 / np.sqrt(np.maximum(information[variant.ids], 1e-300)), RATIOS)
+    sigma = prior[member.columns]
+    bounded = bool(np.isfinite(sigma).all())
+    typical = sigma if bounded else 1.0 / np.sqrt(np.maximum(information[member.columns], 1e-300))
+    candidate = replace(member.candidate, rows=replace(member.candidate.rows, typical=typical))
+    return replace(member, candidate=candidate, sizes=SHARES if bounded else RATIOS, size=1.0)
 
 
 @dataclass(frozen=True)
 class MotionPrior(SetPrior):
     """Prior probabilities of sets. What every arm has (friction, elastic joints, drives that lag) is half as likely to show as not."""
 
-    def log_probability(self, candidate: Any, present: Sequence[Any]) -> float:
+    def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         return float(np.log(ODDS_OF_COMMON)) if is_common(candidate) else super().log_probability(candidate, present)
 
 
-def is_common(term: MotionTerm) -> bool:
+def is_common(candidate: Candidate) -> bool:
     """Whether every arm has the effect."""
-    return catalogue.declaration(term.name).every_arm and not term.variant.candidate.extends
+    return catalogue.declaration(candidate.name).every_arm and not candidate.rows.extends
 
 
 def log_prior_mass(candidates: Sequence[Forms]) -> float:
     """Log of the most that the priors of all sets can add up to, by which an e-value is divided: the common effects in any number."""
-    return len({forms[0].variant.candidate.location for forms in candidates if is_common(forms[0])}) * float(np.log1p(ODDS_OF_COMMON))
+    common = {forms[0].candidate.location for forms in candidates if is_common(forms[0].candidate)}
+    return len(common) * float(np.log1p(ODDS_OF_COMMON))
 
 
 @dataclass(kw_only=True)
 class MotionSearch(EvidenceSearch):
     """The candidates of a group of channels. Each further effect asks for another linearisation and colour of the noise, so the search
     itself only leaves out and exchanges (``effect_selection`` makes a set larger).
-
-    periodic: candidates of which a location can have several, each with an order of its own.
     """
 
     most_effects: ClassVar[int] = 40  # more have never been found
 
     candidates: list[Forms]
-    periodic: frozenset[str] = frozenset()
     settle: bool = False
 
     def begun(self, best: Hypothesis) -> Hypothesis:
@@ -87,7 +86,7 @@ class MotionSearch(EvidenceSearch):
     def doubtful(self, best: Hypothesis, member: Member) -> bool:
         """Not if its Bayes factor is beyond doubt at the noise of the set, with however much noise it is explained without the effect."""
         rest = best.point.conditioned([m for m in best.members if m is not member])
-        return float(self.log_factors(rest, [member.candidate])[0]) < BEYOND_DOUBT
+        return float(self.log_factors(rest, [member])[0]) < BEYOND_DOUBT
 
     def settled(self, best: Hypothesis, first: int = 0) -> Hypothesis:
         """The set with the most probable value of the hyper-parameters of its effects from number ``first`` on, one after the other, at the
@@ -95,8 +94,8 @@ class MotionSearch(EvidenceSearch):
         """
         members = list(best.members)
         for i, member in list(enumerate(members))[first:]:
-            forms = next((f for f in self.candidates if f[0].form == member.candidate.form and len(f) > 1), ())
-            tried = [Member(term, None, -float(np.log(len(forms))), term.sizes) for term in forms]
+            forms = next((f for f in self.candidates if f[0].candidate.form == member.candidate.form and len(f) > 1), ())
+            tried = [replace(one, log_mass=-float(np.log(len(forms)))) for one in forms]
             sets = [under(best.point, (*members[:i], one, *members[i + 1 :]), 0.0) for one in tried]
             if sets:
                 members[i] = tried[int(np.argmax([h.log_evidence for h in sets]))]
@@ -106,43 +105,42 @@ class MotionSearch(EvidenceSearch):
 
     def further(self, node: Hypothesis, candidates: list[Forms], least: float) -> list[tuple[float, Member]]:
         present = [m.candidate for m in node.members]
-        possible = [forms for forms in candidates if self.allowed(forms[0], present)]
-        logs = self.log_factors(node.conditioned, [term for forms in possible for term in forms])
+        possible = [forms for forms in candidates if self.allowed(forms[0].candidate, present)]
+        logs = self.log_factors(node.conditioned, [one for forms in possible for one in forms])
         out, first = [], 0
         for forms in possible:
             out.append(self.averaged(forms, logs[first : first + len(forms)], present))
             first += len(forms)
         return [(log, member) for log, member in out if log > -np.inf]
 
-    def averaged(self, forms: Forms, logs: np.ndarray, present: Sequence[Any]) -> tuple[float, Member]:
+    def averaged(self, forms: Forms, logs: np.ndarray, present: Sequence[Candidate]) -> tuple[float, Member]:
         """Log posterior odds over all values of the hyper-parameter, and the effect at the most probable one.
 
         The prior is shared by as many values as were compared to find these.
         """
         best = int(logs.argmax())
-        hyper = forms[0].variant.candidate.hyper
+        hyper = forms[0].candidate.hyper
         total = float(np.logaddexp.reduce(logs)) - float(np.log(max(1.0 if hyper is None else hyper.independent, len(forms))))
-        term = forms[best]
-        return total + self.prior.log_probability(term, present), Member(term, None, total - float(logs[best]), term.sizes)
+        member = replace(forms[best], log_mass=total - float(logs[best]))
+        return total + self.prior.log_probability(member.candidate, present), member
 
-    def allowed(self, term: MotionTerm, present: Sequence[Any]) -> bool:
+    def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         """One plain form of an effect at a location, then its refinements, each form once."""
-        candidate = term.variant.candidate
-        if term.form in {other.form for other in present}:
+        if candidate.form in {other.form for other in present}:
             return False
-        plain = any(not o.variant.candidate.extends and o.variant.candidate.location == candidate.location for o in present)
-        return plain if candidate.extends else (not plain or candidate.name in self.periodic)
+        plain = any(not other.rows.extends and other.location == candidate.location for other in present)
+        return plain if candidate.rows.extends else (not plain or candidate.several)
 
     @staticmethod
-    def log_factors(problem: ConditionedGram, terms: Sequence[MotionTerm]) -> np.ndarray:
+    def log_factors(problem: ConditionedGram, members: Sequence[Member]) -> np.ndarray:
         """(H,) log Bayes factors of single effects, averaged over sizes; -inf where the first coefficient has the wrong sign."""
-        out = np.zeros(len(terms))
+        out = np.zeros(len(members))
         kinds: dict[tuple, list[int]] = {}
-        for i, term in enumerate(terms):
-            kinds.setdefault((term.k, term.sizes, term.positive), []).append(i)
+        for i, m in enumerate(members):
+            kinds.setdefault((m.candidate.k, m.sizes, m.candidate.positive), []).append(i)
         for (k, sizes, positive), own in kinds.items():
-            typical = np.stack([terms[i].typical for i in own])
-            A, a = problem.beyond(np.stack([terms[i].variant.ids for i in own]))
+            typical = np.stack([members[i].candidate.typical for i in own])
+            A, a = problem.beyond(np.stack([members[i].columns for i in own]))
             A, a = A * typical[:, :, None] * typical[:, None, :], a * typical
             logs = log_bayes_factors(A, a, np.array(sizes), positive)
             if positive and k > 1:

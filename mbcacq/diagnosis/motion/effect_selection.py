@@ -12,16 +12,17 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, estimated
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
-from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, term_of
+from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
-from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect, Variant
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.result import Alternative
 from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
-from mbcacq.effects.motion_effect import MotionCandidate
+from mbcacq.effects.effect import Candidate
 
 MOST_PASSES = 60  # linearisations: one an effect, and some more where an effect is left out again
 TRIED = 5  # effects of the most evidence that are compared, each with the colour of the residual that it would leave
@@ -30,14 +31,11 @@ TRIED = 5  # effects of the most evidence that are compared, each with the colou
 class EffectSelection:
     """Selects effects for a model. start: (J,) held-out mean square of the model's base alone. sets: what was compared last."""
 
-    def __init__(self, model: MotionModel, candidates: list[MotionCandidate] | None = None, budget: TimeBudget = UNLIMITED) -> None:
+    def __init__(self, model: MotionModel, candidates: list[Candidate] | None = None, budget: TimeBudget = UNLIMITED) -> None:
         """candidates: what may be selected, None for the whole catalogue. budget: when it is spent, the set is not changed any more."""
         self.budget = budget
         self.model = model
         self.pool = CandidatePool(model, catalogue.motion_candidates(model.group, model.runs) if candidates is None else candidates)
-        periodic = catalogue.periodic_in(model.group.name)
-        self._periodic = frozenset() if periodic is None else frozenset({periodic[0]})
-        self._mass: dict[tuple, float] = {}
         self._left_out: set[tuple] = set()
         chosen = model.chosen()
         self.start = model.held_out_mean_square(chosen, model.fold_normals(model.weights(chosen)))
@@ -45,7 +43,7 @@ class EffectSelection:
 
     def run(self) -> None:
         """Start with what every arm may have; change the set as long as that makes it more probable; report what the evidence shows."""
-        self.model.selected = [self._selected(variants[len(variants) // 2]) for variants in self.pool.usual()]
+        self.model.selected = [SelectedEffect(forms[len(forms) // 2]) for forms in self.pool.usual()]
         settle = True
         for _ in range(MOST_PASSES):
             if self.budget.spent and not settle:
@@ -65,12 +63,7 @@ class EffectSelection:
         self.pool.forget_step()
 
     def _forms(self) -> frozenset:
-        return frozenset((e.candidate.location, e.candidate.variant) for e in self.model.selected)
-
-    @staticmethod
-    def _selected(variant: Variant) -> SelectedEffect:
-        nothing = np.zeros(0)
-        return SelectedEffect(variant, 1.0, nothing, nothing)
+        return frozenset(e.candidate.form for e in self.model.selected)
 
     def _compared(self, settle: bool = False, alternatives: bool = False) -> RankedSets:
         """The sets near the present one, in the present linearisation."""
@@ -79,30 +72,27 @@ class EffectSelection:
         chosen = model.chosen()
         weights = model.weights(chosen)
         colour = model.colour(chosen)
-        own = [[e.variant] for e in model.selected]
         every = [*pool.forms, *pool.periodic(weights, chosen)]
-        offered = [v for v in every if (v[0].candidate.location, v[0].candidate.variant) not in self._left_out]
+        offered = [forms for forms in every if forms[0].candidate.form not in self._left_out]
         problem, prior = GramProblem.of(model, colour), np.array(store.prior)
         information = np.diag(problem.weighted(weights * colour, corrected=True))[:-1]
-        terms = [tuple(term_of(v, prior, information) for v in variants) for variants in offered]
-        mine = [term_of(v, prior, information) for (v,) in own]
+        candidates = [tuple(sized(one, prior, information) for one in forms) for forms in offered]
+        members = tuple(sized(e.member, prior, information) for e in model.selected)
         self._colour = colour
         self._search = search = MotionSearch(
-            candidates=terms,
-            prior=MotionPrior.of([forms[0] for forms in terms], 1),
+            candidates=candidates,
+            prior=MotionPrior.of([forms[0].candidate for forms in candidates], 1),
             alternatives=alternatives,
             narrow=True,
-            periodic=self._periodic,
             settle=settle,
             budget=self.budget,
         )
         alone = np.asarray(store.base, dtype=int)
         # Where the search starts matters: from much more noise than there is, the noise of no effect would not settle in a few rounds.
         start = GramPoint(problem, -np.log(model.weights(alone) * model.colour(alone)))
-        members = tuple(Member(t, None, self._mass.get(t.form, 0.0), t.sizes) for t in mine)
         there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
         ranked = search.run(start, there)
-        log_e = log_e_value(ranked) - log_prior_mass(terms)
+        log_e = log_e_value(ranked) - log_prior_mass(candidates)
         return RankedSets(tuple(ranked), search.known[()], log_e, LEAST_LOG_E_VALUE, search.prior, cut_short=self.budget.spent)
 
     def _grown(self, best: Hypothesis) -> Hypothesis:
@@ -115,7 +105,7 @@ class EffectSelection:
         if len(best.members) >= search.most_effects:
             return best
         for _, member in search.extensions(best, search.candidates)[:TRIED]:
-            chosen = np.concatenate([self.model.chosen(), member.candidate.variant.ids]).astype(int)
+            chosen = np.concatenate([self.model.chosen(), member.columns]).astype(int)
             problem = best.point.problem.recoloured(np.minimum(self.model.colour(chosen) / self._colour, 1.0))
             without = estimated(best.members, replace(best.point, problem=problem), best.log_prior)
             members = (*best.members, member)
@@ -127,22 +117,21 @@ class EffectSelection:
 
     def _take(self, best: Hypothesis) -> None:
         """Make a set that of the model, and linearise anew."""
-        model, known = self.model, {(e.candidate.location, e.candidate.variant): e for e in self.model.selected}
+        model, known = self.model, {e.candidate.form: e for e in self.model.selected}
         kept, new = [], []
         for member in best.members:
-            term = member.candidate
-            self._mass[term.form] = member.log_mass
-            effect = known.get(term.form)
+            effect = known.get(member.candidate.form)
             if effect is None:
-                effect = self._selected(term.variant)
+                effect = SelectedEffect(member)
                 new.append(effect)
-            elif effect.variant.hyper != term.variant.hyper:
-                effect.variant = term.variant
+            else:
+                columns = effect.member.columns if effect.member.hyper == member.hyper else member.columns
+                effect.member = replace(member, columns=columns)
             kept.append(effect)
         for effect in new:
-            effect.variant = self.pool.keep(effect.variant)
+            self.pool.keep(effect)
         model.selected = kept
-        if not any(e.candidate.channel_delay for e in kept):
+        if not any(e.candidate.rows.channel_delay for e in kept):
             model.store.correct_delay(0.0)
         self.pool.forget_step()
         if any(_relinearises(e.candidate) for e in new) or len(kept) < len(known):
@@ -160,24 +149,24 @@ class EffectSelection:
             return
         reported = reported_hypothesis(sets) if sets.significant else sets.none
         forms = {m.candidate.form: m for m in reported.members}
-        model.selected = [e for e in model.selected if (e.candidate.location, e.candidate.variant) in forms]
-        if not any(e.candidate.channel_delay for e in model.selected):
+        model.selected = [e for e in model.selected if e.candidate.form in forms]
+        if not any(e.candidate.rows.channel_delay for e in model.selected):
             model.store.correct_delay(0.0)
         chosen = model.chosen()
         weights = model.weights(chosen)
         normals = model.fold_normals(weights)
         after = model.held_out_mean_square(chosen, normals)
         for effect in model.selected:
-            member = forms[effect.candidate.location, effect.candidate.variant]
+            member = forms[effect.candidate.form]
             rest = tuple(m for m in reported.members if m is not member)
             lost = reported.log_evidence - estimated(rest, reported.point, 0.0).log_evidence
             effect.p_value = float(np.exp(-max(lost, 0.0)))
             effect.before, effect.after = self._mean_square_without(effect, weights, normals), after
-            effect.alternatives = [_alternative(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)]
+            effect.alternatives = [Alternative.of_label(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)]
 
     def _mean_square_without(self, effect: SelectedEffect, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
         model, chosen = self.model, self.model.chosen(without=effect)
-        if not effect.candidate.channel_delay:
+        if not effect.candidate.rows.channel_delay:
             return model.held_out_mean_square(chosen, normals)
         delay = model.store.delay
         model.store.correct_delay(0.0)
@@ -186,10 +175,5 @@ class EffectSelection:
         return out
 
 
-def _relinearises(candidate: MotionCandidate) -> bool:
-    return (candidate.hyper is not None and candidate.hyper.refine) or candidate.channel_delay or candidate.follows_load
-
-
-def _alternative(label: str, odds: float) -> AlternativeEffect:
-    name, _, where = label.partition(":")
-    return AlternativeEffect(name, tuple(where.split("+")), odds)
+def _relinearises(candidate: Candidate) -> bool:
+    return (candidate.hyper is not None and candidate.hyper.refine) or candidate.rows.channel_delay or candidate.rows.follows_load

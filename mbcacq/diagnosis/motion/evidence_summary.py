@@ -7,30 +7,23 @@ import numpy as np
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coefficients import slices_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
-from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
+from mbcacq.diagnosis.evidence.posterior import not_separable, reported_hypothesis, undecided
 from mbcacq.diagnosis.motion.gram_point import GramPoint, cholesky_of
-from mbcacq.diagnosis.output.evidence_summary import shown
-from mbcacq.diagnosis.result import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary, NotSeparable
-from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.diagnosis.output.evidence_summary import compared_effect, summary_of
+from mbcacq.diagnosis.result import ComparedEffect, EvidenceSummary, NotSeparable
 
 
 def summarized(sets: RankedSets) -> EvidenceSummary:
     """The most probable sets, the empty one among them, with the parameters of each."""
-    best = sets.hypotheses[0].log_posterior
-    compared = tuple(ComparedSet(_effects_of(sets, h), float(h.log_posterior - best)) for h in shown(sets))
-    return EvidenceSummary(0, sets.log_e_value, sets.least, compared)
+    return summary_of(sets, lambda hypothesis: _effects_of(sets, hypothesis))
 
 
 def pairs_not_separable(sets: RankedSets) -> tuple[NotSeparable, ...]:
     """Sets that the evidence does not exclude in favour of the reported one, effect by effect."""
     if not sets.significant:
         return ()
-    reported, out = reported_hypothesis(sets), []
-    for other in undecided(sets, reported):
-        ours, theirs = reported.labels - other.labels, other.labels - reported.labels
-        odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
-        out.append(NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), _likeness(reported, other), odds))
-    return tuple(out)
+    reported = reported_hypothesis(sets)
+    return tuple(not_separable(reported, other, _likeness(reported, other)) for other in undecided(sets, reported))
 
 
 def _likeness(reported: Hypothesis[GramPoint], other: Hypothesis[GramPoint]) -> float:
@@ -66,20 +59,6 @@ def _effects_of(sets: RankedSets, hypothesis: Hypothesis[GramPoint]) -> tuple[Co
     mean, covariance = _coefficients(hypothesis)
     out = []
     for member, own in zip(hypothesis.members, slices_of(hypothesis.members), strict=True):
-        candidate, typical = member.candidate.variant.candidate, member.candidate.typical
-        scale, before = np.outer(typical, typical), np.diag((member.size * typical) ** 2)
-
-        def reported(c: np.ndarray, v: np.ndarray, of=candidate, hyper=member.candidate.variant.hyper) -> dict[str, ParameterEstimate]:
-            return {name: ParameterEstimate(_frozen(p["value"]), _frozen(p["std"])) for name, p in of.report(c, v, hyper, 0.0).items()}
-
-        parameters = reported(typical * mean[own], covariance[own, own] * scale)
-        with np.errstate(divide="ignore", invalid="ignore"):  # an angle between coefficients that are zero is not a number
-            absent, spread = reported(np.zeros(len(typical)), before), reported(typical * mean[own], before)
-        prior = {name: ParameterEstimate(absent[name].value, p.std) for name, p in spread.items()}
-        log_prior = sets.log_prior_of(member, hypothesis)
-        out.append(ComparedEffect(candidate.name, candidate.where, parameters, prior=prior, log_prior=log_prior))
+        typical = member.candidate.typical
+        out.append(compared_effect(sets, hypothesis, member, typical * mean[own], covariance[own, own] * np.outer(typical, typical)))
     return tuple(out)
-
-
-def _frozen(value: float | list[float]) -> float | tuple[float, ...]:
-    return tuple(float(v) for v in value) if isinstance(value, list) else float(value)

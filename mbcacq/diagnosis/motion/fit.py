@@ -12,12 +12,14 @@ from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
-from mbcacq.diagnosis.motion.load_hypotheses import LoadAlternative, load_alternatives
+from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
 from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
-from mbcacq.diagnosis.motion.motion_model import AlternativeEffect, MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.effects.motion_effect import ChannelGroup, Parameters
+from mbcacq.diagnosis.result import Alternative, NotSeparable
+from mbcacq.effects.effect import Parameters, joined_parameters
+from mbcacq.effects.motion_effect import ChannelGroup
 
 ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
 
@@ -47,7 +49,7 @@ class FittedEffect:
     joints: tuple[int, ...]
     gain: np.ndarray
     steps: list[FitStep]
-    alternatives: list[AlternativeEffect]
+    alternatives: list[Alternative]
     contributions: ByRun
     notes: list[str]
 
@@ -79,7 +81,7 @@ class MotionFit:
     load_uncertainty: np.ndarray
     sets: RankedSets | None = None
     inertial: np.ndarray | None = None
-    load_alternatives: list[LoadAlternative] = field(default_factory=list)
+    load_alternatives: list[NotSeparable] = field(default_factory=list)
 
 
 def fit_selected(selection: EffectSelection) -> MotionFit:
@@ -162,7 +164,7 @@ def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[Fitt
     for effect in model.selected:
         hyper = [len(chosen) + k for k, e in enumerate(continuous) if e is effect]
         hyper_std = float(np.sqrt(max(spread[hyper[0], hyper[0]], 0.0))) if hyper else 0.0
-        at = [position[int(i)] for i in effect.variant.ids]
+        at = [position[int(i)] for i in effect.member.columns]
         fitted = _fitted(model, effect, x[at], spread[np.ix_(at, at)], hyper_std)
         known = out.get(effect.candidate.location)
         out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)
@@ -171,9 +173,9 @@ def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[Fitt
 
 def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
     candidate = effect.candidate
-    parameters = candidate.report(c, v, effect.variant.hyper, hyper_std)
+    parameters = dict(candidate.parameters(c, v, effect.member.hyper, hyper_std))
     notes = []
-    if candidate.hyper is not None and at_bound(effect):
+    if candidate.hyper is not None and at_bound(effect.member):
         del parameters[candidate.hyper.name]
         tried = np.sort(candidate.hyper.values)
         limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
@@ -184,11 +186,11 @@ def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.nda
         depends_on=candidate.depends_on,
         parameters=parameters,
         p_value=effect.p_value,
-        joints=candidate.joints,
+        joints=candidate.rows.joints,
         gain=effect.before - effect.after,
         steps=[FitStep(list(parameters), effect.before, effect.after)],
         alternatives=effect.alternatives,
-        contributions=_delayed(model, effect, c) if candidate.channel_delay else _contribution(model, effect, c),
+        contributions=_delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c),
         notes=notes,
     )
 
@@ -199,7 +201,7 @@ def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
     (step,) = other.steps
     return replace(
         first,
-        parameters=_joined_parameters(first.parameters, other.parameters),
+        parameters=joined_parameters((first.parameters, other.parameters)),
         p_value=min(first.p_value, other.p_value),
         gain=first.gain + step.before - step.after,
         steps=[*first.steps, *other.steps],
@@ -208,24 +210,19 @@ def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
     )
 
 
-def _joined_parameters(one: Parameters, other: Parameters) -> Parameters:
-    """Parameters of both; those that both have (several periodic components) become lists."""
-    out = dict(one)
-    for key, entry in other.items():
-        out[key] = entry if key not in one else {k: [*np.atleast_1d(one[key][k]).tolist(), entry[k]] for k in ("value", "std")}
-    return out
-
-
 def _contribution(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:
     candidate = effect.candidate
     return [
-        [candidate.columns(run, j, effect.variant.hyper) @ c if j in candidate.joints else np.zeros(len(run.q)) for run in model.runs]
+        [
+            candidate.rows.columns(run, j, effect.member.hyper) @ c if j in candidate.rows.joints else np.zeros(len(run.q))
+            for run in model.runs
+        ]
         for j in model.group.joints
     ]
 
 
 def _delayed(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:
-    delay, signals = effect.variant.value + float(c[0]), model.group.signal
+    delay, signals = effect.member.value + float(c[0]), model.group.signal
     return [
         [-shift_difference(signals[k][:, j], run.step_s, delay) for k, run in enumerate(model.runs)] for j in range(len(model.group.joints))
     ]

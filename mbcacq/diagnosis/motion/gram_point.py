@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from mbcacq.diagnosis.evidence.hypothesis import Member
-from mbcacq.diagnosis.motion.motion_model import MotionModel, Variant
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.normal_store import MISMATCH
 from mbcacq.diagnosis.motion.options import RIDGE
 
@@ -24,42 +24,6 @@ from mbcacq.diagnosis.motion.options import RIDGE
 # digit, half a decade apart. A coefficient with a prior has shares of its standard deviation (as for the sizes of poses, equally probable).
 RATIOS = tuple(float(s) for s in 10.0 ** np.linspace(0.15, 8.0, 16))
 SHARES = (0.03, 0.1, 0.3, 1.0)
-
-
-@dataclass(frozen=True, eq=False)
-class MotionTerm:
-    """A candidate at one value of its hyper-parameter, as the search takes it."""
-
-    variant: Variant
-    typical: np.ndarray
-    sizes: tuple[float, ...]
-
-    rarity = 1.0
-
-    @property
-    def name(self) -> str:
-        return self.variant.candidate.name
-
-    @property
-    def where(self) -> tuple[str, ...]:
-        return self.variant.candidate.where
-
-    @property
-    def form(self) -> tuple:
-        """Name, location and form: what a set can have once."""
-        return self.variant.candidate.location, self.variant.candidate.variant
-
-    @property
-    def key(self) -> str:
-        return f"{self.name}:{'+'.join(self.where)}:{self.variant.candidate.variant}:{self.variant.hyper!r}"
-
-    @property
-    def k(self) -> int:
-        return len(self.variant.ids)
-
-    @property
-    def positive(self) -> bool:
-        return self.variant.candidate.positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +110,7 @@ class GramPoint:
 
     def extended(self, members: Sequence[Member]) -> ExtendedGram:
         problem = self.problem
-        ids = np.concatenate([problem.base, *(m.candidate.variant.ids for m in members)]).astype(int)
+        ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
         scale = np.concatenate([np.ones(len(problem.base)), *(m.candidate.typical for m in members), [1.0]])
         gram = problem.restricted(ids, corrected(members)) * np.outer(scale, scale)
         return ExtendedGram(gram, problem.prior[problem.base] ** -2.0)
@@ -176,7 +140,7 @@ class GramPoint:
 
 def corrected(members: Sequence[Member]) -> bool:
     """Whether a set has the effect that corrects the channel's delay."""
-    return any(m.candidate.variant.candidate.channel_delay for m in members)
+    return any(m.candidate.rows.channel_delay for m in members)
 
 
 def cholesky_of(normal: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -219,7 +183,7 @@ class ConditionedGram:
     def of(cls, point: GramPoint, members: Sequence[Member]) -> ConditionedGram:
         problem = point.problem
         normal = problem.weighted(np.exp(-point.theta), corrected(members))
-        ids = np.concatenate([problem.base, *(m.candidate.variant.ids for m in members)]).astype(int)
+        ids = np.concatenate([problem.base, *(m.columns for m in members)]).astype(int)
         known = [(m.size * m.candidate.typical) ** -2.0 for m in members]
         root = cholesky_of(normal[np.ix_(ids, ids)], np.concatenate([problem.prior[problem.base] ** -2.0, *known]))
         return cls(normal, solve_triangular(root, normal[ids], lower=True, check_finite=False))

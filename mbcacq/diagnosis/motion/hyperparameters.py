@@ -10,7 +10,7 @@ from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.time_alignment import estimate_delay
 from mbcacq.effects import catalogue
-from mbcacq.effects.motion_effect import MotionCandidate
+from mbcacq.effects.effect import Candidate
 
 MOST_WINDOWS = 3  # of a periodic component's order, each as wide as two distinguishable orders
 SMALLEST_HYPER = 1e-9  # of a numerical derivative's relative step
@@ -50,9 +50,9 @@ def _improved_orders(model: MotionModel) -> bool:
         steps = store.solve(store.normal(weights), ids)[len(chosen) :]
         store.forget(mark)
         for effect, step, (low, high) in zip(free, steps, bounds, strict=True):
-            hyper = float(np.clip(effect.variant.value + step, low, high))
+            hyper = float(np.clip(effect.member.value + step, low, high))
             effect.at(hyper, model.add(effect.candidate, hyper))
-    return any(_is_order(e) and e.variant.value in ends for e, ends in zip(free, bounds, strict=True))
+    return any(_is_order(e) and e.member.value in ends for e, ends in zip(free, bounds, strict=True))
 
 
 def _is_order(effect: SelectedEffect) -> bool:
@@ -74,23 +74,23 @@ def add_derivatives(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> li
     position = {int(c): i for i, c in enumerate(chosen)}
     out = []
     for effect in continuous_effects(model):
-        c = x[[position[int(i)] for i in effect.variant.ids]]
-        h = effect.variant.value
+        c = x[[position[int(i)] for i in effect.member.columns]]
+        h = effect.member.value
         d = NUMBERS.hyper_step * max(abs(h), SMALLEST_HYPER)
-        columns = [_derivative(model, effect.candidate, joint, h, d, c) for joint in effect.candidate.joints]
+        columns = [_derivative(model, effect.candidate, joint, h, d, c) for joint in effect.candidate.rows.joints]
         out.append(model.store.add(model.joint_indices(effect.candidate), columns))
     return out
 
 
-def _derivative(model: MotionModel, candidate: MotionCandidate, joint: int, h: float, d: float, c: np.ndarray) -> np.ndarray:
+def _derivative(model: MotionModel, candidate: Candidate, joint: int, h: float, d: float, c: np.ndarray) -> np.ndarray:
     """(Ttot, 1) by a central difference of step d about the value h; c: coefficients (k,)."""
-    rates = [(candidate.columns(run, joint, h + d) - candidate.columns(run, joint, h - d)) @ c / (2 * d) for run in model.runs]
+    rates = [(candidate.rows.columns(run, joint, h + d) - candidate.rows.columns(run, joint, h - d)) @ c / (2 * d) for run in model.runs]
     return np.concatenate(rates)[:, None]
 
 
 def update_load(model: MotionModel) -> None:
     """Let effects that follow the load see it as it is now known, no longer as the arm is described."""
-    if not any(effect.candidate.follows_load for effect in model.selected):
+    if not any(effect.candidate.rows.follows_load for effect in model.selected):
         return
     x = model.coefficients()
     motor_side = [e.candidate.name for e in model.selected if catalogue.declaration(e.candidate.name).motor_side]
@@ -110,8 +110,8 @@ def _neighbours(effect: SelectedEffect) -> tuple[float, float]:
     values = np.sort(effect.candidate.hyper.values)
     if _is_order(effect):
         step = float(values[1] - values[0])
-        return effect.variant.value - step, effect.variant.value + step
-    k = int(np.argmin(np.abs(values - effect.variant.value)))
+        return effect.member.value - step, effect.member.value + step
+    k = int(np.argmin(np.abs(values - effect.member.value)))
     low = values[k - 1] if k else values[0]
     high = values[k + 1] if k + 1 < len(values) else 2 * values[-1] - values[-2]
     return float(low), float(high)

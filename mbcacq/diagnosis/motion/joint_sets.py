@@ -14,13 +14,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.effects.declaration import Estimates
+from mbcacq.effects.effect import ParameterEstimate, Parameters
 
 MOST_SETS = 12  # of each evidence: further ones are less probable than the best by far
 SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
@@ -36,8 +35,8 @@ class StatedEffect:
     prior probability next to the others of the set. Without a prior (older files) the joint odds are understated.
     """
 
-    parameters: Estimates = field(default_factory=dict)
-    prior: Estimates = field(default_factory=dict)
+    parameters: Parameters = field(default_factory=dict)
+    prior: Parameters = field(default_factory=dict)
     log_prior: float = 0.0
 
 
@@ -132,29 +131,30 @@ def log_of_one(stated: Sequence[StatedEffect]) -> float:
     for other in stated[1:]:
         total -= other.log_prior
         for key, mine, theirs in paired(stated[0].parameters, other.parameters):
-            total += float(np.sum(log_shared(key, mine, theirs, prior_of(stated[0], key, len(mine.value)))))
+            total += float(np.sum(log_shared(key, mine, theirs, prior_of(stated[0], key, len(mine.components[0])))))
     return total
 
 
-def prior_of(stated: StatedEffect, key: str, components: int) -> SingleValue | None:
+def prior_of(stated: StatedEffect, key: str, components: int) -> ParameterEstimate | None:
     """A parameter before the recording; what it is without the effect may not be a number."""
-    if key not in stated.prior:
-        return None
-    value, std = (np.atleast_1d(np.asarray(stated.prior[key][part], dtype=float)) for part in ("value", "std"))
-    return SingleValue(value, std) if len(value) == len(std) == components and np.isfinite(std).all() else None
+    prior = stated.prior.get(key)
+    values, stds = ((), ()) if prior is None else prior.components
+    return prior if len(values) == len(stds) == components and np.isfinite(stds).all() else None
 
 
-def log_shared(key: str, mine: SingleValue, theirs: SingleValue, prior: SingleValue | None) -> np.ndarray:
+def log_shared(key: str, mine: ParameterEstimate, theirs: ParameterEstimate, prior: ParameterEstimate | None) -> np.ndarray:
     """(k,) log evidence of one parameter behind two independent recordings, over the product of those of a parameter for each.
 
     With normal posteriors p1, p2 and the prior p0 that is the logarithm of the integral of p1 p2 / p0. Without a prior, half the squared
     distance in combined standard deviations is taken off, which understates it.
     """
-    difference, first, second = apart(key, mine, theirs), mine.std**2, theirs.std**2
+    (value, std), (_, other) = np.array(mine.components), np.array(theirs.components)
+    difference, first, second = apart(key, mine, theirs), std**2, other**2
     if prior is None:
         return -0.5 * difference**2 / np.maximum(first + second, 1e-300)
-    about = np.where(np.isfinite(prior.value) & (name_of(key) != PHASE), mine.value - prior.value, 0.0)
-    spread = np.minimum(prior.std, UNIFORM_DEG) if name_of(key) == PHASE else prior.std
+    absent, spread = np.array(prior.components)
+    about = np.where(np.isfinite(absent) & (name_of(key) != PHASE), value - absent, 0.0)
+    spread = np.minimum(spread, UNIFORM_DEG) if name_of(key) == PHASE else spread
     before = np.maximum(spread**2, np.maximum(first, second))  # a posterior is not wider than its prior
     precision = 1 / first + 1 / second - 1 / before
     mean = (about / first + (about - difference) / second) / precision
@@ -162,55 +162,39 @@ def log_shared(key: str, mine: SingleValue, theirs: SingleValue, prior: SingleVa
     return 0.5 * np.log(before / (first * second * precision)) - 0.5 * exponent
 
 
-@dataclass(frozen=True)
-class SingleValue:
-    """value, std: (k,) of a parameter with k components."""
-
-    value: np.ndarray
-    std: np.ndarray
-
-
 def name_of(key: str) -> str:
     """The parameter's name without its location."""
     return key.rpartition(".")[2]
 
 
-def apart(key: str, mine: SingleValue, theirs: SingleValue) -> np.ndarray:
+def apart(key: str, mine: ParameterEstimate, theirs: ParameterEstimate) -> np.ndarray:
     """(k,) difference of two estimates; of a phase the shorter way round."""
-    difference = mine.value - theirs.value
+    difference = np.subtract(mine.components[0], theirs.components[0])
     return (difference + TURN / 2) % TURN - TURN / 2 if name_of(key) == PHASE else difference
 
 
-def paired(own: Estimates, other: Estimates) -> Iterator[tuple[str, SingleValue, SingleValue]]:
+def paired(own: Parameters, other: Parameters) -> Iterator[tuple[str, ParameterEstimate, ParameterEstimate]]:
     """The parameters that both have, if all are finite. Those of one order of a periodic effect with several belong together."""
     for key in own:
         location = key.rpartition(".")[0]
         orders = f"{location}.order" if location else "order"
         if key not in other:
             continue
+        mine, theirs = own[key].components, other[key].components
         if orders not in own or orders not in other:
-            both = single_value(own[key]), single_value(other[key])
-            if both[0] is not None and both[1] is not None and len(both[0].value) == len(both[1].value):
-                yield key, both[0], both[1]
+            if np.shape(mine) == np.shape(theirs) and np.isfinite([mine, theirs]).all():
+                yield key, own[key], other[key]
             continue
-        for j, i in same_orders(own[orders]["value"], other[orders]["value"]):
-            mine, theirs = single_value(own[key], j), single_value(other[key], i)
-            if mine is not None and theirs is not None:
-                yield key, mine, theirs
+        for j, i in same_orders(own[orders], other[orders]):
+            one, two = ((values[at], stds[at]) for (values, stds), at in ((mine, j), (theirs, i)))
+            if np.isfinite([one, two]).all():
+                yield key, ParameterEstimate(*one), ParameterEstimate(*two)
 
 
-def same_orders(own: Any, other: Any) -> list[tuple[int, int]]:
-    """Positions of periodic components that are the same, in both lists of orders."""
-    apart_by = np.abs(np.subtract.outer(np.atleast_1d(own).astype(float), np.atleast_1d(other).astype(float)))
+def same_orders(own: ParameterEstimate, other: ParameterEstimate) -> list[tuple[int, int]]:
+    """Positions of periodic components that are the same, in both orders."""
+    apart_by = np.abs(np.subtract.outer(own.components[0], other.components[0]))
     return [(j, int(row.argmin())) for j, row in enumerate(apart_by) if row.min() < SAME_ORDER]
-
-
-def single_value(entry: Mapping[str, Any], component: int | None = None) -> SingleValue | None:
-    """None for a parameter that is not finite. component: of one with several orders."""
-    value, std = (np.atleast_1d(np.asarray(entry[key], dtype=float)) for key in ("value", "std"))  # None is not a number
-    if component is not None:
-        value, std = value[[component]], std[[component]]
-    return SingleValue(value, std) if np.isfinite(value).all() and np.isfinite(std).all() else None
 
 
 def not_excluded(sets: Sequence[JointSet]) -> tuple[JointSet, ...]:

@@ -12,27 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
+from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.determination import canonical_correlation
-from mbcacq.diagnosis.motion.motion_model import MotionModel, Variant
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.noise import covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
+from mbcacq.diagnosis.result import NotSeparable
 
 ARM = "arm"  # the masses of the links
 SIZES = np.array([0.03, 0.1, 0.3, 1.0])  # of a coefficient's prior sigma, equally probable
 NOT_EXCLUDED = 0.05  # odds, against what is reported, from which an explanation is an alternative
 CONTRADICTED = float(np.log(20.0))  # log Bayes factor of other masses from which the description of the arm is contradicted
 SMALLEST = 1e-12  # eigenvalue of a covariance in units of the prior: directions below are those of rounding
-
-
-@dataclass(frozen=True)
-class LoadAlternative:
-    """What else may load the arm instead of ``reported``. correlation: of the estimates; odds: posterior, of the alternative."""
-
-    reported: str
-    alternative: str
-    correlation: float
-    odds: float
 
 
 @dataclass(frozen=True)
@@ -74,8 +66,8 @@ class _Posterior:
         return float(0.5 * np.sum((vectors.T @ (self.x[at] / sigma)) ** 2 / values + np.log(values)))
 
 
-def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[LoadAlternative]:
-    """What the recordings do not exclude in favour of the loads that were selected, or of the masses alone."""
+def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[NotSeparable]:
+    """What else may load the arm: the recordings do not exclude it in favour of the loads that were selected, or of the masses alone."""
     if not _asked(model):
         return []
     posterior = _Posterior.of(model, model.chosen())
@@ -83,18 +75,18 @@ def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[LoadAlter
     if posterior.log_odds_of_other_masses(masses) < CONTRADICTED:
         return []
     out, there = [], {e.candidate.location for e in model.selected}
-    for name in dict.fromkeys(c.name for c in pool.candidates if c.load_parameters):
-        own = [e.variant for e in model.selected if e.candidate.name == name and e.candidate.usual]
+    for name in dict.fromkeys(c.name for c in pool.candidates if c.rows.load_parameters):
+        own = [e.member for e in model.selected if e.candidate.name == name and e.candidate.rows.usual]
         variants = own or [
             v for variants in pool.usual() for v in variants if v.candidate.name == name and v.candidate.location not in there
         ]
-        compared = [_compared(model, v, masses, selected=bool(own)) for v in variants if np.isfinite(v.candidate.sigma).all()]
+        compared = [_compared(model, v, masses, selected=bool(own)) for v in variants if np.isfinite(v.candidate.rows.sigma).all()]
         if compared:
             odds = float(np.mean([odds for odds, _ in compared]))
-            label = f"{name}:{'+'.join(variants[0].candidate.where)}"
+            label = variants[0].candidate.label
             pair = (label, ARM) if own else (ARM, label)
-            out.append(LoadAlternative(*pair, max(correlation for _, correlation in compared), min(odds, 1.0)))
-    return [a for a in out if a.odds > NOT_EXCLUDED]
+            out.append(NotSeparable(pair, max(correlation for _, correlation in compared), min(odds, 1.0)))
+    return [a for a in out if a.odds is not None and a.odds > NOT_EXCLUDED]
 
 
 def _asked(model: MotionModel) -> bool:
@@ -106,12 +98,12 @@ def _asked(model: MotionModel) -> bool:
     return bool(high - low < NUMBERS.wide_range * np.ptp(robot.limits[1]))
 
 
-def _compared(model: MotionModel, variant: Variant, masses: np.ndarray, selected: bool) -> tuple[float, float]:
+def _compared(model: MotionModel, member: Member, masses: np.ndarray, selected: bool) -> tuple[float, float]:
     """Odds of the alternative (without the effect where it is selected, else with it), and the correlation of its estimate with the
     masses'."""
-    chosen = model.chosen() if selected else np.concatenate([model.chosen(), variant.ids]).astype(int)
+    chosen = model.chosen() if selected else np.concatenate([model.chosen(), member.columns]).astype(int)
     posterior = _Posterior.of(model, chosen)
-    ids = variant.ids[: variant.candidate.tested or len(variant.ids)]
-    log_factor = posterior.log_bayes_factor(ids, variant.candidate.positive)
+    ids = member.columns[: member.candidate.rows.tested or len(member.columns)]
+    log_factor = posterior.log_bayes_factor(ids, member.candidate.positive)
     odds = float(np.exp(np.clip(-log_factor if selected else log_factor, -700.0, 700.0)))
     return odds, canonical_correlation(posterior.V, posterior.at(ids), posterior.at(masses))

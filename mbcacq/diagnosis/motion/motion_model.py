@@ -3,59 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion.noise import third_difference_noise
 from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
+from mbcacq.diagnosis.result import Alternative
+from mbcacq.effects.effect import Candidate
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 
 LEAST_NOISE = 1e-6  # of a channel, as a share of its range: of simulated recordings without noise; encoders resolve a millionth of a turn
 
 
-@dataclass(frozen=True, eq=False)
-class Variant:
-    """A candidate at one value of its hyper-parameter, with the numbers of its columns."""
-
-    candidate: MotionCandidate
-    hyper: float | None
-    ids: np.ndarray
-
-    @property
-    def value(self) -> float:
-        """The hyper-parameter of a candidate that has one."""
-        assert self.hyper is not None, f"{self.candidate.name} has no hyper-parameter"
-        return self.hyper
-
-
-@dataclass(frozen=True)
-class AlternativeEffect:
-    """Another effect that could stand in the place of the selected one. odds: posterior, of the set with it against that with this one."""
-
-    name: str
-    where: tuple[str, ...]
-    odds: float
-
-
 @dataclass(eq=False)
 class SelectedEffect:
-    """before, after: held-out mean square (J,) without it and with it. p_value: one over the Bayes factor that it is worth in its set."""
+    """before, after: held-out mean square (J,) without it and with it. p_value: one over the Bayes factor that it is worth in its set;
+    alternatives: what else could stand in its place."""
 
-    variant: Variant
-    p_value: float
-    before: np.ndarray
-    after: np.ndarray
-    alternatives: list[AlternativeEffect] = field(default_factory=list)
+    member: Member
+    p_value: float = 1.0
+    before: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    after: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    alternatives: list[Alternative] = field(default_factory=list)
 
     @property
-    def candidate(self) -> MotionCandidate:
-        return self.variant.candidate
+    def candidate(self) -> Candidate:
+        return self.member.candidate
 
-    def at(self, hyper: float | None, ids: np.ndarray) -> None:
+    def at(self, hyper: float | None, columns: np.ndarray) -> None:
         """Take another value of the hyper-parameter, whose columns have these numbers."""
-        self.variant = Variant(self.candidate, hyper, ids)
+        self.member = replace(self.member, hyper=hyper, columns=columns)
 
 
 class MotionModel:
@@ -74,39 +54,39 @@ class MotionModel:
 
     # columns
 
-    def columns(self, candidate: MotionCandidate, joint: int, hyper: float | None) -> np.ndarray:
+    def columns(self, candidate: Candidate, joint: int, hyper: float | None) -> np.ndarray:
         """(Ttot, k) of a candidate at one joint."""
-        return np.concatenate([candidate.columns(run, joint, hyper) for run in self.runs])
+        return np.concatenate([candidate.rows.columns(run, joint, hyper) for run in self.runs])
 
-    def joint_indices(self, candidate: MotionCandidate) -> list[int]:
-        return [self.group.index(joint) for joint in candidate.joints]
+    def joint_indices(self, candidate: Candidate) -> list[int]:
+        return [self.group.index(joint) for joint in candidate.rows.joints]
 
-    def add(self, candidate: MotionCandidate, hyper: float | None) -> np.ndarray:
+    def add(self, candidate: Candidate, hyper: float | None) -> np.ndarray:
         """Add the columns of a candidate. Returns their numbers."""
-        columns = [self.columns(candidate, joint, hyper) for joint in candidate.joints]
-        return self.store.add(self.joint_indices(candidate), columns, np.broadcast_to(candidate.sigma, columns[0].shape[1]))
+        columns = [self.columns(candidate, joint, hyper) for joint in candidate.rows.joints]
+        return self.store.add(self.joint_indices(candidate), columns, np.broadcast_to(candidate.rows.sigma, columns[0].shape[1]))
 
-    def add_of_one_joint(self, candidates: list[MotionCandidate], hypers: list[float | None]) -> list[Variant]:
+    def add_of_one_joint(self, candidates: list[Candidate], hypers: list[float | None]) -> list[Member]:
         """Candidates of one joint each, at one value of the hyper-parameter each."""
-        joints = [candidate.joints[0] for candidate in candidates]
+        joints = [candidate.rows.joints[0] for candidate in candidates]
         columns = [self.columns(c, joint, h) for c, joint, h in zip(candidates, joints, hypers, strict=True)]
-        sigmas = [np.broadcast_to(c.sigma, column.shape[1]) for c, column in zip(candidates, columns, strict=True)]
+        sigmas = [np.broadcast_to(c.rows.sigma, column.shape[1]) for c, column in zip(candidates, columns, strict=True)]
         numbers = self.store.add_many([(self.group.index(j), column) for j, column in zip(joints, columns, strict=True)], sigmas)
-        return [Variant(c, h, ids) for c, h, ids in zip(candidates, hypers, numbers, strict=True)]
+        return [Member(c, h, columns=ids) for c, h, ids in zip(candidates, hypers, numbers, strict=True)]
 
     def set_runs(self, runs: tuple[MotionSignals, ...]) -> None:
         """The same runs with another load; columns of the effects that follow it are computed again."""
         self.runs = runs
         for effect in self.selected:
-            if effect.candidate.follows_load:
-                columns = [self.columns(effect.candidate, j, effect.variant.hyper) for j in effect.candidate.joints]
-                self.store.replace(effect.variant.ids, self.joint_indices(effect.candidate), columns)
+            if effect.candidate.rows.follows_load:
+                columns = [self.columns(effect.candidate, j, effect.member.hyper) for j in effect.candidate.rows.joints]
+                self.store.replace(effect.member.columns, self.joint_indices(effect.candidate), columns)
 
     # fit
 
     def chosen(self, without: SelectedEffect | None = None) -> np.ndarray:
         """Numbers of the columns of the base and of the selected effects."""
-        return np.concatenate([self.store.base, *(e.variant.ids for e in self.selected if e is not without)]).astype(int)
+        return np.concatenate([self.store.base, *(e.member.columns for e in self.selected if e is not without)]).astype(int)
 
     def weights(self, chosen: np.ndarray) -> np.ndarray:
         """What a sample of each joint (J,) counts: one over the mean square of the residual of these columns and over the number of samples
@@ -150,7 +130,7 @@ class MotionModel:
             inertial = self.store.base[len(self.group.joints) : None if rotors else -signals.q.shape[1]]  # the last are the rotors
             out += base[:, j, : len(inertial)] @ x[[position[int(i)] for i in inertial]]
         for effect in self.selected:
-            if effect.candidate.name not in without and joint in effect.candidate.joints:
-                columns = effect.candidate.columns(signals, joint, effect.variant.hyper)
-                out += columns @ x[[position[int(i)] for i in effect.variant.ids]]
+            if effect.candidate.name not in without and joint in effect.candidate.rows.joints:
+                columns = effect.candidate.rows.columns(signals, joint, effect.member.hyper)
+                out += columns @ x[[position[int(i)] for i in effect.member.columns]]
         return out

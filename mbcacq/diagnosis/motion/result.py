@@ -13,7 +13,7 @@ from pydantic import Field, computed_field
 from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.effects.trend import components, trend
+from mbcacq.effects.trend import trend
 from mbcacq.errors import ConfigError
 from mbcacq.model.channel_series import MotionSeries
 from mbcacq.model.json_text import EveryKey, InJson, Number, damage, fields_as_json, from_fields
@@ -46,7 +46,7 @@ class MotionStep:
 class MotionEffect:
     """A parametric effect that was found.
 
-    parameters: name (its unit is the ending) -> ``{"value": .., "std": ..}``, numbers or lists of numbers. held_out_gain: share of the
+    parameters: by name, with the unit as its suffix. held_out_gain: share of the
     excess of its kind of mismatch over the noise that it removes on held-out data; held_out_gain_here: of that of its own joints. Together
     the effects of a joint remove what the table of channels says. notes: what its parameters leave open. trend: as of ``EffectFound``.
     """
@@ -55,7 +55,7 @@ class MotionEffect:
     where: tuple[str, ...]
     depends_on: str
     channel: str
-    parameters: Mapping[str, Mapping[str, Any]]
+    parameters: Mapping[str, ParameterEstimate]
     p_value: Number
     held_out_gain: Number
     held_out_gain_here: Number
@@ -65,7 +65,7 @@ class MotionEffect:
     trend: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        sizes = {name: components(estimate) for name, estimate in self.parameters.items()}
+        sizes = {name: estimate.components for name, estimate in self.parameters.items()}
         object.__setattr__(self, "trend", trend(sizes, self.held_out_gain_here))
 
 
@@ -89,7 +89,7 @@ class UnmodelledMotionEffect:
     held_out_gain: Number
     shape: ResponseShape
     name: str = field(init=False, default=UNKNOWN)
-    parameters: Mapping[str, Mapping[str, Any]] = field(init=False, default_factory=dict)
+    parameters: Mapping[str, ParameterEstimate] = field(init=False, default_factory=dict)
     alternatives: tuple[Alternative, ...] = field(init=False, default=())
 
     trend = ""
@@ -275,5 +275,4 @@ def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
     """In words with units, ± U (k = 2); of a trend no figure."""
     if effect.trend:
         return f"a trend: {effect.trend}"
-    each = {name: from_fields(ParameterEstimate, p) for name, p in effect.parameters.items()}
-    return "; ".join(parameter_in_words(name, estimate) for name, estimate in each.items())
+    return "; ".join(parameter_in_words(name, estimate) for name, estimate in effect.parameters.items())

@@ -6,13 +6,14 @@ import numpy as np
 
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects import catalogue
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals
+from mbcacq.effects.effect import Candidate
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 from mbcacq.effects.motion_periods import OrderRange, periodic_component, range_of_orders
 
 
 def periodic_candidates(
     group: ChannelGroup, runs: tuple[MotionSignals, ...], joint: int, residual: np.ndarray, training: np.ndarray
-) -> list[MotionCandidate]:
+) -> list[Candidate]:
     """Candidates for the strongest spectral lines of a residual (Ttot,): the strongest, the strongest above its background, and those
     near one and two periods per motor turn. training: (Ttot,) which samples take part."""
     effect = catalogue.periodic_in(group.name)

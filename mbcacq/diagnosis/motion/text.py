@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
-from mbcacq.diagnosis.motion.result import ChannelEvidence, ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.output.text import FINDINGS, NOT_DETERMINED, TRENDS, phase_is_undetermined, verdict_in_words
+from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
+from mbcacq.diagnosis.output.evidence_summary import e_value_in_words
+from mbcacq.diagnosis.output.text import FINDINGS, TRENDS, reported, verdict_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.quantities import K, measured, percent, significant, split_unit, symbol
+from mbcacq.quantities import percent, significant, symbol
 
 CHANNELS = {
     "q_joint": "joint-side against motor-side angle",
@@ -18,7 +16,6 @@ CHANNELS = {
     "tau": "torque against the rigid arm",
 }
 CANNOT_TELL = "Cannot tell: these motions do not let some of the candidates be separated, or show an effect too weakly."
-MOST_LOG_ODDS = 300.0  # whose exponential is a number
 MOST_ROWS = 12  # of the mismatch
 
 
@@ -56,7 +53,9 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
         odds = "" if pair.odds is None else f"; {odds_in_words(pair.odds)} for the second"
         lines.append(f"Not separated: {both} (correlation of the estimates {pair.correlation:.3f}{odds})")
     lines += [f"To tell them apart: {a.reason}." for a in diagnosis.advice]
-    lines += [f"{CHANNELS[e.channel]}: {_evidence(e)}." for e in diagnosis.evidence]
+    for e in diagnosis.evidence:
+        odds, found = e_value_in_words(e.evidence)
+        lines.append(f"{CHANNELS[e.channel]}: effects against none {odds}, {found}.")
     lines += ["", f"On held-out data (by {diagnosis.split}):"]
     for c in diagnosis.channels:
         lines.append(f"  {c.at} {CHANNELS[c.channel]}: {_held_out(c)}")
@@ -74,24 +73,10 @@ def _describe(effect: MotionEffect | UnmodelledMotionEffect) -> list[str]:
     if isinstance(effect, UnmodelledMotionEffect):
         gain, rest = effect.held_out_gain, [size_of_shape(effect)]
     else:
-        values = [effect.trend] if effect.trend else [_values(name, p) for name, p in effect.parameters.items()]
+        values = [effect.trend] if effect.trend else [reported(name, p) for name, p in effect.parameters.items()]
         gain, rest = effect.held_out_gain_here, [*values, *effect.notes]
     head = f"{effect_in_words(effect.name)} at {where} (removes {percent(gain)} of the excess there, on held-out data)"
     return [head, *(f"  {line}" for line in rest)]
-
-
-def _evidence(e: ChannelEvidence) -> str:
-    odds = odds_in_words(float(np.exp(min(e.evidence.log_e_value, MOST_LOG_ODDS))))
-    return f"effects against none {odds}, {'there is an effect' if e.evidence.significant else 'no effect is shown'}"
-
-
-def _values(name: str, parameter: Mapping[str, Any]) -> str:
-    values, stds = (x if isinstance(x, list) else [x] for x in (parameter["value"], parameter["std"]))
-    words, unit, factor = split_unit(name)
-    if all(phase_is_undetermined(name, s) for s in stds):
-        return f"{words} {NOT_DETERMINED}"
-    shown = (measured(factor * v, K * factor * s, unit) for v, s in zip(values, stds, strict=True))
-    return f"{words} {', '.join(shown)}"
 
 
 def size_of_shape(effect: UnmodelledMotionEffect) -> str:

@@ -15,16 +15,16 @@ from mbcacq.diagnosis.motion.options import NUMBERS
 
 def estimate_delay(model: MotionModel) -> None:
     """Find the delay of the channel, if that effect was selected, by Gauss-Newton; all coefficients are refitted."""
-    late = next((e for e in model.selected if e.candidate.channel_delay), None)
+    late = next((e for e in model.selected if e.candidate.rows.channel_delay), None)
     if late is None:
         return
     for _ in range(NUMBERS.delay_rounds):
         x = model.coefficients()
-        first = int(np.flatnonzero(model.chosen() == late.variant.ids[0])[0])
+        first = int(np.flatnonzero(model.chosen() == late.member.columns[0])[0])
         _update_slope(model, late, x)
-        before, step = late.variant.value, float(model.coefficients()[first])
+        before, step = late.member.value, float(model.coefficients()[first])
         delay = float(np.clip(before + step, -NUMBERS.longest_delay_s, NUMBERS.longest_delay_s))
-        late.at(delay, late.variant.ids)
+        late.at(delay, late.member.columns)
         model.store.correct_delay(delay)
         if abs(delay - before) < NUMBERS.delay_tolerance_s:
             return
@@ -42,4 +42,4 @@ def _update_slope(model: MotionModel, late: SelectedEffect, x: np.ndarray) -> No
             torque = run.rigid[:, joint] + model.simulated(j, k, x, without=(late.candidate.name,), rotors=True)
             rates.append(-np.gradient(torque, run.step_s))
         columns.append(np.concatenate(rates)[:, None])
-    model.store.replace(late.variant.ids, list(range(len(columns))), columns)
+    model.store.replace(late.member.columns, list(range(len(columns))), columns)

@@ -12,7 +12,7 @@ from mbcacq.diagnosis.nonparametric import basis_functions, locations
 from mbcacq.diagnosis.nonparametric.basis_functions import Basis, Shape
 from mbcacq.diagnosis.nonparametric.locations import Location, components
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect import Candidate, StandstillRows
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.functions import DescribedPart, Product, linear, of, times
 
@@ -128,7 +128,7 @@ class DesignBlocks:
 
 def unmodelled_candidate(at: str, depends_on: str, parts: Sequence[DescribedPart], weight: np.ndarray, variant: str) -> Candidate:
     """An unmodelled effect, which has no parameters to report. weight: (k,) relative prior sigma of its coefficients."""
-    return Candidate(UNKNOWN, (at,), depends_on, parts, lambda c, v, h: {}, weight, several=True, variant=variant)
+    return Candidate(UNKNOWN, (at,), depends_on, StandstillRows(parts, weight), lambda c, v, h: {}, several=True, variant=variant)
 
 
 def of_stations(basis: Basis) -> list[BlockGroup]:

@@ -59,7 +59,7 @@ def values_of_recordings(
         for _ in range(times):
             own = slice(first, first + candidate.k)
             first = own.stop
-            reports.append(candidate.report(coefficients[own], covariance[own, own], hyper))
+            reports.append(candidate.parameters(coefficients[own], covariance[own, own], hyper))
         single = [name for name, p in reports[0].items() if times == 1 or not isinstance(p.value, tuple)]
         values = {name: np.concatenate([np.atleast_1d(r[name].value) for r in reports]) for name in single}
         std = {name: np.concatenate([np.atleast_1d(r[name].std) for r in reports]) for name in single}

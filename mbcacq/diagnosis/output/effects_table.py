@@ -14,12 +14,12 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import TOGETHER, EffectFound, MismatchEntry, NotSeparable
-from mbcacq.diagnosis.search.effect_set import EffectSet, located_name
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import BREAKPOINT, ParameterEstimate, Parameters
+from mbcacq.effects.effect import BREAKPOINT, ParameterEstimate, Parameters, joined_parameters
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.estimation.random_effect_sizes import joined
 from mbcacq.model.observations import Observations
@@ -47,7 +47,7 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
     for j, (candidate, _) in enumerate(model.effects):
         name = candidate.name
         several = candidate.where[0].startswith(ONE_ENTRY) and not catalogue.declaration(name).between_locations
-        grouped.setdefault(name if several else f"{name}:{'+'.join(candidate.where)}", []).append(j)
+        grouped.setdefault(name if several else candidate.label, []).append(j)
     out = list[Ranked]()
     for members in grouped.values():
         first = model.effects[members[0]][0]
@@ -69,7 +69,7 @@ def gain_left_out(proof: CrossValidation, model: EffectSet, members: list[int]) 
     """Share of the held-out excess that an entry removes: of an effect with entries at several locations, the entry at its own."""
     first = model.effects[members[0]][0]
     everywhere = sum(c.name == first.name for c, _ in model.effects) == len(members)
-    return proof.gain(first.name if everywhere else located_name(first))
+    return proof.gain(first.name if everywhere else first.label)
 
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
@@ -79,14 +79,8 @@ def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float
 
 def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, ParameterEstimate]:
     """Parameters of these effects; a name that occurs several times (several orders at one joint) gets a tuple of values."""
-    out: dict[str, ParameterEstimate] = {}
-    slices = full.model.slices()
-    for j in members:
-        candidate, hyper = full.model.effects[j]
-        p = slices[j]
-        for name, new in candidate.report(full.model.coefficients[p], full.model.covariance[p, p], hyper).items():
-            old = out.get(name)
-            out[name] = new if old is None else ParameterEstimate(_joined(old.value, new.value), _joined(old.std, new.std))
+    each = ((*full.model.effects[j], full.model.slices()[j]) for j in members)
+    out = joined_parameters(c.parameters(full.model.coefficients[p], full.model.covariance[p, p], hyper) for c, hyper, p in each)
     found = (full.model.effects[j][0] for j in members)
     for name, joint in dict.fromkeys((c.name, c.where[0]) for c in found if catalogue.declaration(c.name).refines is not None):
         out |= parameters_of_branches(full, name, joint)
@@ -125,10 +119,6 @@ def covariance_with_free_breakpoints(full: ModelFit) -> np.ndarray:
     S[:k, :k] += np.diag(np.concatenate([prior_weight(c) for c, _ in model.effects]))
     size = 1 / np.sqrt(np.diag(S))
     return (np.linalg.inv(S * np.outer(size, size) + 1e-12 * np.eye(len(S))) * np.outer(size, size))[:k, :k]
-
-
-def _joined(a: float | tuple[float, ...], b: float | tuple[float, ...]) -> tuple[float, ...]:
-    return (*(a if isinstance(a, tuple) else (a,)), *(b if isinstance(b, tuple) else (b,)))
 
 
 def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[Ranked]:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
 from mbcacq.diagnosis.evidence.untried_rivals import stands_for_untried
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
-from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.effect import ParameterEstimate, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
 MOST_SETS = 6  # that the text shows
@@ -22,9 +24,17 @@ MOST_LOG_ODDS = 300.0  # whose exponential is a number
 
 def summarized(problem: DiagnosisProblem, fit: EvidenceFit) -> EvidenceSummary:
     """The most probable sets of a fit, the empty one among them, with the coefficients of each."""
-    best = fit.hypotheses[0].log_posterior
-    sets = tuple(ComparedSet(effects_of(problem, fit, h), float(h.log_posterior - best)) for h in shown(fit))
-    return EvidenceSummary(fit.linear.obs.n_poses, fit.log_e_value, fit.least, sets, tuple(untried_in_words(problem, fit)))
+    sentences = tuple(untried_in_words(problem, fit))
+    return summary_of(fit, lambda hypothesis: effects_of(problem, fit, hypothesis), fit.linear.obs.n_poses, sentences)
+
+
+def summary_of(
+    sets: RankedSets, effects: Callable[[Hypothesis], tuple[ComparedEffect, ...]], poses: int = 0, untried: tuple[str, ...] = ()
+) -> EvidenceSummary:
+    """The sets that are near the most probable one, and the empty one. effects: of a set, with their parameters."""
+    best = sets.hypotheses[0].log_posterior
+    compared = tuple(ComparedSet(effects(h), float(h.log_posterior - best)) for h in shown(sets))
+    return EvidenceSummary(poses, sets.log_e_value, sets.least, compared, untried)
 
 
 def shown(sets: RankedSets) -> list[Hypothesis]:
@@ -36,17 +46,22 @@ def shown(sets: RankedSets) -> list[Hypothesis]:
 def effects_of(problem: DiagnosisProblem, fit: EvidenceFit, hypothesis: Hypothesis) -> tuple[ComparedEffect, ...]:
     """The effects of a set with their parameters."""
     found, untried = coefficients(hypothesis), {u.candidate.key for u in stands_for_untried(problem, hypothesis)}
-    out = []
-    for member, own in zip(hypothesis.members, found.slices, strict=True):
-        candidate = member.candidate
-        reported = candidate.report(found.mean[own], found.covariance[own, own], member.hyper)
-        parameters = {name: ParameterEstimate(p.value, p.std) for name, p in reported.items()}
-        before = np.diag((member.size * candidate.typical) ** 2)
-        absent, spread = (candidate.report(c, before, member.hyper) for c in (np.zeros(candidate.k), found.mean[own]))
-        prior = {name: ParameterEstimate(absent[name].value, p.std) for name, p in spread.items() if name in absent}
-        tried, log_prior = candidate.key not in untried, fit.log_prior_of(member, hypothesis)
-        out.append(ComparedEffect(candidate.name, candidate.where, parameters, tried, prior, log_prior))
-    return tuple(out)
+    each = zip(hypothesis.members, found.slices, strict=True)
+    return tuple(
+        compared_effect(fit, hypothesis, m, found.mean[own], found.covariance[own, own], m.candidate.key not in untried) for m, own in each
+    )
+
+
+def compared_effect(
+    sets: RankedSets, hypothesis: Hypothesis, member: Member, c: np.ndarray, v: np.ndarray, tried: bool = True
+) -> ComparedEffect:
+    """An effect of a set, whose coefficients are c (k,) with covariance v (k, k)."""
+    candidate, before = member.candidate, np.diag((member.size * member.candidate.typical) ** 2)
+    with np.errstate(divide="ignore", invalid="ignore"):  # an angle between coefficients that are zero is not a number
+        absent, spread = (candidate.parameters(size, before, member.hyper) for size in (np.zeros(candidate.k), c))
+    prior = {name: ParameterEstimate(absent[name].value, p.std) for name, p in spread.items() if name in absent}
+    parameters, log_prior = candidate.parameters(c, v, member.hyper), sets.log_prior_of(member, hypothesis)
+    return ComparedEffect(candidate.name, candidate.where, parameters, tried, prior, log_prior)
 
 
 def untried_in_words(problem: DiagnosisProblem, fit: EvidenceFit) -> list[str]:
@@ -63,14 +78,19 @@ def untried_in_words(problem: DiagnosisProblem, fit: EvidenceFit) -> list[str]:
     return list(out.values())
 
 
+def e_value_in_words(evidence: EvidenceSummary) -> tuple[str, str]:
+    """The odds of effects against none, and whether there is one."""
+    odds = odds_in_words(float(np.exp(min(evidence.log_e_value, MOST_LOG_ODDS))))
+    return odds, "there is an effect" if evidence.significant else "no effect is shown"
+
+
 def evidence_in_words(evidence: EvidenceSummary) -> str:
     """The e-value and the most probable sets as text of several lines."""
     least = float(np.exp(evidence.least_log_e_value))
-    found = "there is an effect" if evidence.significant else "no effect is shown"
-    odds = odds_in_words(float(np.exp(min(evidence.log_e_value, MOST_LOG_ODDS))))
+    odds, found = e_value_in_words(evidence)
     lines = [f"{evidence.poses} poses: effects against none {odds} (an effect is reported from {least:.0f} : 1 on): {found}."]
     for one in evidence.sets[:MOST_SETS]:
-        named = TOGETHER.join(effect_in_words(f"{e.name}:{'+'.join(e.where)}") for e in one.effects) or "no effect"
+        named = TOGETHER.join(effect_in_words(label_of(e.name, e.where)) for e in one.effects) or "no effect"
         values = "; ".join(parameter_in_words(name, p) for e in one.effects for name, p in e.parameters.items())
         lines.append(f"  {odds_in_words(float(np.exp(one.log_odds))):<24} {named}{f': {values}' if values else ''}")
     return "\n".join([*lines, *(f"Note: {sentence}." for sentence in evidence.untried)])

@@ -190,7 +190,7 @@ def parameters_of(candidate: Candidate, hyper: float | None) -> dict[str, tuple[
     nothing = np.zeros((candidate.k, candidate.k))
     own: dict[str, list[tuple[int, float]]] = {}
     for j in range(candidate.k):
-        reported = candidate.report(candidate.typical * (np.arange(candidate.k) == j), nothing, hyper)
+        reported = candidate.parameters(candidate.typical * (np.arange(candidate.k) == j), nothing, hyper)
         sizes = {n: float(np.linalg.norm(np.atleast_1d(p.value))) for n, p in reported.items() if n.rpartition(".")[2] not in NOT_SIZES}
         name = next((n for n, size in sizes.items() if size > 0), None)
         if name is not None:

@@ -31,7 +31,7 @@ class SizedEffect:
     @property
     def label(self) -> str:
         """``name:where`` as in the JSON object."""
-        return f"{self.candidate.name}:{'+'.join(self.candidate.where)}"
+        return self.candidate.label
 
     @property
     def in_typical_sizes(self) -> float:

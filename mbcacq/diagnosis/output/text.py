@@ -256,7 +256,7 @@ def describe(effect: EffectFound) -> list[str]:
         f"{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
         f"removes {percent(effect.held_out_gain)} of the excess over noise)"
     ]
-    out += [f"  {effect.trend}"] if effect.trend else [f"  {_reported(name, estimate)}" for name, estimate in effect.parameters.items()]
+    out += [f"  {effect.trend}"] if effect.trend else [f"  {reported(name, estimate)}" for name, estimate in effect.parameters.items()]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
     excluded = [a for a in effect.alternatives if a not in possible]
     for heading, some in (("could also be", possible), ("excluded in its place", excluded)):
@@ -270,7 +270,7 @@ def phase_is_undetermined(name: str, std: float) -> bool:
     return name.endswith("phase_deg") and std > LARGEST_PHASE_STD_DEG
 
 
-def _reported(name: str, estimate: ParameterEstimate) -> str:
+def reported(name: str, estimate: ParameterEstimate) -> str:
     """A parameter with its expanded uncertainty; a phase that has no value as such, where it has one in no harmonic."""
     if all(phase_is_undetermined(name, s) for s in estimate.components[1]):
         return f"{split_unit(name)[0]} {NOT_DETERMINED}"

@@ -8,8 +8,6 @@ import numpy as np
 
 from mbcacq.effects.effect import Candidate
 
-SelectedEffects = tuple[tuple[Candidate, float | None], ...]
-
 
 @dataclass(frozen=True)
 class EffectSet:
@@ -17,7 +15,7 @@ class EffectSet:
     alone.
     """
 
-    effects: SelectedEffects
+    effects: tuple[tuple[Candidate, float | None], ...]
     gain: float = 0.0
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros(0))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -34,12 +32,8 @@ class EffectSet:
     @property
     def located_names(self) -> tuple[str, ...]:
         """'name:location' of the effects that are at several locations."""
-        found = dict.fromkeys((c.name, located_name(c)) for c, _ in self.effects)
+        found = dict.fromkeys((c.name, c.label) for c, _ in self.effects)
         return tuple(located for name, located in found if sum(name == other for other, _ in found) > 1)
-
-
-def located_name(candidate: Candidate) -> str:
-    return f"{candidate.name}:{'+'.join(candidate.where)}"
 
 
 NO_EFFECTS = EffectSet(())

@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.model_fit import fit_part
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search.effect_set import EffectSet, located_name
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.predictive_score import HeldOutPrediction, PredictiveScore
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
@@ -70,5 +70,5 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
 def all_but(model: EffectSet, random: Sequence[RandomEffect], key: str) -> tuple[list[int], list[int]]:
     """Numbers of the effects and groups of a fold's model without one effect."""
     location = key.removeprefix("unknown:") if key.startswith("unknown:") else None
-    effects = [j for j, (c, _) in enumerate(model.effects) if key not in (c.name, located_name(c))]
+    effects = [j for j, (c, _) in enumerate(model.effects) if key not in (c.name, c.label)]
     return effects, [g for g, group in enumerate(random) if group.location != location]

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, number
+from mbcacq.effects.effect import Candidate, Missing, plain_effect
 from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "artefact_expansion"
@@ -24,9 +24,7 @@ def candidates(context: Context) -> list[Candidate]:
         from_mean = centres - centres[mine].mean(axis=0)
         grown = [tuple(one for k in mine for one in of("ball", "is", cell.ball_ids[k], factor=1e-6 * from_mean[k, c])) for c in range(3)]
         parts = [DescribedPart("ball", 0, c, (grown[c],)) for c in range(3)]
-        out.append(
-            Candidate(NAME, (artefact.id,), "x", parts, lambda c, v, _: {"scale_ppm": number(c[0], np.sqrt(v[0, 0]))}, np.array([100.0]))
-        )
+        out.append(plain_effect(NAME, [artefact.id], "x", parts, {"scale_ppm": 100.0}))
     if not out:
         raise Missing("no artefact with two balls seen")
     return out

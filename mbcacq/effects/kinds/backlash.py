@@ -9,9 +9,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, number
+from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, Report, StandstillRows, number, plain_report
 from mbcacq.effects.functions import DescribedPart, linear, of
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
 NAME = "backlash"
 DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=5, in_motion=5))
@@ -49,7 +49,7 @@ def by_direction(context: Context, i: int) -> Candidate:
     """By the direction of the last motion of joint i: -1, 0 or 1."""
     cause = f"direction_{i + 1}"
     parts = [DescribedPart("joint", i, 0, (linear(cause),))]
-    return Candidate(NAME, (f"A{i + 1}",), cause, parts, report_of(i), np.array([3e-5]))
+    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(parts, np.array([3e-5])), report_of(i))
 
 
 def under_load(context: Context, i: int) -> Candidate:
@@ -60,7 +60,7 @@ def under_load(context: Context, i: int) -> Candidate:
         return [DescribedPart("joint", i, 0, (of(cause, "tanh", np.maximum(transition, AT_ONCE)),))]
 
     hyper = Hyperparameter("transition_Nm", values, 2.0, refine=False, preferred=(0.0,))
-    return Candidate(NAME, (f"A{i + 1}",), cause, described, report_of(i), np.array([3e-5]), hyper)
+    return Candidate(NAME, (f"A{i + 1}",), cause, StandstillRows(described, np.array([3e-5])), report_of(i), hyper)
 
 
 def report_of(i: int) -> Report:
@@ -72,30 +72,29 @@ def report_of(i: int) -> Report:
     return report
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_joint":
         return []
     out = []
     for j in group.joints:
         axis, width, degrees = f"A{j + 1}", f"A{j + 1}.width_deg", float(np.degrees(1))
         by_direction = plain_report(width, scale=degrees)
-        out.append(MotionCandidate(NAME, (axis,), f"direction_{j + 1}", (j,), _by_direction, by_direction, positive=True))
+        out.append(Candidate(NAME, (axis,), f"direction_{j + 1}", MotionRows((j,), _by_direction), by_direction, positive=True))
         if all(run.load is not None for run in runs) and _changes_flank(runs, j):
             by_load = plain_report(width, scale=degrees, hyper_name=f"{axis}.crossing_s")
             hyper = Hyperparameter(f"{axis}.crossing_s", CROSSING_S, 2.0)
-            out.append(MotionCandidate(NAME, (axis,), f"tau{j + 1}", (j,), _by_load, by_load, hyper, positive=True, variant="load"))
+            out.append(Candidate(NAME, (axis,), f"tau{j + 1}", MotionRows((j,), _by_load), by_load, hyper, positive=True, variant="load"))
     return out
 
 
-def _by_direction(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _by_direction(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return -0.5 * run.direction[:, [joint]]
 
 
-def _by_load(run: MotionSignals, joint: int, crossing_s: float | None) -> np.ndarray:
+def _by_load(run: MotionSignals, joint: int, crossing_s: float) -> np.ndarray:
     """The flank in contact follows the sign of the load, in the time that it takes to cross the clearance."""
     from scipy.signal import lfilter  # takes half a second, which most commands do not need
 
-    assert crossing_s is not None
     torque = available(run.load)[:, joint]
     load = np.interp(np.arange((len(torque) - 1) * OVERSAMPLING + 1) / OVERSAMPLING, np.arange(len(torque)), torque)
     flank = np.sign(load) * (np.abs(load) > LEAST_LOAD * float(np.abs(load).max()))

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, vector
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, of
 
 NAME = "ball_shift"
@@ -25,5 +25,6 @@ def candidates(context: Context) -> list[Candidate]:
             continue  # a few balls only make a length, which is artefact_expansion
         this = of("ball", "is", ball)
         parts = [DescribedPart("ball", 0, c, (ZERO,) * c + (this,) + (ZERO,) * (2 - c)) for c in range(3)]
-        out.append(Candidate(NAME, (f"ball{ball}",), "x", parts, lambda c, v, _: {"shift_mm": vector(c, v)}, np.full(3, TYPICAL)))
+        rows = StandstillRows(parts, np.full(3, TYPICAL))
+        out.append(Candidate(NAME, (f"ball{ball}",), "x", rows, lambda c, v, _: {"shift_mm": vector(c, v)}))
     return out

@@ -1,10 +1,8 @@
 """A pedestal that tilts under the overturning moment, with the same compliance about every axis."""
 
-import numpy as np
-
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, scalar_report
+from mbcacq.effects.effect import Candidate, Missing, plain_effect
 from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "base_compliance"
@@ -16,6 +14,4 @@ def candidates(context: Context) -> list[Candidate]:
     if not context.masses_known:
         raise Missing("no masses of the links given")
     described = [DescribedPart("frame", 0, 3 + c, (linear(f"gravity_moment_0_{'xyz'[c]}"),)) for c in range(3)]
-    return [
-        Candidate(NAME, ("base",), "gravity_torque_2", described, scalar_report("compliance_rad_per_Nm"), np.array([1e-7]), positive=True)
-    ]
+    return [plain_effect(NAME, ["base"], "gravity_torque_2", described, {"compliance_rad_per_Nm": 1e-7}, positive=True)]

@@ -13,19 +13,8 @@ from typing import Literal
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Hyperparameter
-from mbcacq.effects.motion_effect import (
-    ChannelGroup,
-    Columns,
-    MotionCandidate,
-    MotionSignals,
-    Parameters,
-    Report,
-    available,
-    low_pass,
-    plain_report,
-    standard_deviations,
-)
+from mbcacq.effects.effect import Candidate, HyperEstimate, Hyperparameter, Parameters, Report, number, plain_report, standard_deviations
+from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionRows, MotionSignals, available, low_pass
 
 NAME = "drive_lag"
 DECLARED = Declaration(every_arm=True, challenge=Challenge(in_motion=2))
@@ -38,20 +27,21 @@ FRICTION_SPEED = 1e-3  # rad/s, at which friction that is fed forward changes it
 FEWEST_S = 1e-6  # least total delay: a column is divided by it
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_set":
         return []
     out = []
     for j in group.joints:
         axis = f"A{j + 1}"
-        here = ((axis,), f"qd{j + 1}", (j,))
+        here = (axis,), f"qd{j + 1}"
         lag = Hyperparameter(f"{axis}.time_constant_s", LAGS_S, 4.0, from_none=True)
         loop = Hyperparameter(f"{axis}.time_constant_s", LOOPS_S, 4.0, refine=False)
-        out.append(MotionCandidate(NAME, *here, _lag, _lag_report(axis), lag, positive=True, variant="fast"))
-        out.append(MotionCandidate(NAME, *here, _loop, _loop_report(axis), loop, variant="slow", sigma=LOOP_SIGMA))
+        out.append(Candidate(NAME, *here, MotionRows((j,), _lag), _lag_report(axis), lag, positive=True, variant="fast"))
+        out.append(Candidate(NAME, *here, MotionRows((j,), _loop, LOOP_SIGMA), _loop_report(axis), loop, variant="slow"))
         for name, columns, unit in _disturbances(runs):
             report = plain_report(f"{axis}.{name}_push_{unit}")
-            out.append(MotionCandidate(NAME, *here, columns, report, extends=True, shares_hyper=True, variant=name))
+            rows = MotionRows((j,), columns, extends=True, shares_hyper=True)
+            out.append(Candidate(NAME, *here, rows, report, variant=name))
     return out
 
 
@@ -65,11 +55,10 @@ def _disturbances(runs: tuple[MotionSignals, ...]) -> list[tuple[str, Columns, s
     return out
 
 
-def _lag(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
+def _lag(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
     """Deviation (T, 1) that a dead time and a lag cause, by one second of both together."""
     from scipy.interpolate import CubicSpline  # takes a fifth of a second, which most commands do not need
 
-    assert lag is not None
     q_set, time = available(run.q_set)[:, joint], run.step_s * np.arange(len(run.q))
     dead = max(_total_delay(run, joint) - lag, 0.0)
     shifted = CubicSpline(time, q_set)(np.clip(time - dead, 0.0, time[-1]))
@@ -85,9 +74,8 @@ def _total_delay(run: MotionSignals, joint: int) -> float:
     return max(float(slope[0]), FEWEST_S)
 
 
-def _loop(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
+def _loop(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
     """Excess of speed and acceleration fed forward; and the deviation at the start, which fades."""
-    assert lag is not None
     time = run.step_s * np.arange(len(run.q))
     initial = float(np.mean(run.q[:5, joint] - available(run.q_set)[:5, joint]))
     rates = (available(run.qd_set)[:, joint], available(run.qdd_set)[:, joint])
@@ -95,14 +83,12 @@ def _loop(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
     return np.stack([*fed_forward, initial * np.exp(-time / lag)], axis=1)
 
 
-def _friction(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
-    assert lag is not None
+def _friction(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
     return lag * low_pass(np.r_[0.0, np.tanh(available(run.qd_set)[1:, joint] / FRICTION_SPEED)], lag, run.step_s)[:, None]
 
 
 def _torque_disturbance(signal: Literal["torque", "rigid_set"]) -> Columns:
-    def columns(run: MotionSignals, joint: int, lag: float | None) -> np.ndarray:
-        assert lag is not None
+    def columns(run: MotionSignals, joint: int, lag: float) -> np.ndarray:
         torque = available(run.torque if signal == "torque" else run.rigid_set)[:, joint]
         return lag * low_pass(np.r_[0.0, torque[1:]], lag, run.step_s)[:, None]
 
@@ -110,25 +96,23 @@ def _torque_disturbance(signal: Literal["torque", "rigid_set"]) -> Columns:
 
 
 def _lag_report(axis: str) -> Report:
-    def report(c: np.ndarray, v: np.ndarray, lag: float | None, std: float) -> Parameters:
-        assert lag is not None
-        total, std = float(np.sqrt(max(v[0, 0], 0.0))), float(np.hypot(std, RESOLUTION_S))
+    def report(c: np.ndarray, v: np.ndarray, lag: HyperEstimate) -> Parameters:
+        std = np.hypot(lag.std, RESOLUTION_S)
         return {
-            f"{axis}.latency_s": {"value": float(c[0]) - lag, "std": float(np.hypot(total, std))},
-            f"{axis}.time_constant_s": {"value": float(lag), "std": float(std)},
+            f"{axis}.latency_s": number(c[0] - lag.value, np.hypot(standard_deviations(v)[0], std)),
+            f"{axis}.time_constant_s": number(lag.value, std),
         }
 
     return report
 
 
 def _loop_report(axis: str) -> Report:
-    def report(c: np.ndarray, v: np.ndarray, lag: float | None, std: float) -> Parameters:
-        assert lag is not None
+    def report(c: np.ndarray, v: np.ndarray, lag: HyperEstimate) -> Parameters:
         s = standard_deviations(v)
         return {
-            f"{axis}.latency_s": {"value": -float(c[1]), "std": float(s[1])},
-            f"{axis}.time_constant_s": {"value": float(lag), "std": float(np.hypot(std, LOOP_SPACING * lag))},
-            f"{axis}.speed_gain": {"value": float(c[0]), "std": float(s[0])},
+            f"{axis}.latency_s": number(-c[1], s[1]),
+            f"{axis}.time_constant_s": number(lag.value, np.hypot(lag.std, LOOP_SPACING * lag.value)),
+            f"{axis}.speed_gain": number(c[0], s[0]),
         }
 
     return report

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.effect import Candidate, Missing, scalar_report
+from mbcacq.effects.effect import Candidate, Missing, plain_effect
 from mbcacq.effects.functions import DescribedPart, linear
 
 NAME = "exposure_latency"
@@ -15,5 +15,4 @@ def candidates(context: Context) -> list[Candidate]:
         raise Missing("no velocities at the exposure recorded (qd1_deg_s..)")
     fastest = int(np.argmax(np.abs(np.nan_to_num(context.obs.velocity)).max(axis=0))) + 1
     parts = [DescribedPart("joint", i, 0, (linear(f"qd{i + 1}"),)) for i in range(context.n)]
-    report, typical = scalar_report("latency_s"), np.array([2e-3])
-    return [Candidate(NAME, ("scanner",), f"qd{fastest}", parts, report, typical)]
+    return [plain_effect(NAME, ["scanner"], f"qd{fastest}", parts, {"latency_s": 2e-3})]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Hyperparameter
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, available, plain_report
+from mbcacq.effects.effect import Candidate, Hyperparameter, plain_report
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
 NAME = "friction"
 DECLARED = Declaration(every_arm=True, motor_side=True, model_block="friction", challenge=Challenge(in_motion=3))
@@ -19,7 +19,7 @@ LEAST_SPEED = 1e-3  # rad/s; a joint that is slower throughout stands still
 STRIBECK_SPEEDS = np.geomspace(0.01, 0.4, 8)  # tried, as shares of the fastest speed: outside, it looks like Coulomb or viscous friction
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "tau":
         return []
     out = []
@@ -30,28 +30,21 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     return out
 
 
-def _of_joint(j: int, fastest: float, with_load: bool) -> list[MotionCandidate]:
+def _of_joint(j: int, fastest: float, with_load: bool) -> list[Candidate]:
     axis = f"A{j + 1}"
-    here = ((axis,), f"qd{j + 1}", (j,))
+    here = (axis,), f"qd{j + 1}"
     plain = plain_report(f"{axis}.coulomb_Nm", f"{axis}.viscous_Nms_per_rad")
     stribeck = plain_report(f"{axis}.stribeck_Nm", hyper_name=f"{axis}.stribeck_speed_rad_per_s")
     uneven = plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad")
     load = plain_report(f"{axis}.load_dependent")
+    speeds = Hyperparameter(f"{axis}.stribeck_speed_rad_per_s", STRIBECK_SPEEDS * fastest, 3.0)
     out = [
-        MotionCandidate(NAME, *here, _plain, plain, positive=True, usual=True),
-        MotionCandidate(
-            NAME,
-            *here,
-            _stribeck,
-            stribeck,
-            Hyperparameter(f"{axis}.stribeck_speed_rad_per_s", STRIBECK_SPEEDS * fastest, 3.0),
-            extends=True,
-            variant="stribeck",
-        ),
-        MotionCandidate(NAME, *here, _uneven, uneven, extends=True, variant="direction"),
+        Candidate(NAME, *here, MotionRows((j,), _plain, usual=True), plain, positive=True),
+        Candidate(NAME, *here, MotionRows((j,), _stribeck, extends=True), stribeck, speeds, variant="stribeck"),
+        Candidate(NAME, *here, MotionRows((j,), _uneven, extends=True), uneven, variant="direction"),
     ]
     if with_load:
-        out.append(MotionCandidate(NAME, *here, _load, load, extends=True, variant="load", follows_load=True))
+        out.append(Candidate(NAME, *here, MotionRows((j,), _load, extends=True, follows_load=True), load, variant="load"))
     return out
 
 
@@ -59,19 +52,18 @@ def _load_changes(run: MotionSignals, joint: int) -> bool:
     return bool(np.ptp(np.abs(available(run.rigid)[:, joint])) > LEAST_LOAD * np.ptp(available(run.torque)[:, joint]))
 
 
-def _plain(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _plain(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return np.stack([run.direction[:, joint], run.qd[:, joint]], axis=1)
 
 
-def _stribeck(run: MotionSignals, joint: int, speed: float | None) -> np.ndarray:
-    assert speed is not None
+def _stribeck(run: MotionSignals, joint: int, speed: float) -> np.ndarray:
     return (run.direction[:, joint] * np.exp(-((run.qd[:, joint] / speed) ** 2)))[:, None]
 
 
-def _load(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _load(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     load = available(run.rigid) if run.load is None else run.load
     return (run.direction[:, joint] * np.abs(load[:, joint]))[:, None]
 
 
-def _uneven(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _uneven(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return np.stack([np.abs(run.direction[:, joint]), np.abs(run.qd[:, joint])], axis=1)

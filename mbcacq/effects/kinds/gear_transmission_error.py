@@ -8,7 +8,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, PeriodicInMotion
-from mbcacq.effects.effect import ORDER, Candidate, Hyperparameter, Report, number
+from mbcacq.effects.effect import ORDER, Candidate, Hyperparameter, Report, StandstillRows, number
 from mbcacq.effects.functions import DescribedPart, cosine, sine
 from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
 
@@ -41,20 +41,14 @@ def candidates(context: Context) -> list[Candidate]:
         hyper = Hyperparameter(
             "order", np.unique(np.concatenate([orders, preferred])), max(highest * span / (2 * np.pi), 2.0), preferred=preferred, kind=ORDER
         )
-
-        out.append(
-            Candidate(
-                NAME,
-                (f"A{i + 1}",),
-                f"q{i + 1}",
-                lambda order, i=i: [DescribedPart("joint", i, 0, (sine(f"q{i + 1}", order), cosine(f"q{i + 1}", order)))],
-                report_of(f"A{i + 1}", q),
-                np.array([3e-5, 3e-5]),
-                hyper,
-                several=True,
-            )
-        )
+        out.append(Candidate(NAME, (f"A{i + 1}",), f"q{i + 1}", rows_of(i), report_of(f"A{i + 1}", q), hyper, several=True))
     return out
+
+
+def rows_of(i: int) -> StandstillRows:
+    """Sine and cosine of joint i."""
+    on = f"q{i + 1}"
+    return StandstillRows(lambda order: [DescribedPart("joint", i, 0, (sine(on, order), cosine(on, order)))], np.array([3e-5, 3e-5]))
 
 
 def report_of(joint: str, q: np.ndarray) -> Report:
@@ -71,7 +65,7 @@ def report_of(joint: str, q: np.ndarray) -> Report:
         phase_std = float(np.sqrt(across @ v @ across))
         order_std = phase_std / spread
         return {
-            f"{joint}.order": number(order, order_std),
+            f"{joint}.order": number(order.value, order_std),
             f"{joint}.amplitude_deg": number(np.degrees(amplitude), np.degrees(np.sqrt(along @ v @ along))),
             f"{joint}.phase_deg": number(np.degrees(np.arctan2(c[1], c[0])), np.degrees(np.hypot(phase_std, order_std * middle))),
         }

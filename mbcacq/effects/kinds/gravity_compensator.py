@@ -14,20 +14,21 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.effects.context import Context
-from mbcacq.effects.declaration import Challenge, Declaration, Estimates
-from mbcacq.effects.effect import Candidate, Hyperparameter, Missing, number
-from mbcacq.effects.functions import DescribedPart, Function, Product
-from mbcacq.effects.motion_effect import (
-    ChannelGroup,
-    Columns,
-    MotionCandidate,
-    MotionSignals,
+from mbcacq.effects.declaration import Challenge, Declaration
+from mbcacq.effects.effect import (
+    Candidate,
+    HyperEstimate,
+    Hyperparameter,
+    Missing,
     Parameters,
     Report,
-    available,
+    StandstillRows,
+    number,
     plain_report,
     standard_deviations,
 )
+from mbcacq.effects.functions import DescribedPart, Function, Product
+from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionRows, MotionSignals, available
 from mbcacq.geometry.gravity import upright_angle
 
 NAME = "gravity_compensator"
@@ -65,7 +66,7 @@ def candidates(context: Context) -> list[Candidate]:
         turned = (Product(0.5 / STEP, (lever(STEP),)), Product(-0.5 / STEP, (lever(-STEP),)))
         return [DescribedPart("joint", 1, 0, (constant, growing, turned))]
 
-    def report(c, v, ratio):
+    def report(c, v, _):
         first = c[0] if abs(c[0]) > 1e-30 else 1e-30
         slope = np.array([-c[2] / first, 0.0, 1.0]) / first
         std = np.sqrt(np.diag(v))
@@ -75,46 +76,34 @@ def candidates(context: Context) -> list[Candidate]:
             "A2.zero_deg": number(np.degrees(upright + c[2] / first), np.degrees(np.sqrt(max(slope @ v @ slope, 0.0)))),
         }
 
-    typical = np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA])
+    rows = StandstillRows(described, np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA]))
     hyper = Hyperparameter("lever_ratio", LEVER_RATIOS, 2.0, refine=False)
-    return [Candidate(NAME, ("A2",), "q2", described, report, typical, hyper, rarity=1.0 if robot.balancer or heavy else RARE)]
+    return [Candidate(NAME, ("A2",), "q2", rows, report, hyper, rarity=1.0 if robot.balancer or heavy else RARE)]
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "tau" or 1 not in group.joints:
         return []
     weight = max(float(np.abs(available(run.gravity)[:, 1]).max()) for run in runs)  # the torque that a balancer has to balance
     first = plain_report("A2.sin_Nm", "A2.cos_Nm", "A2.sin2_Nm", "A2.cos2_Nm")
     third = plain_report("A2.sin3_Nm", "A2.cos3_Nm")
     out = [
-        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(1, 2), first, sigma=weight, variant="series"),
-        MotionCandidate(NAME, ("A2",), "q2", (1,), _harmonics(3), third, extends=True, variant="third", sigma=THIRD_HARMONIC * weight),
+        Candidate(NAME, ("A2",), "q2", MotionRows((1,), _harmonics(1, 2), weight), first, variant="series"),
+        Candidate(NAME, ("A2",), "q2", MotionRows((1,), _harmonics(3), THIRD_HARMONIC * weight, extends=True), third, variant="third"),
     ]
     robot = runs[0].robot
     upright = None if robot is None else upright_angle(robot.chain, robot.gravity)
     if upright is not None:
         sigma = (2.0 * weight, weight, 2.0 * weight * float(UPRIGHT_SIGMA))
-        out.append(
-            MotionCandidate(
-                NAME,
-                ("A2",),
-                "q2",
-                (1,),
-                _balancing(upright),
-                _balancing_report(upright),
-                Hyperparameter("", LEVER_RATIOS, 1.0, refine=False),
-                positive=True,
-                variant="balancing",
-                sigma=sigma,
-                usual=True,
-                load_parameters=(("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0)),
-            )
-        )
+        load = (("A2.preload_Nm", 1.0), ("A2.stretched_Nm", 1.0), ("A2.turned_Nm_per_rad", 1.0))
+        rows = MotionRows((1,), _balancing(upright), sigma, usual=True, load_parameters=load)
+        hyper = Hyperparameter("", LEVER_RATIOS, 1.0, refine=False)
+        out.append(Candidate(NAME, ("A2",), "q2", rows, _balancing_report(upright), hyper, positive=True, variant="balancing"))
     return out
 
 
 def _harmonics(*harmonics: int) -> Columns:
-    def columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+    def columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
         return np.stack([function(k * run.q[:, joint]) for k in harmonics for function in (np.sin, np.cos)], axis=1)
 
     return columns
@@ -126,8 +115,7 @@ def _constant_force(delta: np.ndarray, ratio: float) -> np.ndarray:
 
 
 def _balancing(upright: float) -> Columns:
-    def columns(run: MotionSignals, joint: int, ratio: float | None) -> np.ndarray:
-        assert ratio is not None
+    def columns(run: MotionSignals, joint: int, ratio: float) -> np.ndarray:
         delta = run.q[:, joint] - upright
         constant = _constant_force(delta, ratio)
         stretched = (np.sqrt(1.0 + ratio**2 - 2.0 * ratio * np.cos(delta)) - (1.0 - ratio)) / (2.0 * ratio)
@@ -138,34 +126,34 @@ def _balancing(upright: float) -> Columns:
 
 
 def _balancing_report(upright: float) -> Report:
-    def report(c: np.ndarray, v: np.ndarray, ratio: float | None, _: float) -> Parameters:
+    def report(c: np.ndarray, v: np.ndarray, _: HyperEstimate) -> Parameters:
         """The shift of q0 is the third coefficient over the first."""
         std = standard_deviations(v)
         gradient = np.array([-c[2] / c[0], 0.0, 1.0]) / c[0]
-        shift_std = float(np.sqrt(max(gradient @ v @ gradient, 0.0)))
+        shift_std = np.sqrt(max(gradient @ v @ gradient, 0.0))
         return {
-            "A2.preload_Nm": {"value": float(c[0]), "std": float(std[0])},
-            "A2.stretched_Nm": {"value": float(c[1]), "std": float(std[1])},
-            "A2.zero_deg": {"value": float(np.degrees(upright + c[2] / c[0])), "std": float(np.degrees(shift_std))},
+            "A2.preload_Nm": number(c[0], std[0]),
+            "A2.stretched_Nm": number(c[1], std[1]),
+            "A2.zero_deg": number(np.degrees(upright + c[2] / c[0]), np.degrees(shift_std)),
         }
 
     return report
 
 
-def as_wind_up(found: Estimates, every: Estimates) -> Estimates:
+def as_wind_up(found: Parameters, every: Parameters) -> Parameters:
     """The torques of the balancer as the angles by which they wind A2 up; without its compliance only the angle of the upright link.
 
     What the drive need not carry lifts the link: the angles are negative where the torques are positive.
     """
     out = {"A2.zero_deg": found["A2.zero_deg"]} if "A2.zero_deg" in found else {}
     soft = every.get("A2.compliance_rad_per_Nm")
-    if soft is None:
+    if soft is None or len(soft.components[0]) != 1:  # several recordings may have one each
         return out
+    (compliance,), (uncertainty,) = soft.components
     for torque, angle in (("A2.preload_Nm", "A2.preload_deg"), ("A2.stretched_Nm", "A2.stretched_deg")):
         if torque in found:
-            value, std = found[torque]["value"], found[torque]["std"]
-            spread = float(np.hypot(std * soft["value"], value * soft["std"]))
-            out[angle] = {"value": float(-np.degrees(value * soft["value"])), "std": float(np.degrees(spread))}
+            (value,), (std,) = found[torque].components
+            out[angle] = number(-np.degrees(value * compliance), np.degrees(np.hypot(std * compliance, value * uncertainty)))
     return out
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, Report, number
+from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "hysteresis"
@@ -29,9 +29,8 @@ def candidates(context: Context) -> list[Candidate]:
         size = (Function(f"direction_{i + 1}"), Function(f"gravity_torque_{i + 1}", "sign", ()), load)
         parts = [DescribedPart("joint", i, 0, ((Product(1.0, size),),))]
         largest = float(np.abs(torque[:, i]).max())
-        out.append(
-            Candidate(NAME, (f"A{i + 1}",), f"direction_{i + 1}", parts, report_of(i, largest), np.array([5e-5 / max(largest, 1e-9)]))
-        )
+        rows = StandstillRows(parts, np.array([5e-5 / max(largest, 1e-9)]))
+        out.append(Candidate(NAME, (f"A{i + 1}",), f"direction_{i + 1}", rows, report_of(i, largest)))
     return out
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, number
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number
 from mbcacq.effects.functions import ZERO, DescribedPart, monomial
 
 NAME = "incidence_bias"
@@ -38,6 +38,6 @@ def candidates(context: Context) -> list[Candidate]:
         return {name: number(c[j], np.sqrt(v[j, j])) for j, name in enumerate(names)}
 
     return [
-        Candidate(NAME, ("scanner",), "tilt", parts, report, np.full(k, TYPICAL), variant=variant)
+        Candidate(NAME, ("scanner",), "tilt", StandstillRows(parts, np.full(k, TYPICAL)), report, variant=variant)
         for parts, k, variant in ((depth_only, 1, "depth"), (both, 2, ""), (linear, 2, "linear"))
     ]

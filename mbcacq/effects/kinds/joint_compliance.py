@@ -11,9 +11,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.effect import Candidate, HyperEstimate, Parameters, Report, number, plain_effect, standard_deviations
 from mbcacq.effects.functions import DescribedPart, linear
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Parameters, Report, available
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
 NAME = "joint_compliance"
 DECLARED = Declaration(every_arm=True, same_as_group=True, model_block="gear", challenge=Challenge(number=1, in_motion=4))
@@ -28,21 +28,19 @@ def candidates(context: Context) -> list[Candidate]:
             continue  # a vertical axis feels no gravity
         cause = f"gravity_torque_{i + 1}"
         described = [DescribedPart("joint", i, 0, (linear(cause),))]
-        out.append(
-            Candidate(
-                NAME, (f"A{i + 1}",), cause, described, scalar_report(f"A{i + 1}.compliance_rad_per_Nm"), np.array([1.5e-6]), positive=True
-            )
-        )
+        out.append(plain_effect(NAME, [f"A{i + 1}"], cause, described, {f"A{i + 1}.compliance_rad_per_Nm": 1.5e-6}, positive=True))
     return out
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_joint" or any(run.load is None for run in runs):
         return []
-    return [MotionCandidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", (j,), _columns, _report(runs, j), positive=True) for j in group.joints]
+    return [
+        Candidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", MotionRows((j,), _columns), _report(runs, j), positive=True) for j in group.joints
+    ]
 
 
-def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return -available(run.load)[:, [joint]]
 
 
@@ -50,8 +48,7 @@ def _report(runs: tuple[MotionSignals, ...], joint: int) -> Report:
     """The load is known only as well as the arm's inertial parameters: that relative uncertainty is added to the compliance's own."""
     relative = max(0.0 if run.load_uncertainty is None else float(run.load_uncertainty[joint]) for run in runs)
 
-    def report(c: np.ndarray, v: np.ndarray, _: float | None, __: float) -> Parameters:
-        std = float(np.hypot(np.sqrt(max(v[0, 0], 0.0)), relative * c[0]))
-        return {f"A{joint + 1}.compliance_rad_per_Nm": {"value": float(c[0]), "std": std}}
+    def report(c: np.ndarray, v: np.ndarray, _: HyperEstimate) -> Parameters:
+        return {f"A{joint + 1}.compliance_rad_per_Nm": number(c[0], np.hypot(standard_deviations(v)[0], relative * c[0]))}
 
     return report

@@ -9,9 +9,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.effect import Candidate, plain_effect, plain_report
 from mbcacq.effects.functions import DescribedPart, linear
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, plain_report
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals
 
 NAME = "joint_scale"
 DECLARED = Declaration(challenge=Challenge(number=6, in_motion=8))
@@ -24,17 +24,15 @@ def candidates(context: Context) -> list[Candidate]:
         if np.ptp(context.obs.q[:, i]) > 0.02:
             cause = f"q{i + 1}"
             parts = [DescribedPart("joint", i, 0, (linear(cause),))]
-            report = scalar_report(f"A{i + 1}.ratio")
-            typical = np.array([1e-4])
-            out.append(Candidate(NAME, (f"A{i + 1}",), cause, parts, report, typical))
+            out.append(plain_effect(NAME, [f"A{i + 1}"], cause, parts, {f"A{i + 1}.ratio": 1e-4}))
     return out
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_joint":
         return []
-    return [MotionCandidate(NAME, (f"A{j + 1}",), f"q{j + 1}", (j,), _columns, plain_report(f"A{j + 1}.ratio")) for j in group.joints]
+    return [Candidate(NAME, (f"A{j + 1}",), f"q{j + 1}", MotionRows((j,), _columns), plain_report(f"A{j + 1}.ratio")) for j in group.joints]
 
 
-def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return run.q[:, [joint]]

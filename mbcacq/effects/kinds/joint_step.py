@@ -5,7 +5,7 @@ import numpy as np
 from mbcacq.effects import steps
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, number
+from mbcacq.effects.effect import Candidate, StandstillRows, number
 from mbcacq.effects.functions import DescribedPart, of
 
 NAME = "joint_step"
@@ -19,18 +19,11 @@ def candidates(context: Context) -> list[Candidate]:
     def of_joint(i: int) -> Candidate:
         def report(c, v, rank):
             return {
-                f"A{i + 1}.at_pose": number(steps.pose_at(context, rank), 0.5),
+                f"A{i + 1}.at_pose": number(steps.pose_at(context, rank.value), 0.5),
                 f"A{i + 1}.step_deg": number(np.degrees(c[0]), np.degrees(np.sqrt(v[0, 0]))),
             }
 
-        return Candidate(
-            NAME,
-            (f"A{i + 1}",),
-            "pose",
-            lambda rank: [DescribedPart("joint", i, 0, (of("pose", "step", rank),))],
-            report,
-            np.array([1e-4]),
-            hyper,
-        )
+        rows = StandstillRows(lambda rank: [DescribedPart("joint", i, 0, (of("pose", "step", rank),))], np.array([1e-4]))
+        return Candidate(NAME, (f"A{i + 1}",), "pose", rows, report, hyper)
 
     return [of_joint(i) for i in range(context.n)]

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, Refinement
-from mbcacq.effects.effect import BREAKPOINT, Candidate, Hyperparameter, Missing, Parameters, number
+from mbcacq.effects.effect import BREAKPOINT, Candidate, Hyperparameter, Missing, Parameters, StandstillRows, number
 from mbcacq.effects.functions import DescribedPart, Function, Product
 
 NAME = "lost_motion"
@@ -56,21 +56,12 @@ def of_joint(context: Context, i: int) -> Candidate:
         h, std = float(c[0]), float(np.sqrt(v[0, 0]))
         return {
             f"A{i + 1}.lost_motion_deg": number(np.degrees(2 * h), np.degrees(2 * std)),
-            f"A{i + 1}.excess_compliance_rad_per_Nm": number(h / at, std / at),
-            f"A{i + 1}.{TORQUE}": number(at, at * std / max(abs(h), 1e-30)),
+            f"A{i + 1}.excess_compliance_rad_per_Nm": number(h / at.value, std / at.value),
+            f"A{i + 1}.{TORQUE}": number(at.value, at.value * std / max(abs(h), 1e-30)),
         }
 
-    return Candidate(
-        NAME,
-        (f"A{i + 1}",),
-        cause,
-        described,
-        report,
-        np.array([LEAST_TYPICAL]),
-        Hyperparameter(TORQUE, values, 3.0, kind=BREAKPOINT),
-        positive=True,
-        several=True,
-    )
+    rows, hyper = StandstillRows(described, np.array([LEAST_TYPICAL])), Hyperparameter(TORQUE, values, 3.0, kind=BREAKPOINT)
+    return Candidate(NAME, (f"A{i + 1}",), cause, rows, report, hyper, positive=True, several=True)
 
 
 DECLARED = Declaration(

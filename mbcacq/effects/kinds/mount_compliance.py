@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.effect import Candidate, plain_effect
 from mbcacq.effects.functions import Column, DescribedPart, linear, scaled
 
 NAME = "mount_compliance"
@@ -24,7 +24,7 @@ def candidates(context: Context) -> list[Candidate]:
     shift = [DescribedPart("frame", context.n, c, (linear(f"payload_force_{axis}"),)) for c, axis in enumerate("xyz")]
     cause = f"gravity_torque_{context.n}"
     return [
-        Candidate(NAME, ("mount",), cause, parts, scalar_report(name), np.array([size]), positive=True, several=True, variant=variant)
+        plain_effect(NAME, ["mount"], cause, parts, {name: size}, positive=True, several=True, variant=variant)
         for parts, name, size, variant in (
             (tilt, "compliance_rad_per_Nm", TYPICAL_TILT, "tilt"),
             (shift, "compliance_mm_per_N", TYPICAL_SHIFT, "shift"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Declaration
-from mbcacq.effects.effect import Candidate, Missing, ParameterEstimate, number
+from mbcacq.effects.effect import Candidate, Missing, ParameterEstimate, StandstillRows, number
 from mbcacq.effects.functions import INCIDENCE, ZERO, DescribedPart, evaluate, of_second_degree
 
 NAME = "orientation_bias"
@@ -36,7 +36,7 @@ def candidates(context: Context) -> list[Candidate]:
             each = np.arange(len(c)).reshape(3, -1)
             return {f"about_{axis}_rad": turned(centred, c[own], v[np.ix_(own, own)]) for axis, own in zip("xyz", each, strict=True)}
 
-        out.append(Candidate(NAME, ("target",), "incidence", parts, report, typical, variant=variant))
+        out.append(Candidate(NAME, ("target",), "incidence", StandstillRows(parts, typical), report, variant=variant))
     return out
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration, EffectCoupling, Where
-from mbcacq.effects.effect import Candidate, Missing, Parameters, number, vector
+from mbcacq.effects.effect import Candidate, Missing, Parameters, Report, StandstillRows, number, vector
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, linear, scaled
-from mbcacq.effects.motion_effect import ChannelGroup, MotionCandidate, MotionSignals, Report, as_estimates, available
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 from mbcacq.geometry.dynamics import tool_sigma
 
 NAME = "payload"
@@ -51,7 +51,8 @@ def under_load(context: Context, compliance: Candidate, coefficients: np.ndarray
     for load, size in zip(LOADS, coefficients, strict=True):
         column += scaled(linear(f"payload_torque_{at[1:]}_{load}"), float(size))
     variant = f"heavy {number} {','.join(f'{c:.9g}' for c in coefficients)}"
-    return replace(compliance, described=[DescribedPart("joint", int(at[1:]) - 1, 0, (column,))], variant=variant)
+    rows = replace(compliance.rows, described=[DescribedPart("joint", int(at[1:]) - 1, 0, (column,))])
+    return replace(compliance, rows=rows, variant=variant)
 
 
 def tool(mass: float, com: np.ndarray, c: np.ndarray, v: np.ndarray) -> Parameters:
@@ -92,38 +93,28 @@ def correction_for(
     label = ",".join(f"{i}:{c:.3e}" for i, c in sorted(compliance.items()))
     typical = np.array([0.5, 50.0, 50.0, 50.0] + [1.5e-6] * len(beyond))
     where, cause = ("mount",), "gravity_torque_2"
-    return [Candidate(NAME, where, cause, parts, report, typical, variant=label)]
+    return [Candidate(NAME, where, cause, StandstillRows(parts, typical), report, variant=label)]
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "tau" or any(run.payload is None for run in runs):
         return []
     robot = runs[0].robot
     assert robot is not None, "torques by unit inertial parameters are of an arm"
-    return [
-        MotionCandidate(
-            NAME,
-            ("mount",),
-            "gravity_torque",
-            group.joints,
-            _columns,
-            _report(float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float)),
-            sigma=tuple(tool_sigma(robot)),
-            usual=True,
-            tested=4,
-            load_parameters=(("mass_kg", 1.0), *((f"moment_{axis}_kg_mm", 1e3) for axis in "xyz")),
-        )
-    ]
+    load = (("mass_kg", 1.0), *((f"moment_{axis}_kg_mm", 1e3) for axis in "xyz"))
+    rows = MotionRows(group.joints, _columns, tuple(tool_sigma(robot)), usual=True, tested=4, load_parameters=load)
+    report = _report(float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float))
+    return [Candidate(NAME, ("mount",), "gravity_torque", rows, report)]
 
 
-def _columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return available(run.payload)[:, joint]
 
 
 def _report(mass: float, com: np.ndarray) -> Report:
     """Parameters of the whole tool in the words of the poses; what there is in kg mm is in kg m here."""
     to_mm = np.array([1.0, 1e3, 1e3, 1e3])
-    return lambda c, v, _, __: as_estimates(tool(mass, com, to_mm * c[:4], v[:4, :4] * np.outer(to_mm, to_mm)))
+    return lambda c, v, _: tool(mass, com, to_mm * c[:4], v[:4, :4] * np.outer(to_mm, to_mm))
 
 
 DECLARED = Declaration(

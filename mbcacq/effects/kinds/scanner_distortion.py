@@ -6,7 +6,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, number
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number
 from mbcacq.effects.functions import ZERO, Column, DescribedPart, monomial
 
 NAME = "scanner_distortion"
@@ -66,7 +66,7 @@ def candidates(context: Context) -> list[Candidate]:
             return {k: number(c[j], np.sqrt(v[j, j])) for j, k in enumerate(names)}
 
         cause, variant = every[names[0]][0], "+".join(names)
-        return Candidate(NAME, ("scanner",), cause, parts, report, typical, variant=variant)
+        return Candidate(NAME, ("scanner",), cause, StandstillRows(parts, typical), report, variant=variant)
 
     alone = [k for k in every if k not in ONLY_COMBINED]
     return [combined([k]) for k in alone] + [combined(names) for names in COMBINATIONS]

@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, Report, number, vector
+from mbcacq.effects.effect import Candidate, Missing, Report, StandstillRows, number, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, linear
 
 NAME = "scanner_scale"
@@ -31,7 +31,7 @@ def candidates(context: Context) -> list[Candidate]:
 
     def candidate(parts: list[DescribedPart], cause: str, report: Report, k: int, variant: str) -> Candidate:
         typical = np.full(k, 200.0)
-        return Candidate(NAME, ("scanner",), cause, parts, report, typical, variant=variant)
+        return Candidate(NAME, ("scanner",), cause, StandstillRows(parts, typical), report, variant=variant)
 
     return [
         candidate(one, "z", report_one, 1, ""),

@@ -5,7 +5,7 @@ import numpy as np
 from mbcacq.effects import warm_up
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, number, vector
+from mbcacq.effects.effect import Candidate, StandstillRows, number, vector
 from mbcacq.effects.functions import ZERO, DescribedPart, of
 
 NAME = "scanner_warmup"
@@ -18,10 +18,10 @@ def candidates(context: Context) -> list[Candidate]:
     hyper = warm_up.time_constant(context)
 
     def report(c, v, tau):
-        return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau, warm_up.time_constant_std(tau, c, v))}
+        return {"offset_mm": vector(c, UNCERTAIN_TAU * v), "time_constant_s": number(tau.value, warm_up.time_constant_std(tau.value, c, v))}
 
     def described(tau):
         fade = of("time", "decay", tau)
         return [DescribedPart("point", 0, c, (ZERO,) * c + (fade,) + (ZERO,) * (2 - c)) for c in range(3)]
 
-    return [Candidate(NAME, ("scanner",), "time", described, report, np.full(3, 0.02), hyper)]
+    return [Candidate(NAME, ("scanner",), "time", StandstillRows(described, np.full(3, 0.02)), report, hyper)]

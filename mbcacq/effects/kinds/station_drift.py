@@ -4,7 +4,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, vector
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, vector
 from mbcacq.effects.functions import DescribedPart, Function, Product, scaled
 
 NAME = "station_drift"
@@ -27,7 +27,8 @@ def candidates(context: Context) -> list[Candidate]:
         R = context.state.T_base_station[k, :3, :3]
         # Coefficients along the base axes.
         parts = [DescribedPart("station", 0, c, tuple(scaled(progress, R[j, c]) for j in range(3))) for c in range(3)]
-        out.append(Candidate(NAME, (f"station{station.id}",), clock, parts, lambda c, v, _: {"drift_mm": vector(c, v)}, np.full(3, 0.05)))
+        rows = StandstillRows(parts, np.full(3, 0.05))
+        out.append(Candidate(NAME, (f"station{station.id}",), clock, rows, lambda c, v, _: {"drift_mm": vector(c, v)}))
     if not out:
         raise Missing("no station with three poses")
     return out

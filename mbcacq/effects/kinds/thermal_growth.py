@@ -5,7 +5,7 @@ import numpy as np
 from mbcacq.effects import warm_up
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, Missing, number
+from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number, plain_effect
 from mbcacq.effects.functions import DescribedPart, Function, Product, of, scaled
 
 NAME = "thermal_growth"
@@ -37,11 +37,7 @@ def with_temperature(context: Context, i: int, column: str, temperature: np.ndar
     first = float(temperature[np.argmin(context.order)])
     change = (Product(1.0, (Function(column),)), Product(-first))
     parts = [DescribedPart("frame", i + 1, c, (scaled(change, along[c]),)) for c in range(3) if abs(along[c]) > 1e-6]
-
-    def report(c, v, _):
-        return {f"link{i + 1}.growth_mm_per_K": number(c[0], np.sqrt(v[0, 0]))}
-
-    return Candidate(NAME, (f"link{i + 1}",), column, parts, report, np.array([0.01]))
+    return plain_effect(NAME, [f"link{i + 1}"], column, parts, {f"link{i + 1}.growth_mm_per_K": 0.01})
 
 
 def with_warm_up(context: Context, i: int) -> Candidate:
@@ -55,7 +51,7 @@ def with_warm_up(context: Context, i: int) -> Candidate:
     def report(c, v, tau):
         return {
             f"link{i + 1}.growth_mm": number(c[0], np.sqrt(v[0, 0])),
-            f"link{i + 1}.time_constant_s": number(tau, warm_up.time_constant_std(tau, c, v)),
+            f"link{i + 1}.time_constant_s": number(tau.value, warm_up.time_constant_std(tau.value, c, v)),
         }
 
-    return Candidate(NAME, (f"link{i + 1}",), "time", described, report, np.array([0.1]), hyper)
+    return Candidate(NAME, (f"link{i + 1}",), "time", StandstillRows(described, np.array([0.1])), report, hyper)

@@ -9,9 +9,9 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, scalar_report
+from mbcacq.effects.effect import Candidate, plain_effect, plain_report
 from mbcacq.effects.functions import DescribedPart, linear
-from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionCandidate, MotionSignals, plain_report
+from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionRows, MotionSignals
 
 NAME = "wrist_coupling"
 DECLARED = Declaration(between_locations=True, challenge=Challenge(number=7, in_motion=9))
@@ -25,24 +25,23 @@ def candidates(context: Context) -> list[Candidate]:
     out = []
     for i, j in pairs:
         parts = [DescribedPart("joint", j, 0, (linear(f"q{i + 1}"),))]
-        where, report, typical = (f"A{i + 1}", f"A{j + 1}"), scalar_report("ratio"), np.array([1e-4])
-        out.append(Candidate(NAME, where, f"q{i + 1}", parts, report, typical))
+        out.append(plain_effect(NAME, [f"A{i + 1}", f"A{j + 1}"], f"q{i + 1}", parts, {"ratio": 1e-4}))
     return out
 
 
-def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[MotionCandidate]:
+def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_joint" or runs[0].q.shape[1] != JOINTS:
         return []
     wrist = range(FIRST_WRIST_JOINT, JOINTS)
     pairs = [(j, other) for j in group.joints if j in wrist for other in wrist if other != j]
     return [
-        MotionCandidate(NAME, (f"A{other + 1}", f"A{j + 1}"), f"q{other + 1}", (j,), _columns(other), plain_report("ratio"))
+        Candidate(NAME, (f"A{other + 1}", f"A{j + 1}"), f"q{other + 1}", MotionRows((j,), _columns(other)), plain_report("ratio"))
         for j, other in pairs
     ]
 
 
 def _columns(other: int) -> Columns:
-    def columns(run: MotionSignals, joint: int, _: float | None) -> np.ndarray:
+    def columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
         return run.q[:, [other]]
 
     return columns

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.combine import agreement, contradictions, in_both, together, verdict_of_both
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import CheckedChannel, MotionDiagnosis, MotionEffect, MotionMismatch, UnmodelledMotionEffect
 from mbcacq.diagnosis.motion.text import CHANNELS, size_of_shape, verdict_sentence
 from mbcacq.diagnosis.output.pictures import axis_of
@@ -34,10 +34,11 @@ OTHER_SET = (
 MORE = 1.25  # of the held-out rms, from which that of the fit is another set's: with one set it is the smaller of both
 
 
-def motion_content(found: MotionDiagnosis, poses: Mapping[str, Any] | None = None) -> MotionContent:
-    """Content of a diagnosis of motion. poses: the diagnosis of the poses of the same run, as JSON. Raises ConfigError where the motion was
-    read from JSON, and has no channels to draw."""
-    return _content(found, found.series, poses)
+def motion_content(found: MotionDiagnosis | PosesAndMotion) -> MotionContent:
+    """Content of a diagnosis of motion, alone or with the poses of the same run. Raises ConfigError where the motion was read from JSON,
+    and has no channels to draw."""
+    motion, both = (found.motion, found) if isinstance(found, PosesAndMotion) else (found, None)
+    return _content(motion, motion.series, both)
 
 
 def kept_motion_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> MotionContent | None:
@@ -49,7 +50,8 @@ def kept_motion_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any
         series = _read_series((pictures or {})["motion"])
     except (KeyError, TypeError, ValueError, AttributeError):
         series = MotionSeries("", (), ())
-    return _content(MotionDiagnosis.from_json(diagnosis["motion"]), series, diagnosis)
+    both = PosesAndMotion.of_json(diagnosis)
+    return _content(both.motion, series, both)
 
 
 def motion_pictures(found: MotionDiagnosis) -> dict[str, Any]:
@@ -72,7 +74,7 @@ def _read_series(content: Mapping[str, Any]) -> MotionSeries:
     return MotionSeries(str(content["robot"]), recordings, tuple(channels))
 
 
-def _content(found: MotionDiagnosis, series: MotionSeries, poses: Mapping[str, Any] | None) -> MotionContent:
+def _content(found: MotionDiagnosis, series: MotionSeries, both: PosesAndMotion | None) -> MotionContent:
     diagnosis = found.to_json()
     level, headline, _ = VERDICTS.get(diagnosis["verdict"], ("none", readable(diagnosis["verdict"]), ""))
     channels = diagnosis["fit"]["channels"]
@@ -102,16 +104,15 @@ def _content(found: MotionDiagnosis, series: MotionSeries, poses: Mapping[str, A
         kinds=kinds,
         checks=[(one.recording or "the other recording", [_checked(c) for c in one.channels]) for one in found.checks],
         remarks=_remarks(diagnosis),
-        contradictions=[] if poses is None else contradictions(agreement(poses, found)),
-        both=[] if poses is None else _as_one_problem(poses, found),
+        contradictions=[] if both is None else both.contradictions,
+        both=[] if both is None else _as_one_problem(both),
     )
 
 
-def _as_one_problem(poses: Mapping[str, Any], found: MotionDiagnosis) -> list[tuple[str, list[str]]]:
+def _as_one_problem(both: PosesAndMotion) -> list[tuple[str, list[str]]]:
     """The verdict on the run, and what poses and motion say together."""
-    verdict = verdict_of_both(poses, found, together(poses, found))
-    _, headline, _ = VERDICTS.get(verdict, ("none", readable(verdict), ""))
-    return [("Verdict on poses and motion as one problem", [f"{headline}."]), *in_both(poses, found)]
+    _, headline, _ = VERDICTS.get(both.verdict, ("none", readable(both.verdict), ""))
+    return [("Verdict on poses and motion as one problem", [f"{headline}."]), *both.in_both]
 
 
 def _effect(effect: MotionEffect | UnmodelledMotionEffect, content: Mapping[str, Any]) -> EffectContent:
