@@ -126,7 +126,7 @@ def plain(folder: Path, out: Path, share: str) -> None:
     first, step = map(int, share.split("/"))
     store, task, times = FleetStore(out, FleetTask()), FleetTask(), []
     for one in find_recordings([folder])[first::step]:
-        store.keep(one, stored_result(evaluate_recording(one, task), store.stamp(one)))
+        store.keep(one, stored_result(*evaluate_recording(one, task), store.stamp(one)))
         times.append(time.monotonic())
     print(*times)
 
@@ -210,20 +210,20 @@ def main() -> None:
             rounds.append((one[1], two[1], *(independent(recordings, work / f"{k}-alone-{n}", n) for n in (1, 2)), one[0], two[0]))
             print("round", rounds[-1], flush=True)
         rows = read_table(work / "two")
-        broken = [row for row in rows if row["status"] != "evaluated"]
+        broken = [row for row in rows if row.status != "evaluated"]
         found = outliers(arm_types(rows))
         by_arm = sorted({(o.arm, o.name) for o in found if o.recording})
         odd = sorted({(o.arm, o.name) for o in found if o.recording is None and not o.drift})
         moving = sorted((o.arm, o.name, o.value) for o in found if o.drift)
         outside = len({o.recording for o in found if o.recording and o.arm not in (f"arm-{DRIFTING + 1:02d}", f"arm-{CRASHED + 1:02d}")})
-        processor = float(np.mean([row["processor_s"] for row in rows]))
+        processor = float(np.mean([row.processor_s or 0.0 for row in rows]))
         mean = cells.random_errors(cells.kr10(), np.random.default_rng(7))
         design = cells.scanner_cell(np.random.default_rng(1), stations=6, per_station=5, bars=1, errors=np.zeros((6, 5)))
         priors = {SPREAD: read_priors(work / "two")[0], 1.0: prior_of(1.0, mean, design, 30)}
         table = study(priors, mean, options.study_arms)
     *rates, one_first, two_first = np.array(rounds).T
     first = (one_first, two_first)
-    reasons = "; ".join((row["reason"] or "").replace(f"{recordings}/", "") for row in broken)
+    reasons = "; ".join((row.reason or "").replace(f"{recordings}/", "") for row in broken)
     named, unlike = (", ".join(f"{arm} {name}" for arm, name in each) or "none" for each in (by_arm, odd))
     drifting = (
         ", ".join(f"{arm} {name} ({1e3 * change:+.2f} {'um' if name.startswith(('a_', 'd_')) else 'mrad'})" for arm, name, change in moving)
@@ -233,7 +233,7 @@ def main() -> None:
     page = f"""# Fleet
 
 `python benchmarks/fleet.py{size} --write`: {total} made recordings ({options.arms} arms, {options.days} days, a small plan of
-{rows[0]["poses"]} poses each) through `mbcacq fleet`, on a two-core machine (load {load:.1f} at the start).
+{rows[0].poses} poses each) through `mbcacq fleet`, on a two-core machine (load {load:.1f} at the start).
 
 | | results a second | first result after |
 |---|--:|--:|

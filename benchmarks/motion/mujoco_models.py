@@ -315,7 +315,7 @@ def page(found, match, cost, peer, others, cost_of_peer=None) -> str:
         "",
         "## Accuracy and time",
         "",
-        "| | mean square over that of the added noise | processor time, s | elapsed, s |",
+        f"| | mean square over that of the added noise | processor time, s | elapsed, s, at a load of {os.getloadavg()[0]:.0f} |",
         "|---|--:|--:|--:|",
     ]
     ours = excess(checks)

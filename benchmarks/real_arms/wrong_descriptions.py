@@ -75,8 +75,8 @@ def counted_from_the_horizontal(o: Observations) -> Observations:
 CASES: tuple[tuple[str, str, Mistake, str], ...] = (
     (FIRST, "A6 counted the other way round", reversed_axis(5), "A6 reversed"),
     (FIRST, "A3 counted the other way round", reversed_axis(2), "A3 reversed"),
-    (FIRST, "A2 90 deg off", offset(1, 90), "-90 deg added to A2"),
-    (FIRST, "A4 180 deg off", offset(3, 180), "+180 deg added to A4"),
+    (FIRST, "A2 90 deg off", offset(1, 90), "-90° added to A2"),
+    (FIRST, "A4 180 deg off", offset(3, 180), "+180° added to A4"),
     (FIRST, "angles in radians", in_radians, "the angles read as radians, not degrees (are the columns q1_rad .. and not q1_deg ..?)"),
     (FIRST, "points in metres", points(1e-3), "the measured points read as metres, not millimetres"),
     (FIRST, "orientation left-handed", left_handed, "the orientation mirrored along y (left-handed)"),
@@ -84,7 +84,7 @@ CASES: tuple[tuple[str, str, Mistake, str], ...] = (
     (FIRST, "columns of A4 and A5 exchanged", exchanged(3, 4), "the columns of A4 and A5 exchanged"),
     (FIRST, "y of the points reversed", points([1, -1, 1]), "y of the measured points reversed"),
     (SECOND, "A1 counted the other way round", reversed_axis(0), "A1 reversed"),
-    (SECOND, "A5 90 deg off", offset(4, -90), "+90 deg added to A5"),
+    (SECOND, "A5 90 deg off", offset(4, -90), "+90° added to A5"),
     (SECOND, "points in metres", points(1e-3), "the measured points read as metres, not millimetres"),
     (SECOND, "columns x and y exchanged", point_columns(1, 0, 2), "the columns of the measured points read as y, x, z"),
     (SECOND, "columns of A2 and A3 exchanged", exchanged(1, 2), "the columns of A2 and A3 exchanged"),
@@ -92,7 +92,7 @@ CASES: tuple[tuple[str, str, Mistake, str], ...] = (
     (THIRD, "A4 counted the other way round", reversed_axis(3), "A4 reversed"),
     (THIRD, "y of the certified centres reversed", certified_mirrored, "y of the certified centres reversed"),
     (THIRD, "columns of the points x, z, y", point_columns(0, 2, 1), "the columns of the measured points read as x, z, y"),
-    (THIRD, "A3 90 deg off", offset(2, -90), "+90 deg added to A3"),
+    (THIRD, "A3 90 deg off", offset(2, -90), "+90° added to A3"),
 )
 
 

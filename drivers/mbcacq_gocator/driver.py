@@ -3,25 +3,12 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from mbcacq.devices import (
-    Aborted,
-    ConfigError,
-    ConnectError,
-    ContextDevice,
-    Description,
-    DeviceTimeout,
-    Field,
-    IdentityError,
-    MbcacqError,
-    ProtocolError,
-    Scan,
-)
+from mbcacq.devices import ConfigError, ConnectError, Description, Field, IdentityError, MbcacqError, Scan
 from mbcacq_gocator import commands
 from mbcacq_gocator.bracket import best, merged
 from mbcacq_gocator.control import ControlChannel
@@ -32,9 +19,9 @@ from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
 from mbcacq_gocator.login import log_in
-from mbcacq_gocator.named_errors import named
 from mbcacq_gocator.options import GocatorOptions
 from mbcacq_gocator.session import GocatorSession, check_unchanged
+from mbcacq_gocator.snapshot_scanner import RESTORE_CONNECT_S, RESTORE_REPLY_S, SnapshotScanner
 
 _FIELDS = (
     Field("points", "mm", (-1, 3), meaning="valid points in the scanner frame, float32"),
@@ -43,16 +30,11 @@ _FIELDS = (
     Field("time_s", "s", meaning="the sensor's clock at the exposure"),
     Field("health", "", rate_hz=1.0, meaning="temperatures and counters by name"),
 )
-_BACKOFF_S = 0.2
-_RESTORE_CONNECT_S, _RESTORE_REPLY_S = 1.0, 5.0
 _log = logging.getLogger("mbcacq.gocator")
 
 
-class Gocator(ContextDevice):
-    """Driver ``gocator``. ``model`` is what the sensor must call itself ('3210', a part number; '' for any).
-
-    Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``.
-    """
+class Gocator(SnapshotScanner[GocatorSession]):
+    """Driver ``gocator``. ``model`` is what the sensor must call itself ('3210', a part number; '' for any)."""
 
     options_model = GocatorOptions
 
@@ -65,47 +47,21 @@ class Gocator(ContextDevice):
     )
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
-        self.name, self.model = name, model
         self.options = GocatorOptions.read(name, options or {})
-        self._cancel = threading.Event()
-        self._one_capture = threading.Lock()
-        self._session: GocatorSession | None = None
-        self._wanted = False
+        about = Description("scanner", model or "LMI Gocator", _FIELDS)
+        super().__init__(name, model, self.options.retries, self.options.exposure_us, about)
         self._before: Before | None = None
         self._place = self.options
         self._guard = HealthGuard(self.options.temperature_warning_C, self.options.temperature_stop_C)
         self._warnings: list[str] = []  # found since the last scan that was returned
-        self._wanted_exposure_us = self.options.exposure_us
-        self._description = Description("scanner", model or "LMI Gocator", _FIELDS)
-
-    def connect(self) -> None:
-        """Raises ConnectError, IdentityError, ConfigError (job, exposure), DeviceFault, DeviceTimeout, ProtocolError."""
-        self._cancel.clear()
-        self._wanted = True
-        try:
-            self._connect()
-        except BaseException:
-            self._restore()
-            raise
-
-    def describe(self) -> Description:
-        return self._description
 
     def capture(self, exposure_us: float | None = None) -> Scan:
-        """Expose once, or once for each of the option ``exposures_us``. Connects anew after a dropped connection, a few times.
-
-        Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the sensor stays away), Aborted (``stop`` was called).
-        """
+        """Expose once, or once for each of the option ``exposures_us``; raises ConfigError for an ``exposure_us`` beside that option."""
         if exposure_us is not None and self.options.exposures_us:
             raise ConfigError(
                 f"scanner '{self.name}': the option exposures_us already says how long to expose; take exposure_us out of the plan"
             )
-        if not self._wanted:
-            raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
-        with self._one_capture:
-            if exposure_us is not None:
-                self._wanted_exposure_us = exposure_us
-            return self._capture_with_retries()
+        return super().capture(exposure_us)
 
     def stop(self) -> None:
         self._cancel.set()
@@ -125,50 +81,20 @@ class Gocator(ContextDevice):
         finally:
             self._drop()
 
-    def _capture_with_retries(self) -> Scan:
-        attempt = 0
-        while True:
-            if self._cancel.is_set():
-                raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
-            try:
-                session = self._connect()
-                with named(self.name):
-                    return self._bracket(session)
-            except IdentityError:
-                self._drop()
-                raise
-            except ConnectError as error:
-                self._drop()
-                last = attempt >= self.options.retries
-                if self._cancel.wait(0 if last else _BACKOFF_S * 2**attempt):
-                    raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
-                if last:
-                    raise
-            except (Aborted, DeviceTimeout, ProtocolError):
-                self._drop()  # what is still under way must not be taken for the next scan
-                raise
-            attempt += 1
-
-    def _connect(self) -> GocatorSession:
-        if self._session is not None and self._session.has_ended:
-            self._drop()  # nothing is under way
-        if self._session is not None:
-            return self._session
-        with named(self.name):
-            self._place = located(self.options)
-            session = GocatorSession(self._place, self.model, self._cancel.is_set, self._before)
-            try:
-                session.open()
-            except IdentityError:
-                raise
-            except ConnectError as error:
-                if not session.control.is_open and gopxl_answers(self._place.address):
-                    raise ConnectError(f"the sensor at {self._place.address} runs GoPxL; use driver: gopxl") from None
-                raise elsewhere(error, self._place) from None
-            finally:
-                self._before = session.before
-            self._describe(session)
-        self._session = session
+    def _opened(self) -> GocatorSession:
+        self._place = located(self.options)
+        session = GocatorSession(self._place, self.model, self._cancel.is_set, self._before)
+        try:
+            session.open()
+        except IdentityError:
+            raise
+        except ConnectError as error:
+            if not session.control.is_open and gopxl_answers(self._place.address):
+                raise ConnectError(f"the sensor at {self._place.address} runs GoPxL; use driver: gopxl") from None
+            raise elsewhere(error, self._place) from None
+        finally:
+            self._before = session.before
+        self._describe(session)
         return session
 
     def _describe(self, session: GocatorSession) -> None:
@@ -184,14 +110,13 @@ class Gocator(ContextDevice):
         assert info is not None  # the session is open
         self._description = Description("scanner", info.model, _FIELDS, str(info.serial), info.firmware_text, settings=settings)
 
-    def _bracket(self, session: GocatorSession) -> Scan:
-        """One scan of all exposures of the plan, with every warning since the last one."""
-        scans = [self._expose(session, exposure_us) for exposure_us in self.options.exposures_us or (self._wanted_exposure_us,)]
+    def _expose(self, session: GocatorSession) -> Scan:
+        scans = [self._exposed(session, exposure_us) for exposure_us in self.options.exposures_us or (self._exposure_us,)]
         scan = scans[0] if len(scans) == 1 else best(scans) if self.options.bracket == "best" else merged(scans)
         news, self._warnings = tuple(self._warnings), []
         return replace(scan, warnings=news)
 
-    def _expose(self, session: GocatorSession, exposure_us: float | None) -> Scan:
+    def _exposed(self, session: GocatorSession, exposure_us: float | None) -> Scan:
         """A sensor above the stop limit is not exposed at all. Warnings found before an exposure that fails come with the next scan."""
         self._watch(session)
         scan = expose(session, exposure_us)
@@ -203,13 +128,12 @@ class Gocator(ContextDevice):
             self._warnings += self._guard.look(session.health.values())
 
     def _restore(self) -> None:
-        """Over the connection that stands, or a new one where a fault has cut it. What cannot be restored is said, not raised."""
         before, self._before = self._before, None
         if before is None or not before.changed or not self.options.restore:
             return
         place, session = self._place, self._session
-        limit_s = min(place.reply_limit_s or _RESTORE_REPLY_S, _RESTORE_REPLY_S)
-        spare = ControlChannel(place.address, place.control_port, _RESTORE_CONNECT_S, limit_s)
+        limit_s = min(place.reply_limit_s or RESTORE_REPLY_S, RESTORE_REPLY_S)
+        spare = ControlChannel(place.address, place.control_port, RESTORE_CONNECT_S, limit_s)
         if session is not None and session.control.is_open:
             with suppress(MbcacqError):
                 return before.restore(session.files)
@@ -222,8 +146,3 @@ class Gocator(ContextDevice):
             _log.warning("scanner '%s': job '%s' and its exposure could not be put back as they were: %s", self.name, before.job, error)
         finally:
             spare.close()
-
-    def _drop(self) -> None:
-        session, self._session = self._session, None
-        if session is not None:
-            session.close()

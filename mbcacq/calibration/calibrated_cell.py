@@ -14,6 +14,7 @@ from mbcacq.calibration.length_budget import EndVariance, length_budget
 from mbcacq.calibration.observability import arm_indices
 from mbcacq.calibration.observation_fit import ObservationFit, Parameter
 from mbcacq.calibration.result_file import (
+    CURE,
     FORMAT,
     THE_RESULT,
     BallInResult,
@@ -24,7 +25,6 @@ from mbcacq.calibration.result_file import (
     ResultFile,
     RobotInResult,
     StationInResult,
-    damaged,
     result_of,
 )
 from mbcacq.calibration.same_arm import refuse_other_arm
@@ -41,7 +41,7 @@ from mbcacq.estimation.scan_scale import scale_in_words, scan_scale
 from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
-from mbcacq.model.json_text import fields_as_json, from_fields, read_json
+from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json
 from mbcacq.model.observations import Observations
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ class CalibratedCell:
         a damaged one."""
         file = result_of(content, source)
         if file.preliminary is None:
-            raise damaged(source, "the key 'preliminary' is missing")
+            raise damaged(source, "the key 'preliminary' is missing", CURE)
         state, nominal = file.state, file.robot.nominal_chain
         return cls(
             robot=file.robot.name,

@@ -14,13 +14,12 @@ import numpy as np
 from pydantic import ConfigDict, Field, FiniteFloat
 
 from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter, Rejected
-from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.scan_scale import ScanScale
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.geometry.flange_poses import FlangePoses
 from mbcacq.model.cell import Measurement, RobotModel
-from mbcacq.model.json_text import EveryKey, Limits, Matrix, Transform, Vector, as_list, from_document
+from mbcacq.model.json_text import EveryKey, Limits, Matrix, Transform, Vector, as_list, damaged, from_document
 
 FORMAT = "mbcacq-result/1"
 CURE = "give the result.json of a calibration, or write it anew with mbcacq calibrate"
@@ -186,14 +185,9 @@ def result_of(content: Any, source: str = THE_RESULT) -> ResultFile:
     file = from_document(ResultFile, content, FORMAT, source, "calibration result", CURE)
     n, axes, arm = len(file.names), len(file.robot.sign), file.robot
     if file.covariance.size != n * n or len(file.covariance) != n:
-        raise damaged(source, f"the covariance is not {n} x {n} as the {n} names say")
+        raise damaged(source, f"the covariance is not {n} x {n} as the {n} names say", CURE)
     columns = {f"robot.{which}.{p}": column for which in ("nominal", "calibrated", "errors") for p, column in getattr(arm, which).items()}
     for key, values in {"robot.limits": arm.limits, "noise.joint_rad": file.noise.joint_rad, **columns}.items():
         if values is not None and len(values) != axes:
-            raise damaged(source, f"{key}: it has {len(values)} values, and the arm has {axes} axes")
+            raise damaged(source, f"{key}: it has {len(values)} values, and the arm has {axes} axes", CURE)
     return file
-
-
-def damaged(source: str, fault: str) -> ConfigError:
-    """That a result is damaged, as ``result_of`` says it."""
-    return ConfigError(f"{source} is damaged ({fault}); {CURE}")

@@ -11,7 +11,7 @@ import numpy as np
 from mbcacq.calibration import notebook
 from mbcacq.calibration.joint_file import result_of_one, split_number
 from mbcacq.calibration.observation_fit import ObservationFit, Parameter, Status
-from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, damaged, result_of
+from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, result_of
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
@@ -22,7 +22,7 @@ from mbcacq.files.atomic_write import finish_set
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.cell import Cell
-from mbcacq.model.json_text import read_json
+from mbcacq.model.json_text import damaged, read_json
 from mbcacq.quantities import K, pair, symbol, uncertainty
 
 MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of that
@@ -114,7 +114,7 @@ def layout_of(file: ResultFile, source: str = THE_RESULT) -> ParameterLayout:
         groups["effects"] = effects
     layout = ParameterLayout(tuple(_block(block, names, free, reported) for block, names in groups.items()))
     if layout.names != file.names:
-        raise damaged(source, "names are not in the order of arm, hand-eye, balls, effects")
+        raise damaged(source, "names are not in the order of arm, hand-eye, balls, effects", CURE)
     return layout
 
 

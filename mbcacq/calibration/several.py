@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
@@ -29,7 +30,17 @@ from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.several_recordings import JointProblem, joint_problem
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.estimation.terms import PER_POSE, Term
+from mbcacq.model.json_text import Number, fields_as_json
 from mbcacq.model.observations import Observations
+
+
+@dataclass(frozen=True, kw_only=True)
+class DayToDay(BetweenRecordings):
+    """A coefficient of an effect on the arm in several recordings, as a joint result has it."""
+
+    parameter: Annotated[str, Field(alias="coefficient")]
+    unit: str
+    stds: Annotated[tuple[Number, ...], Field(alias="std")]
 
 
 def calibrate_together(
@@ -59,7 +70,7 @@ def calibrate_together(
 
 def _together(problem: JointProblem, options: CalibrationOptions, effects: EffectModel | None, hold: bool) -> tuple[CalibratedCell, ...]:
     together, several = problem.observations, len(problem.parts) > 1
-    found: list[BetweenRecordings] = []
+    found: list[DayToDay] = []
 
     def fit(obs: Observations, asked: CalibrationOptions) -> CalibratedCell:
         """All recordings with the terms of some options, whose coefficients may differ from day to day."""
@@ -84,7 +95,7 @@ def _together(problem: JointProblem, options: CalibrationOptions, effects: Effec
         whole = replace(whole, covariance=whole.covariance + np.diag([between.get(name, 0.0) ** 2 for name in whole.names]))
         if not hold and whole.effects is not None:
             whole = replace(whole, effects=with_estimates(whole.effects, whole))
-        whole = replace(whole, extra={**whole.extra, "day_to_day": [_day_to_day_content(d, effects) for d in found]})
+        whole = replace(whole, extra={**whole.extra, "day_to_day": [fields_as_json(d) for d in found]})
     each = shares(whole, problem.parts, options)
     refuse_unusable(each[0])
     return each
@@ -99,7 +110,7 @@ def _fitted(problem: JointProblem, options: CalibrationOptions) -> CalibratedCel
     return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
 
 
-def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[BetweenRecordings]:
+def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
     """Each coefficient of the effects on the arm in every recording by itself, with the geometry of all, at a calibration of all."""
     obs = whole.fit.observations
     assert obs.recording is not None, "asked of several recordings only"
@@ -123,27 +134,10 @@ def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[BetweenRecordi
     for t, values in zip(built, start, strict=True):
         name = t.name
         if name in known:
-            index = [position[one] for one in t.names]
+            index, of = [position[one] for one in t.names], known[name]
             values, std = values + step[index], np.sqrt(np.diag(covariance)[index])
-            out.append(BetweenRecordings.of(known[name].name, known[name].where, name, values, std))
+            out.append(DayToDay(**vars(BetweenRecordings.of(of.name, of.where, name, values, std)), unit=of.units[of.names.index(name)]))
     return out
-
-
-def _day_to_day_content(one: BetweenRecordings, effects: EffectModel) -> dict[str, Any]:
-    """JSON content of a coefficient of these effects in several recordings."""
-    unit = next(t.units[t.names.index(one.parameter)] for t in effects.terms if one.parameter in t.names)
-    return {
-        "name": one.name,
-        "where": list(one.where),
-        "coefficient": one.parameter,
-        "unit": unit,
-        "values": list(one.values),
-        "std": list(one.stds),
-        "common": one.common,
-        "common_std": one.common_std,
-        "between_std": one.between_std,
-        "p_value": one.p_value,
-    }
 
 
 def deviations(whole: CalibratedCell, between: dict[str, float]) -> list[Term]:

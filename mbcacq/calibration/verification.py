@@ -23,7 +23,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
-from mbcacq.model.json_text import EveryKey, fields_as_json, from_fields
+from mbcacq.model.json_text import EveryKey, fields_as_json
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, measured, signed, uncertainty
 
@@ -130,11 +130,6 @@ class Verification(EveryKey):
     def to_dict(self) -> dict[str, Any] | None:
         """JSON content; None where there was nothing to verify on."""
         return fields_as_json(self) if self.places else None
-
-    @classmethod
-    def from_dict(cls, content: Any) -> Self:
-        """What ``to_dict`` wrote. Raises ValueError where it is damaged."""
-        return cls(places=()) if content is None else from_fields(cls, content)
 
     def __repr__(self) -> str:
         if not self.places:

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from mbcacq.challenge import oracle, simulated_cells
 from mbcacq.challenge.scenarios import OUTSIDE, Scenario
@@ -18,11 +20,11 @@ from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.effects.catalogue import declaration
 from mbcacq.files.atomic_write import write_files
-from mbcacq.model.json_text import plain
+from mbcacq.model.json_text import fields_as_json, plain
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, load
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Outcome:
     """scenario: as drawn. injected: as a plan's ``fake: hidden`` states it. truth: the injected effects with their parameters, as the fake
     cell states them after the recording. diagnosis: as its JSON object.
@@ -30,14 +32,14 @@ class Outcome:
 
     scenario: Scenario
     injected: list[dict[str, Any]]
+    score: Score
+    seconds: Annotated[float, Field(alias="diagnosis_s")]
     truth: list[dict[str, Any]]
     diagnosis: dict[str, Any]
-    score: Score
-    seconds: float
 
     def to_dict(self, full: bool = False) -> dict[str, Any]:
-        out = {"scenario": self.scenario.to_dict(), "injected": self.injected, "score": self.score.to_dict(), "diagnosis_s": self.seconds}
-        return out | ({"truth": self.truth, "diagnosis": self.diagnosis} if full else {})
+        """JSON content; full: with truth and diagnosis."""
+        return {key: value for key, value in fields_as_json(self).items() if full or key not in ("truth", "diagnosis")}
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ class Challenger:
             possible = oracle.achievable(observations, truth)
             truth = [{**t, **({"adds": possible.adds[j]} if possible.adds else {})} for j, t in enumerate(truth)]
         result = score(scenario.kind, truth, diagnosis, possible.improvement if truth else 0.0, catalogued=not outside)
-        outcome = Outcome(scenario, injected, truth, diagnosis, result, seconds)
+        outcome = Outcome(scenario=scenario, injected=injected, score=result, seconds=seconds, truth=truth, diagnosis=diagnosis)
         if self.folder is not None:
             self._keep(outcome, observations)
         return outcome

@@ -33,11 +33,9 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
 
     Example: mbcacq correct weld.dat --with runs/today
     """
-    import numpy as np
-
     import mbcacq
     from mbcacq.calibration.caveats import with_warnings
-    from mbcacq.workflow.correct import LARGE_CHANGE
+    from mbcacq.workflow.correct import LARGE_CHANGE_DEG
     from mbcacq.workflow.load import as_result, unsealed_note
 
     with StepProgress() as steps:
@@ -50,16 +48,16 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
         echo(f"*** {sentence} ***", err=True)
     for note in done.notes:
         echo(f"note: {note}", err=True)
-    found = done.found
-    moved = f", which missed their places by up to {np.nanmax(done.before_mm):.3f} mm" if np.isfinite(done.before_mm).any() else ""
-    echo(f"{done.file}: {int(found.reached.sum())} of {len(found.q)} points corrected{moved}")
-    if found.reached.any():
-        echo(f"residual of the corrected points by the model: at most {significant(1e3 * found.error_mm[found.reached].max(), 2)} µm")
-    for p in np.flatnonzero(~found.reached)[:MOST_LINES]:
-        echo(f"  {_place(done.names[p], done.lines[p])}: not reached, {significant(float(found.error_mm[p]))} mm short: {found.reasons[p]}")
-    for p in np.flatnonzero(done.change > LARGE_CHANGE)[:MOST_LINES]:
-        changed = f"a joint changes by {np.degrees(done.change[p]):.2f}°; look at it before it runs"
-        echo(f"  {_place(done.names[p], done.lines[p])}: {changed}")
+    reached = [p for p in done.points if p.reached]
+    missed = [p.before_mm for p in done.points if p.before_mm is not None]
+    moved = f", which missed their places by up to {max(missed):.3f} mm" if missed else ""
+    echo(f"{done.file}: {len(reached)} of {len(done.points)} points corrected{moved}")
+    if reached:
+        echo(f"residual of the corrected points by the model: at most {significant(1e3 * max(p.residual_mm for p in reached), 2)} µm")
+    for p in [p for p in done.points if not p.reached][:MOST_LINES]:
+        echo(f"  {_place(p.name, p.line)}: not reached, {significant(p.residual_mm)} mm short: {p.reason}")
+    for p in [p for p in done.points if (p.largest_change_deg or 0.0) > LARGE_CHANGE_DEG][:MOST_LINES]:
+        echo(f"  {_place(p.name, p.line)}: a joint changes by {p.largest_change_deg:.2f}°; look at it before it runs")
     if done.left_alone:
         echo(f"{len(done.left_alone)} more {'points are' if len(done.left_alone) > 1 else 'point is'} not corrected:")
     for name, line, reason in done.left_alone[:MOST_LINES]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -59,14 +57,14 @@ def command(
     outside = sorted({o.recording for o in found.outliers if o.recording})
     unlike = sorted({o.arm for o in found.outliers if o.recording is None})
     if as_json:
-        broken = [{"recording": row["recording"], "status": row["status"], "reason": row["reason"]} for row in found.broken]
+        broken = [{"recording": row.recording, "status": row.status, "reason": row.reason} for row in found.broken]
         files = {"table": str(found.table), "page": str(found.page)}
         content = {"recordings": len(found.rows), "broken": broken, "outside": outside, "unlike": unlike, "files": files}
         echo(json.dumps({"format": "mbcacq-fleet/1", **content}))
         return
     echo(f"{len(found.rows)} recordings, {len(found.broken)} without a result, {len(outside)} outside the control limits of their arm")
     for row in found.broken[:MOST_NAMED]:
-        echo(f"{row['recording']}: {row['status']}: {row['reason']}")
+        echo(f"{row.recording}: {row.status}: {row.reason}")
     for recording in outside[:MOST_NAMED]:
         names = sorted({o.name for o in found.outliers if o.recording == recording})
         echo(f"{recording}: outside: {', '.join(names)}")
@@ -91,7 +89,7 @@ class FleetProgress:
         )
         self._terminal, self._task = self._console.is_terminal, None
 
-    def __call__(self, done: int, total: int, row: Mapping[str, Any]) -> None:
+    def __call__(self, done: int, total: int, row: object) -> None:
         if self._terminal:
             if self._task is None:
                 self._task = self._bar.add_task("recordings", total=total)

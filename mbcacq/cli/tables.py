@@ -8,6 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from mbcacq.calibration.verification import beyond_expected
+from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import (
     K,
     decimal_places,
@@ -324,7 +325,7 @@ def arm_improved(result: dict[str, Any]) -> list[str]:
     """What corrected targets changed, of a run that a calibrated arm steered."""
     from mbcacq.calibration.place_errors import ArmImprovement
 
-    return [ArmImprovement.from_dict(result["arm_improved"]).text] if result.get("arm_improved") else []
+    return [from_fields(ArmImprovement, result["arm_improved"]).text] if result.get("arm_improved") else []
 
 
 def held_out(h: dict[str, Any]) -> str:

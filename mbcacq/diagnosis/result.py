@@ -19,14 +19,14 @@ from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
 from mbcacq.effects.trend import trend
-from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import InJson, Number, damage, fields_as_json, from_fields
+from mbcacq.model.json_text import InJson, Number, fields_as_json, from_document
 from mbcacq.quantities import micrometres, percent
 
 FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
+THE_CONTENT, CURE = "this JSON content", "give what mbcacq diagnose --out writes"
 
 
 def _model(file: EffectModelFile | None) -> EffectModel | None:
@@ -98,6 +98,8 @@ class Alternative:
     """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1. odds:
     its posterior probability relative to the found effect's; None where that was not computed.
     """
+
+    later = ("odds",)
 
     name: str
     where: tuple[str, ...]
@@ -180,6 +182,8 @@ class NotSeparable:
     together are joined by ' and '. odds: posterior probability of the second relative to the first; None where that was not computed.
     """
 
+    later = ("odds",)
+
     effects: tuple[str, ...]
     correlation: Number
     odds: float | None = None
@@ -237,6 +241,8 @@ class ExclusionLimit:
     it has none.
     """
 
+    later = ("in_usual_sizes", "tested", "holds_for")
+
     name: str
     where: tuple[str, ...]
     parameter: str
@@ -281,6 +287,8 @@ class ComparedEffect:
     next to the others of the set, before the recording; both are empty in older files.
     """
 
+    later = ("prior", "log_prior")
+
     name: str
     where: tuple[str, ...]
     parameters: Mapping[str, ParameterEstimate]
@@ -306,6 +314,8 @@ class EvidenceSummary:
     holds at every look. sets: the most probable first, the empty one among them. untried: a sentence about each set that stands for what
     was not tried and is not excluded.
     """
+
+    later = ("untried",)
 
     poses: int
     log_e_value: Number
@@ -343,6 +353,8 @@ class Diagnosis:
     object, so None after ``from_json``.
     """
 
+    later = ("geometry_alone", "exclusion_limits", "between_recordings", "proposals", "noise_depends_on", "evidence")
+
     verdict: Verdict
     mismatch: tuple[MismatchEntry, ...]
     effects: tuple[EffectFound, ...]
@@ -370,14 +382,7 @@ class Diagnosis:
 
         Raises ConfigError where the object has another format or lacks a key.
         """
-        kind = content.get("format")
-        if kind not in READABLE:
-            said = f"its format is '{kind}'" if kind else "it does not say its format"
-            raise ConfigError(f"this is no diagnosis: {said}, which should be '{FORMAT}'; give what mbcacq diagnose --out writes")
-        try:
-            return from_fields(cls, content)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
+        return from_document(cls, content, READABLE, THE_CONTENT, "diagnosis", CURE)
 
     def __repr__(self) -> str:
         found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"

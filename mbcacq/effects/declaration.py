@@ -5,7 +5,7 @@ Everything outside of ``mbcacq.effects`` that treats one effect otherwise than a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -169,8 +169,3 @@ class Declaration:
 
 
 NOTHING_PARTICULAR = Declaration()
-
-
-def of_locations(names: Sequence[str]) -> list[Where]:
-    """Each location by itself."""
-    return [(name,) for name in names]

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat
 
 from mbcacq.effects.effect_term import EffectTerm, LearntRecording
 from mbcacq.effects.functions import COMPONENTS, FUNCTIONS, DescribedPart, Function
 from mbcacq.errors import ConfigError
 from mbcacq.geometry.chain import PARAMETERS, Chain
 from mbcacq.model.cell import Measurement, RobotModel
-from mbcacq.model.formats import newer_format
-from mbcacq.model.json_text import Limits, Number, first_fault, from_fields
+from mbcacq.model.json_text import Limits, Number, damaged, from_document
 
 FORMAT = "mbcacq-effect-model/1"
+CURE = "make the model of effects anew with mbcacq diagnose"
 
 _LOCATION = re.compile(r"^(?:A|link)([0-9]+)$")
 _OF_JOINT = re.compile(
@@ -91,18 +91,7 @@ def read_effects(content: Any, source: str, key: str = "") -> EffectModelFile:
 
     Raises ConfigError with the key of the fault.
     """
-    at = f"{source}: {key}" if key else source
-    found = content.get("format") if isinstance(content, Mapping) else None
-    if sentence := newer_format(found, FORMAT):
-        raise ConfigError(f"{at} {sentence}")
-    if found != FORMAT:
-        raise ConfigError(f"{at} is no model of effects of format '{FORMAT}'; make it with mbcacq diagnose or calibrate --effects")
-    within = f"{key}." if key else ""
-    try:
-        return from_fields(EffectModelFile, content)
-    except ValidationError as error:
-        where, fault = first_fault(error)
-        raise _damaged(source, within + where, fault) from None
+    return from_document(EffectModelFile, content, FORMAT, source, "model of effects", CURE, key)
 
 
 def check_effects(model: EffectModelFile, source: str, key: str = "") -> None:
@@ -167,4 +156,4 @@ def _check_function(function: Function, axes: int, source: str, key: str) -> Non
 
 
 def _damaged(source: str, key: str, fault: str) -> ConfigError:
-    return ConfigError(f"{source}: {key}: {fault}; the model of effects is damaged, make it anew with mbcacq diagnose")
+    return damaged(source, f"{key}: {fault}", CURE)

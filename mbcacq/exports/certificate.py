@@ -18,7 +18,7 @@ import yaml
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports import dmis
-from mbcacq.files.csv_text import Dialect, csv_text, read_csv_text, read_text, text_of_mappings
+from mbcacq.files.csv_text import read_csv_text, read_text, text_of_mappings
 from mbcacq.files.stated_unit import in_words, stated_unit
 from mbcacq.files.table import Column, Table, TableSchema, as_table
 from mbcacq.files.table_schema import HeadingError, HeadingMatch, coverage_factor, matched, score
@@ -129,22 +129,6 @@ def artefact_yaml(artefact: Artefact) -> str:
         for b, c, d in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
     ]
     return yaml12.dump(data, default_flow_style=None, width=140)
-
-
-def certificate_csv(artefact: Artefact) -> str:
-    """The artefact as CSV (RFC 4180) that ``read_certificate`` reads back, with U at k = 2."""
-    rows = [
-        [
-            str(ball),
-            *(repr(float(v)) for v in centre),
-            repr(float(diameter)),
-            repr(2 * float(artefact.uncertainty_mm)),
-            "2",
-            repr(float(artefact.reference_temperature_C)),
-        ]
-        for ball, centre, diameter in zip(artefact.ball_ids, artefact.centres, artefact.diameters, strict=True)
-    ]
-    return csv_text(["label", "x_mm", "y_mm", "z_mm", "d_mm", "U_mm", "k", "T_C"], rows, Dialect(newline="\r\n"))
 
 
 def _schema(headings: Sequence[str], unit: str = "mm") -> TableSchema:

@@ -17,8 +17,6 @@ from mbcacq.geometry import se3
 TOOLS = range(1, 129)
 NAME_LENGTH = 24
 MAX_BYTES = 16 << 20
-_FRAME = re.compile(r"\{[^}]*\}")
-_NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 
 
 def tool_data(T_flange_scanner: np.ndarray, number: int, name: str = "mbcacq scanner") -> str:
@@ -52,22 +50,6 @@ def config_diff(path: str | Path, T_flange_scanner: np.ndarray, number: int, nam
             raise ConfigError(f"{path}: has neither this tool nor ENDDAT, so it is no $config.dat; give the controller's own file")
         new[stop:stop] = missing
     return "".join(difflib.unified_diff(old, new, f"a/{path.name}", f"b/{path.name}", n=2))
-
-
-def read_tool_data(text: str, number: int) -> np.ndarray:
-    """T_flange_tool (4, 4) mm of TOOL_DATA[number] in the text of a ``$config.dat``; E notation and any spacing are understood.
-
-    Raises ConfigError where the tool is not there or not a frame.
-    """
-    line = next((one for one in text.splitlines() if _same_target(one, f"TOOL_DATA[{number}]")), None)
-    if line is None:
-        raise ConfigError(f"there is no TOOL_DATA[{number}] in this $config.dat; give another tool number")
-    frame = _FRAME.search(line)
-    entries = frame.group() if frame else ""
-    value = [float(m.group(1)) for axis in "XYZABC" if (m := re.search(rf"\b{axis}\s+{_NUMBER}", entries, re.IGNORECASE))]
-    if len(value) != 6:
-        raise ConfigError(f"TOOL_DATA[{number}] is not a frame with X, Y, Z, A, B, C: {line.strip()}")
-    return se3.from_abc(np.array(value[:3]), np.radians(value[3:]))
 
 
 def _lines(T: np.ndarray, number: int, name: str) -> list[str]:

@@ -5,18 +5,11 @@ Metres; quaternions x y z w.
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import yaml
 
 from mbcacq.errors import ConfigError
-from mbcacq.files.bounded_read import read_bounded
-from mbcacq.model import yaml12
 from mbcacq.recording.datasets import quaternions
-
-MAX_BYTES = 1 << 20
 
 
 def hand_eye_yaml(
@@ -47,32 +40,6 @@ def hand_eye_yaml(
         "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": {"x": qx, "y": qy, "z": qz, "w": qw}},
     }
     return yaml.safe_dump(data, sort_keys=False)
-
-
-def read_hand_eye(path: str | Path) -> np.ndarray:
-    """T_flange_scanner (4, 4) mm from an easy_handeye2 file, or from the older flat form. Raises ConfigError naming the file."""
-    path = Path(path)
-    try:
-        text = read_bounded(path, MAX_BYTES)
-        if len(text) > MAX_BYTES:
-            raise ConfigError(f"{path}: larger than {MAX_BYTES >> 20} MiB; this is no hand-eye calibration")
-        data: Any = yaml12.load(text.decode("utf-8"))
-        if "transform" in data:
-            t, r = data["transform"]["translation"], data["transform"]["rotation"]
-            value = [t["x"], t["y"], t["z"], r["w"], r["x"], r["y"], r["z"]]
-        else:
-            flat = data["transformation"]
-            value = [flat[k] for k in ("x", "y", "z", "qw", "qx", "qy", "qz")]
-        number = np.array(value, dtype=float)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: is not a hand-eye calibration of easy_handeye2 (transform: translation, rotation)") from error
-    if not np.isfinite(number).all() or abs(np.linalg.norm(number[3:]) - 1) > 1e-3:
-        raise ConfigError(f"{path}: the rotation is not a unit quaternion")
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = quaternions.to_matrix(number[3:]), 1e3 * number[:3]
-    return T
 
 
 def static_transform_command(T: np.ndarray, parent: str = "tool0", child: str = "scanner_frame") -> str:

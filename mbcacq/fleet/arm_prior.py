@@ -7,15 +7,15 @@ and by the few arms there are (variance of the predictive t distribution).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.options import ArmPrior
 from mbcacq.fleet.control_chart import ArmType, arm_types
+from mbcacq.fleet.row import FleetRow
 from mbcacq.fleet.store import read_table
 from mbcacq.geometry.chain import PARAMETERS
 
@@ -35,30 +35,27 @@ def read_priors(fleet: Path | str) -> tuple[ArmPrior, ...]:
 
 def learnt(kind: ArmType) -> ArmPrior | None:
     """The prior of one type of arm; None where there are too few."""
-    nominal = np.array(kind.rows[0]["nominal"]).reshape(-1, len(PARAMETERS))
+    nominal = np.array(kind.rows[0].nominal).reshape(-1, len(PARAMETERS))
     names = [f"{p}_{i + 1}" for i in range(len(nominal)) for p in PARAMETERS]
-    arms: dict[str, list[Mapping[str, Any]]] = {}
+    arms: dict[str, list[FleetRow]] = {}
     for row in kind.rows:
-        arms.setdefault(row["arm"], []).append(row)
+        arms.setdefault(row.arm, []).append(row)
     if len(arms) < FEWEST_ARMS:
         return None
     value, information = zip(*(combined(rows, names) for rows in arms.values()), strict=True)
     mean, sigma = population(np.array(value), np.array(information))
-    return ArmPrior(kind.rows[0]["robot"], nominal, mean.reshape(nominal.shape), sigma.reshape(nominal.shape), len(arms))
+    return ArmPrior(kind.robot, nominal, mean.reshape(nominal.shape), sigma.reshape(nominal.shape), len(arms))
 
 
-def combined(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def combined(rows: Sequence[FleetRow], names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Errors (K,) of one arm over its recordings, and their information (K, K); zero where nothing was determined."""
     total, weighted = np.zeros((len(names), len(names))), np.zeros(len(names))
     for row in rows:
-        place = {name: k for k, name in enumerate(row["names"])}
-        here = [k for k, name in enumerate(names) if name in place]
-        chosen = [place[names[k]] for k in here]
-        size = len(row["names"])
-        C = np.array(row["covariance"]).reshape(size, size)[np.ix_(chosen, chosen)]
+        here = [k for k, name in enumerate(names) if name in row.names]
+        C = row.covariance_of([names[k] for k in here])
         scale = np.sqrt(np.diag(C))
         own = np.linalg.inv(C / np.outer(scale, scale)) / np.outer(scale, scale)
-        error = np.array([row[f"error.{names[k]}"] for k in here])
+        error = np.array([row.estimates[names[k]][0] for k in here])
         total[np.ix_(here, here)] += own
         weighted[here] += own @ error
     known = np.flatnonzero(np.diag(total) > 0)

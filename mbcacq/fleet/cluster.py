@@ -11,8 +11,9 @@ from contextlib import ExitStack
 from typing import Any
 
 from mbcacq.errors import ConfigError, ConnectError, RecordingError
-from mbcacq.fleet.evaluation import FAILED, FORMAT, FleetTask, evaluate_recording
+from mbcacq.fleet.evaluation import FleetTask, evaluate_recording
 from mbcacq.fleet.recordings import FleetRecording
+from mbcacq.fleet.row import FAILED, FleetRow
 from mbcacq.fleet.store import FleetStore, StoredResult, stored_result
 
 LOOPBACK = "127.0.0.1"
@@ -36,7 +37,7 @@ Stamped = tuple[FleetRecording, str]  # with its stamp before it was read
 
 def evaluated(
     recordings: Sequence[FleetRecording], store: FleetStore, task: FleetTask, workers: int, scheduler: str | None
-) -> Iterator[tuple[FleetRecording, dict[str, Any]]]:
+) -> Iterator[tuple[FleetRecording, FleetRow]]:
     """Each recording with its row, in the order in which they are done; its result is in the store by then.
 
     workers: processes of a cluster of this computer, which is closed in the end, whatever happens; they store each result when it is
@@ -112,7 +113,7 @@ def evaluated_batch(batch: Sequence[Stamped], task: FleetTask, store: FleetStore
     for recording, stamp in batch:
         # It may be there: of a worker that was ended amid this batch.
         row = store.row(recording) if store else None
-        result = stored_result(evaluate_recording(recording, task), stamp) if row is None else StoredResult(row, b"")
+        result = stored_result(*evaluate_recording(recording, task), stamp) if row is None else StoredResult(row, b"")
         if store and result.text:
             result = StoredResult(store.keep(recording, result), b"")
         done.append(result)
@@ -145,7 +146,7 @@ def _ended(batch: Sequence[Stamped], store: FleetStore, result: Any) -> list[Sto
 
 def _failed(recording: FleetRecording, error: Any) -> StoredResult:
     """A failed row, of a recording at which a task ended with an error."""
-    row = {"recording": recording.path, "arm": recording.arm, "time": recording.time or None, "status": FAILED}
     ended = type(error).__name__ == "KilledWorker"
     reason = "the process that worked on it was ended (memory?), twice" if ended else f"unexpected {type(error).__name__}: {error}"
-    return stored_result({"format": FORMAT, "row": row | {"reason": reason}}, "")
+    row = FleetRow(recording=recording.path, arm=recording.arm, time=recording.time or None, status=FAILED, reason=reason)
+    return stored_result(row, {}, "")

@@ -9,16 +9,15 @@ recording in 370 outside of them, over all of its figures, and an arm in 370.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import stdtrit
 
 from mbcacq.fleet.drift import drifts
-from mbcacq.fleet.evaluation import EVALUATED
+from mbcacq.fleet.row import EVALUATED, FleetRow, estimates_of
 
 FALSE_ALARMS = 0.0027  # of a recording, and of an arm among the others: three standard deviations of a single figure
 MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
@@ -65,7 +64,7 @@ class ArmType:
     """The evaluated recordings of one type of arm, sorted by arm and time, and the chart of each figure."""
 
     robot: str
-    rows: tuple[Mapping[str, Any], ...]
+    rows: tuple[FleetRow, ...]
     charts: tuple[ControlChart, ...]
 
 
@@ -84,31 +83,25 @@ class Outlier:
     drift: bool = False
 
 
-def arm_types(rows: Sequence[Mapping[str, Any]]) -> list[ArmType]:
+def arm_types(rows: Sequence[FleetRow]) -> list[ArmType]:
     """The types of arm with their charts; arms of one name with another nominal geometry are another type."""
-    groups: dict[tuple[str, tuple[float, ...]], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[str, tuple[float, ...]], list[FleetRow]] = {}
     for row in rows:
-        if row["status"] == EVALUATED:
-            groups.setdefault((row["robot"], tuple(row["nominal"])), []).append(row)
+        if row.status == EVALUATED:
+            groups.setdefault((row.robot or "", row.nominal), []).append(row)
     return [_arm_type(robot, here) for (robot, _), here in sorted(groups.items(), key=lambda g: g[0][0])]
 
 
-def _arm_type(robot: str, rows: list[Mapping[str, Any]]) -> ArmType:
-    rows = sorted(rows, key=lambda r: (r["arm"], r["time"] or "", r["recording"]))
-    arms = tuple(dict.fromkeys(row["arm"] for row in rows))
-    arm = np.array([arms.index(row["arm"]) for row in rows])
-    names = [name.removeprefix("error.") for name in dict.fromkeys(n for row in rows for n in row if n.startswith("error."))]
-    series = {name: (column(rows, f"error.{name}"), column(rows, f"std.{name}")) for name in names}
-    series |= {name: (column(rows, name), np.zeros(len(rows))) for name in FURTHER}
+def _arm_type(robot: str, rows: list[FleetRow]) -> ArmType:
+    rows = sorted(rows, key=lambda r: (r.arm, r.time or "", r.recording))
+    arms = tuple(dict.fromkeys(row.arm for row in rows))
+    arm = np.array([arms.index(row.arm) for row in rows])
+    series = {name: estimates_of(rows, name) for name in dict.fromkeys(name for row in rows for name in row.estimates)}
+    series |= {name: (np.array([getattr(row, name) for row in rows], dtype=float), np.zeros(len(rows))) for name in FURTHER}
     series = {name: s for name, s in series.items() if np.isfinite(s[0]).any()}
     share = FALSE_ALARMS / max(len(series), 1)  # all figures of a recording share it
     charts = tuple(control_chart(name, value, std, arm, arms, share) for name, (value, std) in series.items())
     return ArmType(robot, tuple(rows), charts)
-
-
-def column(rows: Sequence[Mapping[str, Any]], name: str) -> np.ndarray:
-    """(N,) of a column, NaN where a row has none."""
-    return np.array([np.nan if row.get(name) is None else row[name] for row in rows], dtype=float)
 
 
 def control_chart(name: str, value: np.ndarray, std: np.ndarray, arm: np.ndarray, arms: tuple[str, ...], share: float) -> ControlChart:
@@ -196,12 +189,7 @@ def outliers(types: Sequence[ArmType]) -> list[Outlier]:
                 value, centre, limit = (float(each[k]) for each in (chart.value, chart.centre, chart.limit))
                 out.append(
                     Outlier(
-                        arm=kind.rows[k]["arm"],
-                        recording=kind.rows[k]["recording"],
-                        name=chart.name,
-                        value=value,
-                        centre=centre,
-                        limit=limit,
+                        arm=kind.rows[k].arm, recording=kind.rows[k].recording, name=chart.name, value=value, centre=centre, limit=limit
                     )
                 )
             for a in np.flatnonzero(chart.unusual):

@@ -7,12 +7,13 @@ if it were the only one that drifts, which uses those combinations. Its signific
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
+
+from mbcacq.fleet.row import FleetRow
 
 FEWEST = 4  # recordings of an arm without which there is no line
 FALSE_ALARMS = 0.0027  # of an arm
@@ -40,11 +41,11 @@ class Trend:
     sigma: np.ndarray
 
 
-def drifts(rows: Sequence[Mapping[str, Any]]) -> list[Drift]:
+def drifts(rows: Sequence[FleetRow]) -> list[Drift]:
     """The arms of one type that drift, each by the parameter that explains it best. rows: evaluated, sorted by arm and time."""
-    by_arm: dict[str, list[Mapping[str, Any]]] = {}
+    by_arm: dict[str, list[FleetRow]] = {}
     for row in rows:
-        by_arm.setdefault(row["arm"], []).append(row)
+        by_arm.setdefault(row.arm, []).append(row)
     trends = [found for arm, own in by_arm.items() if (found := trend(arm, own)) is not None]
     if not trends:
         return []
@@ -60,14 +61,14 @@ def drifts(rows: Sequence[Mapping[str, Any]]) -> list[Drift]:
     return out
 
 
-def trend(arm: str, rows: Sequence[Mapping[str, Any]]) -> Trend | None:
+def trend(arm: str, rows: Sequence[FleetRow]) -> Trend | None:
     """The trend of the kinematic parameters that all recordings determine; None for fewer than FEWEST recordings."""
     if len(rows) < FEWEST:
         return None
-    names = [n for n in rows[0]["names"] if "." not in n and all(row.get(f"error.{n}") is not None for row in rows)]
+    names = [n for n in rows[0].names if "." not in n and all(n in row.estimates for row in rows)]
     if not names:
         return None
-    value = np.array([[row[f"error.{n}"] for n in names] for row in rows])
+    value = np.array([[row.estimates[n][0] for n in names] for row in rows])
     weight = np.array([_information(row, names) for row in rows])
     p, x = len(names), np.linspace(0.0, 1.0, len(rows))
     moments = [np.einsum("i,ijk->jk", x**power, weight) for power in (0, 1, 2)]
@@ -81,11 +82,9 @@ def trend(arm: str, rows: Sequence[Mapping[str, Any]]) -> Trend | None:
     return Trend(arm, tuple(names), gradient / own, own**-0.5)
 
 
-def _information(row: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:
+def _information(row: FleetRow, names: Sequence[str]) -> np.ndarray:
     """(p, p) inverse covariance of the named parameters, whatever the others are."""
-    all_names = list(row["names"])
-    chosen = [all_names.index(n) for n in names]
-    covariance = np.reshape(row["covariance"], (len(all_names), len(all_names)))[np.ix_(chosen, chosen)]
+    covariance = row.covariance_of(names)
     size = np.sqrt(np.diag(covariance))
     scaled = covariance / np.outer(size, size)
     regular = scaled + REGULAR * np.linalg.eigvalsh(scaled)[-1] * np.eye(len(names))

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from mbcacq.errors import ConfigError
 from mbcacq.fleet.cluster import evaluated
 from mbcacq.fleet.control_chart import Outlier, arm_types, outliers
-from mbcacq.fleet.evaluation import EVALUATED, FleetTask
+from mbcacq.fleet.evaluation import FleetTask
 from mbcacq.fleet.page import fleet_content
 from mbcacq.fleet.recordings import FleetRecording, find_recordings
+from mbcacq.fleet.row import EVALUATED, FleetRow
 from mbcacq.fleet.store import FleetStore
 
-Progress = Callable[[int, int, Mapping[str, Any]], None]
+Progress = Callable[[int, int, FleetRow], None]
 
 
 @dataclass(frozen=True)
@@ -23,16 +23,16 @@ class Fleet:
     """What became of a fleet. rows: one a recording, as in the table; outliers: what is outside the control limits; table, page: files;
     damaged: results kept before that were damaged and were computed anew."""
 
-    rows: tuple[Mapping[str, Any], ...]
+    rows: tuple[FleetRow, ...]
     outliers: tuple[Outlier, ...]
     table: Path
     page: Path
     damaged: tuple[Path, ...] = ()
 
     @property
-    def broken(self) -> tuple[Mapping[str, Any], ...]:
+    def broken(self) -> tuple[FleetRow, ...]:
         """The rows without figures, with their reason."""
-        return tuple(row for row in self.rows if row["status"] != EVALUATED)
+        return tuple(row for row in self.rows if row.status != EVALUATED)
 
 
 def evaluate_fleet(
@@ -66,14 +66,14 @@ def evaluate_fleet(
     kinds = arm_types(rows)
     outside = outliers(kinds)
     for row in rows:
-        row["out_of_control"] = sorted({o.name for o in outside if o.recording == row["recording"]})
+        row.out_of_control = tuple(sorted({o.name for o in outside if o.recording == row.recording}))
     table, page = store.write(rows, fleet_page(fleet_content(rows, kinds, outside)))
     return Fleet(tuple(rows), tuple(outside), table, page, tuple(store.damaged))
 
 
 def rows_of(
     store: FleetStore, found: Sequence[FleetRecording], task: FleetTask, workers: int, scheduler: str | None, progress: Progress
-) -> list[dict[str, Any]]:
+) -> list[FleetRow]:
     """The rows of all recordings in their order; each result is kept as soon as it is there."""
     known = {one.path: row for one in found if (row := store.row(one)) is not None}
     left = [one for one in found if one.path not in known]

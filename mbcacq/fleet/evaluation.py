@@ -10,9 +10,9 @@ from typing import Any
 from mbcacq.errors import MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.fleet.recordings import FleetRecording
+from mbcacq.fleet.row import EVALUATED, FAILED, REFUSED, FleetRow
 
 FORMAT = "mbcacq-fleet-recording/1"
-EVALUATED, REFUSED, FAILED = "evaluated", "refused", "failed"
 
 
 @dataclass(frozen=True)
@@ -27,76 +27,62 @@ class FleetTask:
     options: CalibrationOptions = CalibrationOptions(random_links=False)  # arms and days are compared: no estimate may lean to nominal
 
 
-def evaluate_recording(recording: FleetRecording, task: FleetTask) -> dict[str, Any]:
-    """The content of the file of a recording: 'row' for the table, 'result' as result.json, 'diagnosis' where asked for.
+def evaluate_recording(recording: FleetRecording, task: FleetTask) -> tuple[FleetRow, dict[str, Any]]:
+    """The row of a recording for the table, and the content of its file: 'result' as result.json, 'diagnosis' and 'transfer' where asked
+    for.
 
     status of the row: 'evaluated', with what its calibration warned of as the reason; 'refused', with the reason, where the recording is
     broken or determines nothing; 'failed' where the program or the computer is at fault.
     """
     begin, used = time.perf_counter(), time.process_time()
-    row: dict[str, Any] = {"recording": recording.path, "arm": recording.arm, "time": recording.time or None}
-    content: dict[str, Any] = {"format": FORMAT}
+    row = FleetRow(recording=recording.path, arm=recording.arm, time=recording.time or None)
+    content: dict[str, Any] = {}
     try:
-        content |= _evaluated(recording, task, row)
-        warned = (content.get("result") or {}).get("warnings") or ()
-        row |= {"status": EVALUATED, "reason": "; ".join(warned) or None}
+        content = _evaluated(recording, task, row)
+        row.status, row.reason = EVALUATED, "; ".join(content["result"].get("warnings") or ()) or None
     except MbcacqError as error:
-        row |= {"status": REFUSED, "reason": str(error)}
+        row.status, row.reason = REFUSED, str(error)
     except Exception as error:  # noqa: BLE001 - whatever is wrong with one recording, the others go on
-        row |= {"status": FAILED, "reason": f"unexpected {type(error).__name__}: {error}"}
-    row |= {"wall_s": time.perf_counter() - begin, "processor_s": time.process_time() - used}
-    return content | {"row": row}
+        row.status, row.reason = FAILED, f"unexpected {type(error).__name__}: {error}"
+    row.wall_s, row.processor_s = time.perf_counter() - begin, time.process_time() - used
+    return row, content
 
 
-def _evaluated(recording: FleetRecording, task: FleetTask, row: dict[str, Any]) -> dict[str, Any]:
+def _evaluated(recording: FleetRecording, task: FleetTask, row: FleetRow) -> dict[str, Any]:
     """Fills the row step by step, so that what came before a refusal is kept."""
     from mbcacq.workflow.calibrate import calibration_content, verify_elsewhere
     from mbcacq.workflow.diagnose import diagnose
     from mbcacq.workflow.load import load_observations
 
     observations = load_observations(recording.path)
-    row |= {"poses": observations.n_poses, "centres": observations.n_centres, "robot": observations.cell.robot.name}
-    row["simulated"] = observations.cell.simulated
-    result = calibration_content(recording.path, task.options, observations=observations)
-    row |= calibration_columns(result)
-    content: dict[str, Any] = {"result": result}
+    row.poses, row.centres = observations.n_poses, observations.n_centres
+    row.robot, row.simulated = observations.cell.robot.name, observations.cell.simulated
+    content: dict[str, Any] = {"result": calibration_content(recording.path, task.options, observations=observations)}
+    _take_calibration(row, content["result"])
     if task.diagnose:
         found = diagnose(observations, workers=1, options=task.options)  # the cluster shares the recordings, not the folds
         content["diagnosis"] = found.to_dict()
-        row |= {"verdict": found.verdict, "effects": [_effect(e) for e in content["diagnosis"]["effects"]]}
+        row.verdict = found.verdict
+        row.effects = tuple(f"{e['name']} at {'+'.join(e['where'])}" for e in content["diagnosis"]["effects"])
     if task.verify:
-        transfer = verify_elsewhere(observations, task.verify, place=task.place).to_dict()
-        content["transfer"] = transfer
-        row |= {
-            "transfer_rms_mm": transfer["with_effects"]["rms_mm"],
-            "transfer_own_rms_mm": (transfer["own_geometry"] or {}).get("rms_mm"),
-            "transfer_normalised_error": (transfer["normalised_error"] or {}).get("rms"),
-        }
+        transfer = verify_elsewhere(observations, task.verify, place=task.place)
+        content["transfer"] = transfer.to_dict()
+        row.transfer_rms_mm = transfer.with_effects.rms_mm
+        row.transfer_own_rms_mm = transfer.own_geometry and transfer.own_geometry.rms_mm
+        row.transfer_normalised_error = transfer.normalised_error and transfer.normalised_error.rms
     return content
 
 
-def calibration_columns(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns of the table from the content of a result.json. Free parameters: 'error.NAME' and 'std.NAME' in mm or rad; ball centres,
-    which belong to the artefact, are left out of them."""
+def _take_calibration(row: FleetRow, result: Mapping[str, Any]) -> None:
+    """Fills the columns that follow from the content of a result.json."""
     after = (result.get("verification") or {}).get("after") or {}
-    columns: dict[str, Any] = {
-        "nominal": [value for row in zip(*result["robot"]["nominal"].values(), strict=True) for value in row],
-        "rms_mm": result["fit"]["rms_mm"],
-        "chi2_dof": result["fit"]["chi2_dof"],
-        "expected_accuracy_mm": result["fit"]["expected_accuracy_mm"],
-        "spacing_max_mm": after.get("max_mm"),
-        "spacing_mean_mm": after.get("mean_mm"),
-        "scanner_noise_mm": max(result["noise"]["scanner_mm"]),
-        "joint_noise_rad": max(result["noise"]["joint_rad"]),
-        "rejected": len(result["rejected"]),
-        "names": result["names"],
-        "covariance": [value for row in result["covariance"] for value in row],
+    fit, noise = result["fit"], result["noise"]
+    row.nominal = tuple(value for joint in zip(*result["robot"]["nominal"].values(), strict=True) for value in joint)
+    row.rms_mm, row.chi2_dof, row.expected_accuracy_mm = fit["rms_mm"], fit["chi2_dof"], fit["expected_accuracy_mm"]
+    row.spacing_max_mm, row.spacing_mean_mm = after.get("max_mm"), after.get("mean_mm")
+    row.scanner_noise_mm, row.joint_noise_rad = max(noise["scanner_mm"]), max(noise["joint_rad"])
+    row.rejected, row.names = len(result["rejected"]), tuple(result["names"])
+    row.covariance = tuple(value for line in result["covariance"] for value in line)
+    row.estimates = {
+        p["name"]: (p["error"], p["std"]) for p in result["parameters"] if p["std"] is not None and not p["name"].startswith("ball_")
     }
-    for p in result["parameters"]:
-        if p["std"] is not None and not p["name"].startswith("ball_"):
-            columns |= {f"error.{p['name']}": p["error"], f"std.{p['name']}": p["std"]}
-    return columns
-
-
-def _effect(effect: Mapping[str, Any]) -> str:
-    return f"{effect['name']} at {'+'.join(effect['where'])}"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mbcacq.fleet.control_chart import ArmType, ControlChart, Outlier
-from mbcacq.fleet.evaluation import EVALUATED
+from mbcacq.fleet.row import EVALUATED, FleetRow
 from mbcacq.model.cell import SIMULATED
 from mbcacq.quantities import fixed, micrometres, with_unit
 from mbcacq.report.content import ArmTypeContent, FleetChart, FleetContent
@@ -19,10 +18,10 @@ TITLES = {"rms_mm": "rms of the residuals", "spacing_max_mm": "largest sphere sp
 MOST_LISTED = 200  # outliers and broken recordings on the page; the table has all
 
 
-def fleet_content(rows: Sequence[Mapping[str, Any]], kinds: Sequence[ArmType], outside: Sequence[Outlier]) -> FleetContent:
+def fleet_content(rows: Sequence[FleetRow], kinds: Sequence[ArmType], outside: Sequence[Outlier]) -> FleetContent:
     """What the page shows."""
-    broken = [row for row in rows if row["status"] != EVALUATED]
-    arms = {(row.get("robot"), row["arm"]) for row in rows if row["status"] == EVALUATED}
+    broken = [row for row in rows if row.status != EVALUATED]
+    arms = {(row.robot, row.arm) for row in rows if row.status == EVALUATED}
     headlines = [
         ("recordings", str(len(rows)), f"{len(rows) - len(broken)} evaluated"),
         ("arms", str(len(arms)), f"of {len(kinds)} type{'s' * (len(kinds) != 1)}"),
@@ -31,39 +30,38 @@ def fleet_content(rows: Sequence[Mapping[str, Any]], kinds: Sequence[ArmType], o
         ("drifting", str(len({o.arm for o in outside if o.drift})), "arms"),
         ("without a result", str(len(broken)), "recordings"),
     ]
-    verdicts = Counter(row["verdict"] for row in rows if row.get("verdict"))
-    effects = Counter(effect for row in rows for effect in row.get("effects") or ())
+    verdicts = Counter(row.verdict for row in rows if row.verdict)
+    effects = Counter(effect for row in rows for effect in row.effects or ())
     return FleetContent(
         headlines=headlines,
         outliers=[_listed(o) for o in outside[:MOST_LISTED]],
-        broken=[(row["arm"], Path(row["recording"]).name, row["status"], row["reason"] or "") for row in broken[:MOST_LISTED]],
+        broken=[(row.arm, Path(row.recording).name, row.status, row.reason or "") for row in broken[:MOST_LISTED]],
         verdicts=[(verdict, str(count)) for verdict, count in verdicts.most_common()],
         effects=[(effect, str(count)) for effect, count in effects.most_common(20)],
         types=[_type(kind) for kind in kinds],
         unlisted=max(len(outside) - MOST_LISTED, 0) + max(len(broken) - MOST_LISTED, 0),
         caveat=_caveat(rows),
-        recordings=[_recording(row) for row in sorted(rows, key=lambda row: (row["arm"], row.get("time") or ""))[:MOST_LISTED]],
+        recordings=[_recording(row) for row in sorted(rows, key=lambda row: (row.arm, row.time or ""))[:MOST_LISTED]],
     )
 
 
-def _caveat(rows: Sequence[Mapping[str, Any]]) -> str:
+def _caveat(rows: Sequence[FleetRow]) -> str:
     """How many of the recordings no real arm made; '' where none."""
-    simulated = sum(bool(row.get("simulated")) for row in rows)
+    simulated = sum(bool(row.simulated) for row in rows)
     share = "every recording is" if simulated == len(rows) else f"{simulated} of {len(rows)} recordings are"
     return f"{share} {SIMULATED}"[:1].upper() + f"{share} {SIMULATED}"[1:] + "." if simulated else ""
 
 
-def _recording(row: Mapping[str, Any]) -> tuple[str, ...]:
+def _recording(row: FleetRow) -> tuple[str, ...]:
     """A row of the list of recordings, as text."""
-    rms, largest = (row.get(name) for name in ("rms_mm", "spacing_max_mm"))
     return (
-        row["arm"],
-        Path(row["recording"]).name + (" (simulated)" if row.get("simulated") else ""),
-        (row.get("time") or "")[:10],
-        str(row.get("poses") or ""),
-        "" if rms is None else micrometres(rms),
-        "" if largest is None else f"{fixed(largest)} mm",
-        (row.get("verdict") or row["status"]).replace("_", " "),
+        row.arm,
+        Path(row.recording).name + (" (simulated)" if row.simulated else ""),
+        (row.time or "")[:10],
+        str(row.poses or ""),
+        "" if row.rms_mm is None else micrometres(row.rms_mm),
+        "" if row.spacing_max_mm is None else f"{fixed(row.spacing_max_mm)} mm",
+        (row.verdict or row.status).replace("_", " "),
     )
 
 
@@ -87,9 +85,9 @@ def _listed(outlier: Outlier) -> tuple[str, str, str, str, str, str]:
 def _type(kind: ArmType) -> ArmTypeContent:
     """Charts of a type, the one with the farthest outlier first."""
     charts = sorted(kind.charts, key=lambda chart: -_farthest(chart))
-    names = [Path(row["recording"]).name for row in kind.rows]
+    names = [Path(row.recording).name for row in kind.rows]
     return ArmTypeContent(
-        kind.robot, list(charts[0].arms) if charts else [], names, [row["time"] or "" for row in kind.rows], list(map(_chart, charts))
+        kind.robot, list(charts[0].arms) if charts else [], names, [row.time or "" for row in kind.rows], list(map(_chart, charts))
     )
 
 

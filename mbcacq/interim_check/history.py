@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import Field, FiniteFloat
 
 from mbcacq.calibration.sealed_json import sealed_text, unsealed
-from mbcacq.errors import ConfigError, RecordingError
+from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import write_file
 from mbcacq.interim_check.options import UsualChanges
-from mbcacq.model.json_text import InJson, Matrix, Transform, fields_as_json, from_document, read_json
+from mbcacq.model.json_text import InJson, Matrix, Transform, damaged, fields_as_json, from_document, read_json
 
 FORMAT = "mbcacq-check/1"
 MICROMETRE = 5  # decimals of a residual in mm
@@ -87,5 +87,5 @@ def read_history(path: Path) -> CheckHistory | None:
     content = unsealed(read_json(text, str(path), advice), path)
     history = from_document(CheckHistory, content, FORMAT, str(path), "history of checks", advice)
     if len(history.q) != len(history.poses):
-        raise ConfigError(f"{path} is damaged ({len(history.q)} rows of joint angles for {len(history.poses)} poses); {advice}")
+        raise damaged(str(path), f"{len(history.q)} rows of joint angles for {len(history.poses)} poses", advice)
     return history

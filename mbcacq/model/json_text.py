@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, FiniteFloat, GetCoreSchemaHandler, TypeAdapter, ValidationError
@@ -95,16 +95,11 @@ class EveryKey:
 
 
 class AsJson:
-    """Base of a dataclass whose fields are the keys of its JSON content."""
+    """Base of a dataclass whose fields are the keys of its JSON content; ``from_fields`` reads it."""
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content."""
         return fields_as_json(self)
-
-    @classmethod
-    def from_dict(cls, content: Any) -> Self:
-        """What ``to_dict`` wrote. Raises ValueError where it is damaged."""
-        return from_fields(cls, content)
 
 
 def keyed(*keys: str) -> InJson:
@@ -172,22 +167,27 @@ def from_fields(kind: type[T], content: Any) -> T:
     return _adapter(kind).validate_python(content)
 
 
-def from_document(kind: type[T], content: Any, formats: str | Sequence[str], name: str, what: str, cure: str) -> T:
+def from_document(kind: type[T], content: Any, formats: str | Sequence[str], name: str, what: str, cure: str, key: str = "") -> T:
     """An object of the content of a file, whose 'format' is among ``formats``, the last of which is written today.
 
-    name: of the file; what: it should hold; cure: what to do where it does not. Raises ConfigError for another format, a newer one, a
-    missing key and a value of another kind.
+    name: of the file; what: it should hold; cure: what to do where it does not; key: under which the content stands in the file. Raises
+    ConfigError for another format, a newer one, a missing key and a value of another kind.
     """
-    known = (formats,) if isinstance(formats, str) else tuple(formats)
+    known, at = (formats,) if isinstance(formats, str) else tuple(formats), f"{name}: {key}" if key else name
     found = content.get("format") if isinstance(content, Mapping) else None
     if sentence := newer_format(found, known):
-        raise ConfigError(f"{name} {sentence}")
+        raise ConfigError(f"{at} {sentence}")
     if found not in known:
-        raise ConfigError(f"{name} is no {what} of format '{known[-1]}'; {cure}")
+        raise ConfigError(f"{at} is no {what} of format '{known[-1]}'; {cure}")
     try:
         return from_fields(kind, content)
-    except ValidationError as error:
-        raise ConfigError(f"{name} is damaged ({damage(error)}); {cure}") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise damaged(name, damage(error, f"{key}." if key else ""), cure) from error
+
+
+def damaged(name: str, fault: str, cure: str) -> ConfigError:
+    """That a file is damaged, in one sentence."""
+    return ConfigError(f"{name} is damaged ({fault}); {cure}")
 
 
 @cache
@@ -220,13 +220,15 @@ def first_fault(error: ValidationError) -> tuple[str, str]:
     return ".".join(str(part) for part in first["loc"]), str(own) if own else WORDS.get(first["type"], first["msg"])
 
 
-def damage(error: Exception) -> str:
-    """In words, what an error says that was raised while content of JSON was taken apart; a ValueError speaks for itself."""
+def damage(error: Exception, within: str = "") -> str:
+    """In words, what an error says that was raised while content of JSON was taken apart; a ValueError speaks for itself. within: what
+    stands before each key of the content in its file.
+    """
     if isinstance(error, ValidationError):
         key, fault = first_fault(error)
         if fault == WORDS["missing"]:
-            return f"the key '{key}' is missing"
-        return f"{key}: {fault}" if key else fault
+            return f"the key '{within}{key}' is missing"
+        return f"{within}{key}: {fault}" if key else fault
     if isinstance(error, KeyError):
         return f"the key {error} is missing"
     return str(error) if isinstance(error, ValueError) else "a value in it is not of its kind"

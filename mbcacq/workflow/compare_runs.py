@@ -7,9 +7,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.calibration.result_file import result_of
@@ -57,7 +58,18 @@ class Change(AsJson):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunComparison:
+class Together:
+    """Test of all changes of arm and hand-eye together, with their whole covariances, against none; p_value is the probability of a
+    larger chi2 where nothing changed.
+    """
+
+    chi2: float
+    dof: int
+    p_value: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunComparison(AsJson):
     """What changed between two recordings of one arm.
 
     Attributes
@@ -68,20 +80,18 @@ class RunComparison:
         Name of the arm.
     rows
         A row a quantity.
-    chi2, dof, p_value
-        Test of all changes of arm and hand-eye together, with their whole covariances, against none; p_value is the probability of a larger
-        chi2 where nothing changed.
+    together
+        Test of all changes of arm and hand-eye.
     leaning
         An older result does not say which prior of the links it used: the changes of the arm lean towards zero, and may be understated.
     """
 
-    names: tuple[str, str]
+    format: Literal["mbcacq-run-comparison/1"] = "mbcacq-run-comparison/1"
+    names: Annotated[tuple[str, str], Field(alias="recordings")]
     robot: str
-    rows: tuple[Change, ...]
-    chi2: float
-    dof: int
-    p_value: float
+    together: Together
     leaning: bool = False
+    rows: tuple[Change, ...]
 
     @property
     def changed(self) -> list[Change]:
@@ -93,12 +103,14 @@ class RunComparison:
         """What changed, and the test of everything together."""
         names = ", ".join(row.title for row in self.changed)
         out = [f"Changed beyond chance: {names}" if names else "No single quantity changed beyond chance"]
-        return [*out, f"Arm and hand-eye together: χ² {significant(self.chi2)} of {self.dof} degrees of freedom, {p_value(self.p_value)}"]
+        all_of_it = self.together
+        said = f"χ² {significant(all_of_it.chi2)} of {all_of_it.dof} degrees of freedom, {p_value(all_of_it.p_value)}"
+        return [*out, f"Arm and hand-eye together: {said}"]
 
     @property
     def next_step(self) -> tuple[str, str]:
         """What to do next, and the command for it."""
-        if self.changed or self.p_value < FALSE_ALARMS:
+        if self.changed or self.together.p_value < FALSE_ALARMS:
             return "ask what the later recording says of the cause", command_line("diagnose", self.names[1])
         return "calibrate both together, as of one arm", command_line("calibrate", *self.names)
 
@@ -133,18 +145,6 @@ class RunComparison:
             for row in self.rows
         ]
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content, format 'mbcacq-run-comparison/1'. Lengths mm, angles deg."""
-        together = {"chi2": self.chi2, "dof": self.dof, "p_value": self.p_value}
-        return {
-            "format": "mbcacq-run-comparison/1",
-            "recordings": list(self.names),
-            "robot": self.robot,
-            "together": together,
-            "leaning": self.leaning,
-            "rows": [row.to_dict() for row in self.rows],
-        }
-
 
 def compare_runs(first: Path | str, second: Path | str) -> RunComparison:
     """Compare the calibrations of two recordings of one arm: a run folder each (with its effects, where ``diagnose --calibrate`` made
@@ -176,9 +176,7 @@ def compare_results(first: Mapping[str, Any], second: Mapping[str, Any], names: 
         names=names,
         robot=robot,
         rows=(*rows, *figures),
-        chi2=chi2,
-        dof=dof,
-        p_value=float(chdtrc(dof, chi2)) if dof else 1.0,
+        together=Together(chi2=chi2, dof=dof, p_value=float(chdtrc(dof, chi2)) if dof else 1.0),
         leaning=leaning,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -13,51 +13,47 @@ from mbcacq.calibration import CalibratedCell
 from mbcacq.calibration.joint_targets import JointTargets, joint_targets
 from mbcacq.errors import ConfigError
 from mbcacq.files.atomic_write import write_file
+from mbcacq.model.json_text import AsJson, InJson, keyed
 from mbcacq.workflow.load import as_cell, refuse_existing
 
 TRIES = 24  # starts for a pose without joint angles
-LARGE_CHANGE = np.radians(2.0)  # of a joint: more than any calibration of an arm in good order asks for
+LARGE_CHANGE_DEG = 2.0  # of a joint: more than any calibration of an arm in good order asks for
 
 
 @dataclass(frozen=True, kw_only=True)
-class Correction:
-    """One file. names, lines: of its points; before: (P,) mm, by how much the arm misses its nominal place with the programmed angles, NaN
-    where none are programmed; change: (P,) rad, largest of a joint; found: the corrected angles. left_alone: name, line and reason of each
-    point of a program that stays as it is, since it is no absolute target or does not say all joints. notes: what was assumed.
+class CorrectedPoint:
+    """One point of a file.
+
+    line: where it stands. q_deg: the corrected angles. before_mm: by how much the arm misses its nominal place with the programmed angles,
+    None where none are programmed; residual_mm, residual_deg: by how much it does with the corrected ones, by the model.
+    largest_change_deg: of a joint, None where none are programmed. reached: whether the point is corrected; reason: why not.
     """
 
-    file: Path
-    names: tuple[str, ...]
-    lines: tuple[int, ...]
-    before_mm: np.ndarray
-    change: np.ndarray
-    found: JointTargets
-    left_alone: tuple[tuple[str, int, str], ...] = ()
-    notes: tuple[str, ...] = ()
+    name: str
+    line: int
+    q_deg: tuple[float, ...]
+    before_mm: float | None
+    residual_mm: float
+    residual_deg: float
+    largest_change_deg: float | None
+    reached: bool
+    reason: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON content, format 'mbcacq-correction/1'."""
-        f = self.found
-        points = [
-            {
-                "name": name,
-                "line": line,
-                "q_deg": np.degrees(q).tolist(),
-                "before_mm": None if np.isnan(before) else float(before),
-                "residual_mm": float(mm),
-                "residual_deg": float(np.degrees(rad)),
-                "largest_change_deg": None if np.isnan(change) else float(np.degrees(change)),
-                "reached": bool(ok),
-                "reason": reason,
-            }
-            for (name, line, before, change), (q, mm, rad, ok, reason) in zip(
-                zip(self.names, self.lines, self.before_mm, self.change, strict=True),
-                zip(f.q, f.error_mm, f.error_rad, f.reached, f.reasons, strict=True),
-                strict=True,
-            )
-        ]
-        left = [{"name": name, "line": line, "reason": reason} for name, line, reason in self.left_alone]
-        return {"format": "mbcacq-correction/1", "file": str(self.file), "points": points, "left_alone": left, "notes": list(self.notes)}
+
+LeftAlone = Annotated[tuple[str, int, str], keyed("name", "line", "reason")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correction(AsJson):
+    """One file. left_alone: name, line and reason of each point of a program that stays as it is, since it is no absolute target or does
+    not say all joints. notes: what was assumed.
+    """
+
+    format: Literal["mbcacq-correction/1"] = "mbcacq-correction/1"
+    file: Annotated[Path, InJson(str, Path, str)]
+    points: tuple[CorrectedPoint, ...]
+    left_alone: tuple[LeftAlone, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ class _Points:
     goals: np.ndarray | None
     names: tuple[str, ...]
     lines: tuple[int, ...]
-    left_alone: tuple[tuple[str, int, str], ...]
+    left_alone: tuple[LeftAlone, ...]
     notes: tuple[str, ...]
     written: Callable[[JointTargets], bytes]
 
@@ -102,22 +98,24 @@ def correct(
     goals = points.goals if points.goals is not None else nominal.flange(points.q)
     start = np.where(programmed[:, None], points.q, np.zeros(nominal.n))
     found = joint_targets(arm, goals, start, arm.limits) if programmed.all() else _from_anywhere(arm, goals)
-    before = np.full(len(goals), np.nan)
-    if programmed.any():
-        there = arm.frames(start)[:, -1, :3, 3]
-        before[programmed] = np.linalg.norm(there - goals[:, :3, 3], axis=1)[programmed]
-    change = np.where(programmed, np.abs(found.q - start).max(axis=1), np.nan)
+    missed_mm = np.linalg.norm(arm.frames(start)[:, -1, :3, 3] - goals[:, :3, 3], axis=1)
+    change_deg = np.degrees(np.abs(found.q - start).max(axis=1))
     write_file(output, points.written(found))
-    return Correction(
-        file=output,
-        names=points.names,
-        lines=points.lines,
-        before_mm=before,
-        change=change,
-        found=found,
-        left_alone=points.left_alone,
-        notes=points.notes,
+    corrected = tuple(
+        CorrectedPoint(
+            name=name,
+            line=line,
+            q_deg=tuple(np.degrees(found.q[p]).tolist()),
+            before_mm=float(missed_mm[p]) if programmed[p] else None,
+            residual_mm=float(found.error_mm[p]),
+            residual_deg=float(np.degrees(found.error_rad[p])),
+            largest_change_deg=float(change_deg[p]) if programmed[p] else None,
+            reached=bool(found.reached[p]),
+            reason=found.reasons[p],
+        )
+        for p, (name, line) in enumerate(zip(points.names, points.lines, strict=True))
     )
+    return Correction(file=output, points=corrected, left_alone=points.left_alone, notes=points.notes)
 
 
 def refuse_uncalibrated(arm: CalibratedCell, simulated_anyway: bool) -> None:

@@ -19,6 +19,7 @@ from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.cell import RobotModel
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.workflow.diagnosis_document import FileRead, Provenance
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 from mbcacq.workflow.load import as_observations, as_trajectories, is_run_folder, recorded_moves
 
@@ -153,7 +154,7 @@ def said(error: Exception) -> str:
     return str(error) if isinstance(error, MbcacqError) else f"unexpected {type(error).__name__}: {error}; please report it"
 
 
-def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> dict[str, Any]:
+def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> Provenance:
     """Where a diagnosis comes from: files with their SHA-256, versions of the programs, options."""
     import platform
 
@@ -161,16 +162,15 @@ def provenance(data: Data, check: Sequence[Data], options: dict[str, Any]) -> di
 
     from mbcacq.version import __version__
 
-    files = [one for source in (data, *check) if isinstance(source, Path | str) for one in _hashed(Path(source))]
-    return {
-        "recording": str(data) if isinstance(data, Path | str) else "",
-        "files": files,
-        "versions": {"mbcacq": __version__, "numpy": numpy.__version__, "python": platform.python_version()},
-        "options": options,
-    }
+    return Provenance(
+        recording=str(data) if isinstance(data, Path | str) else "",
+        files=tuple(one for source in (data, *check) if isinstance(source, Path | str) for one in _hashed(Path(source))),
+        versions={"mbcacq": __version__, "numpy": numpy.__version__, "python": platform.python_version()},
+        options=options,
+    )
 
 
-def _hashed(source: Path) -> list[dict[str, Any]]:
+def _hashed(source: Path) -> list[FileRead]:
     """Name, size and SHA-256 of a recording: of the files of an observation set or the parts of a run, not of its clouds."""
     import hashlib
 
@@ -185,7 +185,7 @@ def _hashed(source: Path) -> list[dict[str, Any]]:
                     digest.update(block)
         except OSError:
             continue  # a file that went away meanwhile is not part of what was read
-        out.append({"file": str(path), "bytes": path.stat().st_size, "sha256": digest.hexdigest()})
+        out.append(FileRead(str(path), path.stat().st_size, digest.hexdigest()))
     return out
 
 

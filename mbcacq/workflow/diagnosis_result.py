@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.result import FORMAT, READABLE, Diagnosis, EffectFound, GivenEvidence, Proposal
+from mbcacq.diagnosis.result import CURE, READABLE, THE_CONTENT, Diagnosis, EffectFound, GivenEvidence, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
-from mbcacq.model.formats import newer_format
-from mbcacq.model.json_text import damage, from_fields, plain, read_json
+from mbcacq.model.json_text import fields_as_json, from_document, read_json
 from mbcacq.model.observations import Observations
 from mbcacq.simulation.model_match import ModelMatch
+from mbcacq.workflow.diagnosis_document import BEFORE_VERSION_3, BesidePoses, Provenance, RecordingFigures
 
 if TYPE_CHECKING:
     from mbcacq.diagnosis.motion.combine import PosesAndMotion
@@ -41,7 +41,7 @@ class DiagnosisResult:
     observations: Observations | None = None
     given_motion: GivenEvidence | None = None
     checks: tuple[Transfer, ...] = ()
-    provenance: Mapping[str, Any] | None = None
+    provenance: Provenance | None = None
     simulation: ModelMatch | None = None
 
     @property
@@ -145,7 +145,7 @@ class DiagnosisResult:
 
         from mbcacq.version import __version__
 
-        data = str((self.provenance or {}).get("recording") or "")
+        data = (self.provenance.recording if self.provenance else None) or ""
         out = [] if self.observations is None else [("robot", self.observations.cell.robot.name)]
         if self.observations is not None:
             out.append(("poses", f"{self.observations.n_poses}, with {self.observations.n_centres} centres"))
@@ -177,43 +177,19 @@ class DiagnosisResult:
     def to_dict(self) -> dict[str, Any]:
         """The JSON content, format mbcacq-diagnosis/3 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
         motion stands under its own key."""
-        content = self.main.to_json() | ({} if self.given_motion is None else {"given_motion": plain(self.given_motion)})
-        if self.simulation is not None:
-            content["simulation"] = plain(self.simulation.to_dict())
+        content = self.main.to_json()
         if self.poses is None:
-            return content
-        content |= {
-            "recordings": self._recordings(),
-            "checks": [plain(check.to_dict()) for check in self.checks],
-            "provenance": plain(dict(self.provenance or {})),
-        }
+            return content | ({} if self.simulation is None else {"simulation": fields_as_json(self.simulation)})
+        origin = self.provenance or Provenance()
+        beside = BesidePoses(
+            given_motion=self.given_motion,
+            simulation=self.simulation,
+            recordings=(RecordingFigures.learnt(origin.recording or "", self.poses.fit), *map(RecordingFigures.checked, self.checks)),
+            checks=self.checks,
+            provenance=origin,
+        )
+        content |= fields_as_json(beside)
         return content if self.both is None else content | self.both.to_json()
-
-    def _recordings(self) -> list[dict[str, Any]]:
-        """Before and after in each recording: the one learnt from, and those that it was tried on."""
-        assert self.poses is not None, "a diagnosis of poses has recordings"
-        fit = self.poses.fit
-        files = (self.provenance or {}).get("recording") or ""
-        learnt = {
-            "name": str(files),
-            "role": "learnt",
-            "before_rms_mm": fit.train.before_rms_mm,
-            "after_rms_mm": fit.train.after_rms_mm,
-            "held_out_before_rms_mm": fit.held_out.before_rms_mm,
-            "held_out_after_rms_mm": fit.held_out.after_rms_mm,
-        }
-        tried = [
-            {
-                "name": check.recording,
-                "role": "checked",
-                "before_rms_mm": check.geometry_alone.rms_mm,
-                "after_rms_mm": check.with_effects.rms_mm,
-                "held_out_before_rms_mm": check.geometry_alone.rms_mm,
-                "held_out_after_rms_mm": check.with_effects.rms_mm,
-            }
-            for check in self.checks
-        ]
-        return [plain(one) for one in (learnt, *tried)]
 
     def to_json(self) -> str:
         """``to_dict`` as JSON text."""
@@ -222,27 +198,19 @@ class DiagnosisResult:
     @classmethod
     def from_json(cls, text: str) -> DiagnosisResult:
         """The diagnosis of such a text, without observations and pictures. Raises ConfigError where it is none."""
-        content = read_json(text, "the diagnosis", "give what mbcacq diagnose --out writes")
-        if isinstance(content, dict) and (sentence := newer_format(content.get("format"), READABLE)):
-            raise ConfigError(f"the diagnosis {sentence}")
-        if not isinstance(content, dict) or content.get("format") not in READABLE or not isinstance(content.get("fit"), dict):
-            raise ConfigError(f"this is no diagnosis of format '{FORMAT}'; give what mbcacq diagnose --out writes")
-        motion, simulation, given = (content.get(key) for key in ("motion", "simulation", "given_motion"))
-        try:
-            checks = tuple(Transfer.from_dict(one) for one in content.get("checks", ()))
-            match = None if simulation is None else ModelMatch.from_dict(simulation)
-            beside = None if given is None else from_fields(GivenEvidence, given)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ConfigError(f"the checks of the diagnosis are damaged ({damage(error)}); diagnose the recording anew") from error
-        if "channels" in content["fit"]:
-            return cls(motion=MotionDiagnosis.from_json(content), simulation=match)
+        content = read_json(text, "the diagnosis", CURE)
+        whole = BEFORE_VERSION_3 | content if isinstance(content, dict) else content
+        beside = from_document(BesidePoses, whole, READABLE, THE_CONTENT, "diagnosis", CURE)
+        fit = content.get("fit")
+        if isinstance(fit, dict) and "channels" in fit:
+            return cls(motion=MotionDiagnosis.from_json(content), simulation=beside.simulation)
         return cls(
             poses=Diagnosis.from_json(content),
-            motion=None if motion is None else MotionDiagnosis.from_json(motion),
-            given_motion=beside,
-            checks=checks,
-            provenance=content.get("provenance"),
-            simulation=match,
+            motion=None if beside.motion is None else MotionDiagnosis.from_json(beside.motion),
+            given_motion=beside.given_motion,
+            checks=beside.checks,
+            provenance=beside.provenance,
+            simulation=beside.simulation,
         )
 
     def _drawable(self) -> tuple[Observations, dict[str, Any]]:

@@ -5,36 +5,15 @@ It is kept in the package as the contract with other programs (``mbcacq.diagnosi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Set as AbstractSet
+from typing import Any
 
-from pydantic import BaseModel, Field, TypeAdapter
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode
+from pydantic import TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, JsonSchemaValue
 
-from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter
-from mbcacq.calibration.transfer import Transfer
-from mbcacq.diagnosis.motion.result import MotionCheck
-from mbcacq.diagnosis.result import FORMAT, Diagnosis, GivenEvidence
-from mbcacq.effects.effect_term import EffectTerm
-from mbcacq.model.json_text import Number
-from mbcacq.simulation.model_match import ModelMatch
+from mbcacq.diagnosis.result import FORMAT, Diagnosis
+from mbcacq.workflow.diagnosis_document import BesidePoses
 
-LEFT_OUT = {*Parameter.left_out, *EstimatedNoise.left_out, *EffectTerm.left_out}  # keys that are not written where they say nothing
-LATER = {  # keys that came in the course of version 3: an older file of it lacks them
-    "geometry_alone",
-    "exclusion_limits",
-    "between_recordings",
-    "proposals",
-    "noise_depends_on",
-    "evidence",
-    "untried",
-    "odds",
-    "in_usual_sizes",
-    "tested",
-    "holds_for",
-    "prior",
-    "log_prior",
-}
 NOT_WRITTEN = {"plot_data"}
 ABOUT = (
     "What mbcacq diagnose says about a recording of poses. Lengths mm, angles rad unless a name says deg; a number that is not finite is "
@@ -42,63 +21,28 @@ ABOUT = (
 )
 
 
-class RecordingFigures(BaseModel):
-    """Before and after in one recording: the one learnt from, or one that it was tried on."""
-
-    name: str
-    role: Literal["learnt", "checked"]
-    before_rms_mm: Number
-    after_rms_mm: Number
-    held_out_before_rms_mm: Number
-    held_out_after_rms_mm: Number
-
-
-class FileRead(BaseModel):
-    """A file of the recording."""
-
-    file: str
-    bytes: int
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-
-
-class Provenance(BaseModel):
-    """What the diagnosis is of, and made by."""
-
-    recording: str | None = None
-    files: list[FileRead] | None = None
-    versions: Mapping[str, str] | None = None
-    options: Mapping[str, Any] | None = None
-
-
-class BesideDiagnosis(BaseModel):
-    """The keys of the document beside those of the diagnosis of the poses. motion, given_motion, agreement, decided, together: of a
-    recording that moved between them."""
-
-    format: Literal["mbcacq-diagnosis/3"]
-    recordings: Annotated[list[RecordingFigures], Field(min_length=1)]
-    checks: tuple[Transfer, ...]
-    provenance: Provenance
-    motion: Mapping[str, Any] | None = None
-    given_motion: GivenEvidence | None = None
-    motion_checks: tuple[MotionCheck, ...] | None = None
-    simulation: ModelMatch | None = None
-    agreement: list[Mapping[str, Any]] | None = None
-    decided: list[Mapping[str, Any]] | None = None
-    together: Mapping[str, Any] | None = None
-
-
 class _AsWritten(GenerateJsonSchema):
-    """Every field of a dataclass is written, also where it has a default, but for those that are left out or came later."""
+    """Every field of a dataclass is written, also where it has a default, but for those that its type says are left out or came later."""
+
+    _optional: AbstractSet[str] = frozenset()  # of the dataclass that is being described
+
+    def dataclass_schema(self, schema: Any) -> JsonSchemaValue:
+        kind, around = schema["cls"], self._optional
+        self._optional = {*getattr(kind, "left_out", ()), *getattr(kind, "later", ())}
+        try:
+            return super().dataclass_schema(schema)
+        finally:
+            self._optional = around
 
     def field_is_required(self, field: Any, total: bool) -> bool:
         if field["type"] == "dataclass-field":
-            return field["name"] not in LEFT_OUT | LATER
+            return field["name"] not in self._optional
         return super().field_is_required(field, total)
 
 
 def generated_schema() -> dict[str, Any]:
     """The schema (JSON Schema 2020-12) as Python lists and dictionaries."""
-    kinds: list[Any] = [Diagnosis, BesideDiagnosis]
+    kinds: list[Any] = [Diagnosis, BesidePoses]
     each: list[tuple[str, JsonSchemaMode, TypeAdapter[Any]]] = [(kind.__name__, "validation", TypeAdapter(kind)) for kind in kinds]
     found, shared = TypeAdapter.json_schemas(each, schema_generator=_AsWritten)
     parts = _terse(shared.pop("$defs"))

@@ -13,6 +13,7 @@ from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.transfer import Transfer, check_transfer
 from mbcacq.cli.verify import command
 from mbcacq.errors import CalibrationError, ConfigError
+from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import micrometres
 from mbcacq.recording import write_observation_set
 
@@ -104,7 +105,7 @@ def test_one_station_is_left_out_in_the_singular(calibrated, other):
 
     tried = check_transfer(obs, calibrated, place="known")
     assert tried.normalised_error is None  # the result does not hold how the errors of its arm and of its places go together
-    assert Transfer.from_dict(tried.to_dict()) == tried
+    assert from_fields(Transfer, tried.to_dict()) == tried
     (sentence,) = tried.warnings
 
     assert sentence.startswith("station 9 has no known place in the calibrated cell and is left out, with 4 of")

@@ -41,11 +41,11 @@ def folder() -> Iterator[Stand]:
             assert scan.points[0, 2] - POINTS[0, 0, 2] in heights, "the cloud is an old one"
 
         def begin(scanner: FolderScanner) -> None:
-            program.set("no_cloud")
+            program.faults.set("no_cloud")
             try:
                 scanner.capture()
             finally:
-                program.clear()
+                program.faults.clear()
 
         yield Stand(
             lambda **more: FolderScanner("scanner", "", {**given, **more}),

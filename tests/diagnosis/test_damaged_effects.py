@@ -85,14 +85,14 @@ def test_a_damaged_value_is_named_by_file_and_key(content, tmp_path, path, value
     with pytest.raises(ConfigError, match=re.escape(sentence)) as error:
         as_effects(_written(tmp_path, changed))
     said = str(error.value)
-    assert f"found.json: model.{'.'.join(map(str, path))}" in said
+    assert re.search(rf"found\.json( is damaged \(|: )model\.{re.escape('.'.join(map(str, path)))}", said)
     assert not PYTHON.search(said.replace(str(tmp_path), ""))
 
 
 @pytest.mark.parametrize("key", ["robot", "learnt", "terms", "measurement"])
 def test_a_missing_key_is_named(content, tmp_path, key):
     model = {k: v for k, v in content["model"].items() if k != key}
-    with pytest.raises(ConfigError, match=rf"found\.json: model\.{key}: the key is missing"):
+    with pytest.raises(ConfigError, match=rf"found\.json is damaged \(the key 'model\.{key}' is missing\)"):
         as_effects(_written(tmp_path, content | {"model": model}))
 
 
@@ -129,8 +129,8 @@ def test_what_is_no_json_is_said_in_words(tmp_path, data, fault):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"format": None}, "it does not say its format"),
-        ({"format": "x"}, "its format is 'x'"),
+        ({"format": None}, "is no diagnosis of format 'mbcacq-diagnosis/3'"),
+        ({"format": "x"}, "is no diagnosis of format 'mbcacq-diagnosis/3'"),
         ({}, "the key 'verdict' is missing"),
         ({"verdict": "x", "mismatch": None}, "mismatch: it is no list"),
     ],

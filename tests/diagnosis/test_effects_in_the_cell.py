@@ -22,6 +22,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
+from mbcacq.model.json_text import from_fields
 
 COMPLIANCE, GEAR = 3e-6, (8e-5, -5e-5)
 OPTIONS = CalibrationOptions(refuse=False)  # a few poses of each station: what geometry alone leaves open is held
@@ -110,7 +111,7 @@ def test_an_arm_and_its_effects_hold_on_another_day(plan, recording, fitted):
     assert all(e.gain > 0 for e in tried.effects)
     low, high = tried.normalised_error.usual
     assert 0.7 < low < tried.normalised_error.rms < high < 1.3
-    assert type(tried).from_dict(json.loads(json.dumps(tried.to_dict()))) == tried
+    assert from_fields(type(tried), json.loads(json.dumps(tried.to_dict()))) == tried
 
 
 @pytest.mark.parametrize("place", ["fitted", "known"])

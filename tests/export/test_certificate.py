@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.certificate import artefact_yaml, certificate_csv, read_certificate, read_certificate_file
+from mbcacq.exports.certificate import artefact_yaml, read_certificate, read_certificate_file
 from mbcacq.model.cell_schema import ArtefactSpec
 
 CSV = "label,x (mm),y (mm),z (mm),diameter,form,U (k=2),k,T\nKugel 1,-4.4902,24.8573,-10.4992,12.0003,0.0004,0.0021,2,20.1\nKugel 2,-37.3617,6.3120,-5.4404,11.9998,0.0003,0.0017,2,20.1\n"
@@ -99,13 +99,6 @@ def test_the_artefact_file_reads_back_exactly(write):
     again = read_certificate(write("ours.yaml", artefact_yaml(a)), "mbc")
     np.testing.assert_array_equal(a.centres, again.centres)
     assert again.uncertainty_mm == a.uncertainty_mm
-
-
-def test_csv_reads_back_exactly(write):
-    a = read_certificate(write("c.csv", CSV), "mbc")
-    b = read_certificate(write("d.csv", certificate_csv(a)), "mbc")
-    np.testing.assert_array_equal(a.centres, b.centres)
-    assert (a.ball_ids, a.uncertainty_mm) == (b.ball_ids, b.uncertainty_mm)
 
 
 @pytest.mark.parametrize(

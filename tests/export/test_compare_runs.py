@@ -39,7 +39,7 @@ def test_a_changed_axis_is_named_with_its_size(solved):
     assert row.unit == "deg"
     assert row.significant
     assert abs(row.change[0] - 0.2) < row.change[1]
-    assert found.p_value < 1e-6
+    assert found.together.p_value < 1e-6
 
 
 def test_a_scanner_that_was_knocked_is_named(solved):
@@ -52,7 +52,7 @@ def test_two_recordings_of_an_unchanged_cell_differ_by_chance(solved):
     """The joint test is calibrated: over 40 pairs its p-values are uniform, and rows are marked in a few comparisons at most."""
     result = solved[0]
     pairs = [compare_results(another(result, 2 * k), another(result, 2 * k + 1)) for k in range(40)]
-    assert 0.3 < np.mean([pair.p_value for pair in pairs]) < 0.7
+    assert 0.3 < np.mean([pair.together.p_value for pair in pairs]) < 0.7
     assert sum(bool(pair.changed) for pair in pairs) <= 7
 
 

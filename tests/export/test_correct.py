@@ -107,9 +107,9 @@ def test_a_krl_program_is_corrected_and_nothing_else_changes(tmp_path):
     done = correct(program, result())
     text = done.file.read_bytes().decode("latin-1")
     assert done.file.name == "weld_corrected.dat"
-    assert done.names == ("XP1", "XP3")
-    assert done.found.reached.all()
-    assert done.before_mm.min() > 0.1
+    assert [p.name for p in done.points] == ["XP1", "XP3"]
+    assert all(p.reached for p in done.points)
+    assert min(p.before_mm for p in done.points) > 0.1
     old, new = PROGRAM.splitlines(), text.splitlines()
     assert [i for i, (a, b) in enumerate(zip(old, new, strict=True)) if a != b] == [2, 6]
     assert new[2].endswith(",E1 0.0,E2 0.0}")
@@ -141,7 +141,7 @@ def test_the_corrected_angles_reach_the_nominal_places(tmp_path):
     there = CalibratedCell.from_dict(result()).frames(np.radians(corrected))[:, -1]
     assert np.abs(there - goals_of(q))[:, :3, 3].max() < 5e-5  # six decimals of a degree
     assert np.abs(there - goals_of(q))[:, :3, :3].max() < 1e-7
-    assert done.found.error_mm.max() < 1e-3
+    assert max(p.residual_mm for p in done.points) < 1e-3
 
 
 def test_poses_without_angles_find_some(tmp_path):
@@ -150,7 +150,7 @@ def test_poses_without_angles_find_some(tmp_path):
     near = ",".join(repr(float(v)) for v in (*xyz[0], *np.degrees(abc[0])))
     program.write_text(f"x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n{near}\n5000,0,0,0,0,0\n")
     done = correct(program, result())
-    assert done.found.reached.tolist() == [True, False]
+    assert [p.reached for p in done.points] == [True, False]
     content = json.loads(json.dumps(done.to_dict()))
     assert content["points"][1]["reason"]
     assert content["points"][1]["residual_mm"] > 1000
@@ -166,11 +166,11 @@ def test_a_point_at_a_limit_stays_as_programmed(tmp_path):
     broken["robot"]["calibrated"]["theta"][0] = 0.05 * -1  # the arm stands behind its zero: A1 would have to go beyond its limit
     program_text = program.read_text()
     done = correct(program, broken)
-    if done.found.reached[0]:  # the offset went the other way: mirror it
+    if done.points[0].reached:  # the offset went the other way: mirror it
         broken["robot"]["calibrated"]["theta"][0] = 0.05
         done = correct(program, broken, force=True)
-    assert not done.found.reached[0]
-    assert "A1" in done.found.reasons[0]
+    assert not done.points[0].reached
+    assert "A1" in done.points[0].reason
     assert done.file.read_text() == program_text
 
 
@@ -225,7 +225,7 @@ def test_tables_are_read_and_written_in_their_own_form(tmp_path, data):
     (tmp_path / "p.csv").write_bytes(data)
     done = correct(tmp_path / "p.csv", result())
     (tmp_path / "q.csv").write_text(table(SIX, "10,-80.5,70,15,40,-5"))
-    assert done.found.q == pytest.approx(correct(tmp_path / "q.csv", result()).found.q, abs=1e-9)
+    assert done.points[0].q_deg == pytest.approx(correct(tmp_path / "q.csv", result()).points[0].q_deg, abs=1e-7)
     again = done.file.read_bytes()
     assert again.startswith(data[: len(data) // 2 // 2 * 2 // 4])
     encoding = "utf-16" if data[:2] == b"\xff\xfe" else "utf-8-sig"

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import read_back
 from click.testing import CliRunner
 from test_urdf import CHAIN, URDF, follow
 
 from mbcacq.cli.export import command
 from mbcacq.errors import ConfigError
-from mbcacq.exports import kuka, ros
 from mbcacq.exports.format import chains
 from mbcacq.exports.result_json import load_result
 
@@ -26,8 +26,8 @@ def test_every_format_has_the_same_hand_eye_transform(solved, result_file, tmp_p
     out = tmp_path / "out"
     assert run(result_file, "--results", out, "--tool", 7).exit_code == 0
     T = np.array(solved[0]["T_flange_scanner"])
-    np.testing.assert_allclose(kuka.read_tool_data((out / "tool_data.txt").read_text(), 7), T, atol=1e-5)
-    np.testing.assert_allclose(ros.read_hand_eye(out / "mbcacq.calib"), T, atol=1e-9)
+    np.testing.assert_allclose(read_back.tool_data((out / "tool_data.txt").read_text(), 7), T, atol=1e-5)
+    np.testing.assert_allclose(read_back.hand_eye(out / "mbcacq.calib"), T, atol=1e-9)
     assert load_result(out) == solved[0]
     assert {p.name for p in out.iterdir()} >= {
         "parameters.csv",

@@ -4,13 +4,13 @@ import json
 
 import numpy as np
 import pytest
+import read_back
 import yaml
 from test_folder import run
 
 from mbcacq.errors import ConfigError
 from mbcacq.exports.folder import contents
 from mbcacq.exports.format import Targets
-from mbcacq.exports.kuka import read_tool_data
 from mbcacq.exports.scan_correction import place_scan
 
 WHY = "only the target's position is measured"
@@ -42,7 +42,7 @@ def test_a_format_that_needs_it_says_why_when_asked_for(reflector):
 def test_what_the_user_held_is_exported(reflector):
     held = reflector["held"] | {f"hand_eye.{c}": "held on request" for c in ("rx", "ry", "rz")}
     files = contents(reflector | {"held": held}, Targets(only=("kuka",)))
-    np.testing.assert_allclose(read_tool_data(files["tool_data.txt"].decode("latin-1"), 1)[:3, 3], [10, 20, 90])
+    np.testing.assert_allclose(read_back.tool_data(files["tool_data.txt"].decode("latin-1"), 1)[:3, 3], [10, 20, 90])
 
 
 def test_an_instrument_in_the_base_is_eye_on_base_to_ros_and_no_scanner_on_the_controller(reflector):

@@ -5,6 +5,7 @@ import shlex
 
 import numpy as np
 import pytest
+import read_back
 import yaml
 
 from mbcacq.errors import ConfigError
@@ -29,23 +30,7 @@ def test_an_easy_handeye2_file_reads_back(tmp_path):
     rotated[:3, :3] = R * np.sign(np.linalg.det(R))
     path = tmp_path / "a.calib"
     path.write_text(ros.hand_eye_yaml(rotated, name="a"))
-    np.testing.assert_allclose(ros.read_hand_eye(path), rotated, atol=1e-12)
-
-
-def test_the_older_flat_form_of_easy_handeye_is_read(tmp_path):
-    path = tmp_path / "a.yaml"
-    path.write_text("transformation: {x: 0.0015, y: -0.002, z: 0.265, qx: 1.0, qy: 0.0, qz: 0.0, qw: 0.0}\n")
-    np.testing.assert_allclose(ros.read_hand_eye(path), T, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "text", ["", "a: 1", "transform: {translation: {x: 1}}", "transformation: {x: 0, y: 0, z: 0, qx: 0, qy: 0, qz: 0, qw: 0}", "["]
-)
-def test_what_is_no_hand_eye_is_named(tmp_path, text):
-    path = tmp_path / "bad.yaml"
-    path.write_text(text)
-    with pytest.raises(ConfigError, match=r"bad\.yaml"):
-        ros.read_hand_eye(path)
+    np.testing.assert_allclose(read_back.hand_eye(path), rotated, atol=1e-12)
 
 
 def test_the_command_and_the_launch_file_say_the_same():

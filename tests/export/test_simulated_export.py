@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import read_back
 from click.testing import CliRunner
 from test_urdf import URDF
 
@@ -14,7 +15,6 @@ import mbcacq
 from mbcacq.cli.app import app
 from mbcacq.cli.export import command
 from mbcacq.errors import ConfigError, ExitCode
-from mbcacq.exports import kuka, ros
 from mbcacq.model.cell import SIMULATED
 from mbcacq.recording import read_observation_set, write_observation_set
 
@@ -68,8 +68,8 @@ def test_every_file_of_a_simulated_result_says_so(solved, simulated_file, tmp_pa
         else:
             assert "simulated: true" in path.read_text(), path.name
     T = np.array(solved[0]["T_flange_scanner"])
-    np.testing.assert_allclose(kuka.read_tool_data((out / "tool_data.txt").read_text(), 1), T, atol=1e-5)
-    np.testing.assert_allclose(ros.read_hand_eye(out / "mbcacq.calib"), T, atol=1e-9)
+    np.testing.assert_allclose(read_back.tool_data((out / "tool_data.txt").read_text(), 1), T, atol=1e-5)
+    np.testing.assert_allclose(read_back.hand_eye(out / "mbcacq.calib"), T, atol=1e-9)
     assert (out / "static_transform.sh").read_text().startswith("#!/bin/sh\n")
     compile((out / "scanner.launch.py").read_text(), "scanner.launch.py", "exec")
 

@@ -27,6 +27,7 @@ from mbcacq.fleet.control_chart import arm_types, excess_variance, outliers, wei
 from mbcacq.fleet.drift import drifts
 from mbcacq.fleet.evaluation import FleetTask, evaluate_recording
 from mbcacq.fleet.recordings import FleetRecording, dated, find_recordings, listed
+from mbcacq.fleet.row import FleetRow
 from mbcacq.fleet.store import FleetStore, read_table, stored_result
 from mbcacq.recording import write_observation_set
 
@@ -74,7 +75,7 @@ def test_a_broken_recording_is_a_row_and_nothing_is_done_twice(folder, tmp_path)
 
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "recordings").iterdir()}
     again = mbcacq.evaluate_fleet([folder], tmp_path, progress=lambda *_: pytest.fail("a recording was evaluated again"))
-    assert [row.get("rms_mm") for row in again.rows] == [row["rms_mm"] for row in rows]
+    assert [row.rms_mm for row in again.rows] == [row["rms_mm"] for row in rows]
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "recordings").iterdir()} == written
 
 
@@ -107,7 +108,7 @@ def test_what_was_stored_before_an_end_is_not_repeated(how, folder, tmp_path):
     again = mbcacq_fleet(tmp_path / "runs", "--out", out, "--workers", "2")
     assert again.returncode == 0, again.stderr
     assert {path: path.stat().st_mtime_ns for path in stored} == stored
-    assert [row["status"] for row in read_table(out)] == ["evaluated"] * (len(kept) + len(waiting[:5]))
+    assert [row.status for row in read_table(out)] == ["evaluated"] * (len(kept) + len(waiting[:5]))
 
 
 def test_a_worker_keeps_what_is_done_and_gives_back_what_its_time_does_not_allow(folder, tmp_path, monkeypatch):
@@ -127,9 +128,9 @@ def test_the_recording_at_which_a_worker_ends_fails_and_its_neighbours_do_not(fo
     batch = [(one, store.stamp(one)) for one in find_recordings([folder])]
     cluster.evaluated_batch(batch[:1], FleetTask(), store)
     ended = cluster._ended(batch, store, type("KilledWorker", (Exception,), {})())
-    assert [one.row["status"] for one in ended] == ["evaluated", "failed"]
-    assert ended[1].row["recording"] == batch[1][0].path
-    assert "was ended" in ended[1].row["reason"]
+    assert [one.row.status for one in ended] == ["evaluated", "failed"]
+    assert ended[1].row.recording == batch[1][0].path
+    assert "was ended" in ended[1].row.reason
     with pytest.raises(RecordingError, match="full"):
         cluster._ended(batch, store, RecordingError("the disk is full"))
 
@@ -141,7 +142,7 @@ def test_a_cluster_that_runs_already_does_the_same(folder, tmp_path):
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address="127.0.0.1:0"
     ) as running:
         found = mbcacq.evaluate_fleet([folder], tmp_path, scheduler=running.scheduler_address)
-    assert [row["status"] for row in found.rows] == ["evaluated", "refused", "evaluated"]
+    assert [row.status for row in found.rows] == ["evaluated", "refused", "evaluated"]
     store = FleetStore(tmp_path, FleetTask())
     assert all(store.row(one) is not None for one in find_recordings([folder]))
 
@@ -149,8 +150,8 @@ def test_a_cluster_that_runs_already_does_the_same(folder, tmp_path):
 def test_a_recording_counts_as_done_until_it_or_the_task_changes(folder, tmp_path):
     (one, *_) = find_recordings([folder])
     store = FleetStore(tmp_path, FleetTask())
-    store.keep(one, stored_result(evaluate_recording(one, FleetTask()), store.stamp(one)))
-    assert store.row(one)["status"] == "evaluated"
+    store.keep(one, stored_result(*evaluate_recording(one, FleetTask()), store.stamp(one)))
+    assert store.row(one).status == "evaluated"
     assert FleetStore(tmp_path, FleetTask(diagnose=True)).row(one) is None
     text = store.path(one).read_text()
     store.path(one).write_text(text.replace('"poses": 1', '"poses": 2', 1) if '"poses": 1' in text else text.replace("0.1", "0.2", 1))
@@ -167,11 +168,11 @@ def test_a_recording_counts_as_done_until_it_or_the_task_changes(folder, tmp_pat
 def test_what_fails_for_no_fault_of_its_own_is_tried_again(folder, tmp_path, monkeypatch):
     (one, *_) = find_recordings([folder])
     monkeypatch.setattr("mbcacq.workflow.load.load_observations", lambda path: (_ for _ in ()).throw(MemoryError("full")))
-    content = evaluate_recording(one, FleetTask())
-    assert content["row"]["status"] == "failed"
-    assert "MemoryError" in content["row"]["reason"]
+    row, content = evaluate_recording(one, FleetTask())
+    assert row.status == "failed"
+    assert "MemoryError" in row.reason
     store = FleetStore(tmp_path, FleetTask())
-    store.keep(one, stored_result(content, store.stamp(one)))
+    store.keep(one, stored_result(row, content, store.stamp(one)))
     assert store.row(one) is None
 
 
@@ -212,10 +213,10 @@ def made_rows(arms, each, rng, drift=0.0, odd=0.0):
             std = 1e-5 * rng.uniform(0.5, 2)
             value = own + std * rng.normal() + (drift * k / each if a == 0 else 0.0)
             rows.append(
-                {
-                    "recording": f"/{a}/{k}", "arm": f"arm-{a:02d}", "time": f"2026-01-{k + 1:02d}", "status": "evaluated", "robot": "R",
-                    "nominal": [0.0] * 30, "error.theta_2": value, "std.theta_2": std, "names": ["theta_2"], "covariance": [std**2],
-                }
+                FleetRow(
+                    recording=f"/{a}/{k}", arm=f"arm-{a:02d}", time=f"2026-01-{k + 1:02d}", status="evaluated", robot="R",
+                    nominal=(0.0,) * 30, estimates={"theta_2": (value, std)}, names=("theta_2",), covariance=(std**2,),
+                )
             )  # fmt: skip
     return rows
 
@@ -238,10 +239,10 @@ def test_a_drift_that_no_parameter_shows_by_itself_is_found_by_all_together():
         for k in range(6):
             value = root @ rng.normal(size=2) + (np.array([0.02 * k / 5, 0.0]) if arm == 2 else 0.0)
             rows.append(
-                {
-                    "arm": f"arm-{arm}", "names": ["theta_2", "a_1"], "covariance": covariance.reshape(-1).tolist(),
-                    "error.theta_2": value[0], "error.a_1": value[1],
-                }
+                FleetRow(
+                    recording="", arm=f"arm-{arm}", names=("theta_2", "a_1"), covariance=tuple(covariance.reshape(-1)),
+                    estimates={"theta_2": (value[0], 0.1), "a_1": (value[1], 0.1)},
+                )
             )  # fmt: skip
     (found,) = drifts(rows)
     assert found.arm == "arm-2"
@@ -317,7 +318,7 @@ def test_a_table_that_is_no_text_is_refused_in_words(tmp_path):
 def test_a_prior_is_read_from_the_table_of_a_fleet(tmp_path):
     rows = made_rows(9, 2, np.random.default_rng(5))
     for row in rows:
-        row["out_of_control"] = []
+        row.out_of_control = ()
     FleetStore(tmp_path, FleetTask()).write(rows, "")
     (prior,) = read_priors(tmp_path)
     assert prior.arms == 9

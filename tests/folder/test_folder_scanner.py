@@ -59,7 +59,7 @@ def test_other_ways_to_trigger(tmp_path, program, way, capsys):
 
 
 def test_a_cloud_is_taken_once_it_is_written_whole(tmp_path, program):
-    program.set("slowly", 0.4)
+    program.faults.set("slowly", 0.4)
     with scanner(tmp_path, program, quiet_s=0.0) as device:
         assert len(device.capture().points) == 10
 
@@ -77,13 +77,13 @@ def test_a_cloud_is_taken_once_it_is_written_whole(tmp_path, program):
 )
 def test_what_does_not_come_is_named(tmp_path, program, fault, error, sentence):
     write_ply(tmp_path / "old.ply", np.ones((4, 3), np.float32))
-    program.set(fault)
+    program.faults.set(fault)
     with scanner(tmp_path, program, timeout_s=0.5) as device, pytest.raises(error, match=sentence):
         device.capture()
 
 
 def test_two_clouds_for_one_trigger_are_said(tmp_path, program):
-    program.set("twice")
+    program.faults.set("twice")
     with scanner(tmp_path, program, quiet_s=0.3) as device:
         found = device.capture()
     assert "2 new clouds stand in the folder after one trigger (cloud_0002.ply); cloud_0001.ply was taken" in found.warnings[0]

@@ -6,7 +6,8 @@ import socket
 import threading
 
 import pytest
-from mbcacq_fakes.protocols.gocator import FAULTS, Faults, actions
+from mbcacq_fakes.protocols.faults import Faults
+from mbcacq_fakes.protocols.gocator import FAULTS, actions
 from mbcacq_gocator import wire
 from mbcacq_gocator.driver import Gocator
 
@@ -189,7 +190,7 @@ def test_no_health_port_is_named(fake, driver):
 
 
 def test_faults_wear_off_and_are_known_by_name():
-    faults = Faults()
+    faults = Faults(FAULTS)
     faults.set("stall", times=2)
     assert [faults.use("stall") for _ in range(3)] == [True, True, None]
     faults.set("status", {1: -5})

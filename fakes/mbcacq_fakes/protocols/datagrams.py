@@ -5,6 +5,8 @@ from __future__ import annotations
 import socket
 import struct
 import sys
+import threading
+from abc import ABC, abstractmethod
 
 _IP_PKTINFO = 8  # of Linux; the socket module does not name it
 _INFO = struct.Struct("@i4s4s")  # interface, its address, destination
@@ -65,3 +67,37 @@ def facing(asker: tuple[str, int]) -> str:
         except OSError:
             return ""
         return str(probe.getsockname()[0])
+
+
+class Responder(ABC):
+    """Hears a udp port in a thread until closed. most: bytes of a datagram; port: 0 for any free one. Raises OSError where it is taken."""
+
+    def __init__(self, name: str, port: int, most: int) -> None:
+        self._most, self._closing = most, threading.Event()
+        self._sock = open_socket(port)
+        self._sock.settimeout(0.1)
+        self.port: int = self._sock.getsockname()[1]
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @abstractmethod
+    def respond(self, data: bytes, asker: tuple[str, int], interface: int) -> None:
+        """To a datagram, as ``receive`` gives it."""
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+        self._sock.close()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            try:
+                data, asker, interface = receive(self._sock, self._most)
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            self.respond(data, asker, interface)

@@ -20,7 +20,6 @@ Look = Callable[[FoundCloud, str, str], FoundCloud]  # a cloud read once more: i
 TRIED = 5  # clouds that a guess is tried with
 MOST_OF = 0.6  # of the clouds
 OF_THIS_PLAN = 0.8  # of the clouds: two plans for one cell share some views, and where few clouds are there a fit bends to them
-GOOD_COST, POOR_COST = 0.5, 0.9  # of an assignment, a slot
 OTHER_MOUNT_MM, OTHER_MOUNT_DEG = 25.0, 8.0  # a hand-eye from a drawing is better than this
 EXCHANGED_MM, EXCHANGED_DEG = 25.0, 10.0  # how near to an exchange of axes the mount seems turned
 CLEARLY = 0.4  # of the distance to its own pose: a cloud that is so near to another one was taken there

@@ -14,7 +14,7 @@ from mbcacq.calibration.caveats import caveats
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
 from mbcacq.errors import ConfigError
-from mbcacq.model.json_text import damage
+from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
@@ -88,7 +88,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
         motion=None if diagnosis is None else kept_motion_content(diagnosis, run_info.get("pictures")),
         earlier=earlier,
-        arm_improved=ArmImprovement.from_dict(geometry["arm_improved"]) if geometry.get("arm_improved") else None,
+        arm_improved=from_fields(ArmImprovement, geometry["arm_improved"]) if geometry.get("arm_improved") else None,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
         hand_eye_alone=bool(result.get("scope")),
         noise=_noise(result),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
+from mbcacq_fakes.protocols.faults import Faults
 from mbcacq_fakes.protocols.gocator import encode
-from mbcacq_fakes.protocols.gocator.faults import Faults
 from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE
 
 _GARBAGE = bytes((i * 89 + 211) % 256 for i in range(4096))

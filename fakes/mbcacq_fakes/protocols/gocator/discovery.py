@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import socket
 import struct
-import threading
 
 from mbcacq_fakes.protocols import datagrams
 from mbcacq_fakes.protocols.gocator.options import DISCOVERY_PORT, Ports
@@ -18,41 +17,17 @@ GET_ADDRESS, SET_ADDRESS, GET_INFO, REPLY = 1, 2, 5, 0x1000
 _WEB_PORT, _UPGRADE_PORT = 80, 3192
 
 
-class Discovery:
-    """Runs in a thread. ports: of the sensor's channels. broadcast: where replies go; 127.255.255.255 stays on the loopback interface.
-
-    Raises OSError for a ``port`` that is taken.
-    """
+class Discovery(datagrams.Responder):
+    """ports: of the sensor's channels. broadcast: where replies go; 127.255.255.255 stays on the loopback interface."""
 
     def __init__(self, state: SensorState, ports: Ports, port: int = DISCOVERY_PORT, broadcast: str = "255.255.255.255") -> None:
+        super().__init__("fake-gocator-discovery", port, 2048)
         self._state, self._ports, self._broadcast = state, ports, broadcast
-        self._closing = threading.Event()
-        self._sock = datagrams.open_socket(port)
-        self._sock.settimeout(0.1)
-        self.port: int = self._sock.getsockname()[1]
-        self._thread = threading.Thread(target=self._run, name="fake-gocator-discovery", daemon=True)
 
-    def start(self) -> None:
-        self._thread.start()
-
-    def close(self) -> None:
-        self._closing.set()
-        if self._thread.is_alive():
-            self._thread.join(2.0)
-        self._sock.close()
-
-    def _run(self) -> None:
-        while not self._closing.is_set():
-            try:
-                request, asker, interface = datagrams.receive(self._sock, 2048)
-            except TimeoutError:
-                continue
-            except OSError:
-                return
-            answer = self.answer(request, asker)
-            if answer:
-                limited = self._broadcast == "255.255.255.255"  # which goes out by one interface only
-                datagrams.send(self._sock, answer, (self._broadcast, asker[1]), interface if limited else 0)
+    def respond(self, data: bytes, asker: tuple[str, int], interface: int) -> None:
+        if answer := self.answer(data, asker):
+            limited = self._broadcast == "255.255.255.255"  # which goes out by one interface only
+            datagrams.send(self._sock, answer, (self._broadcast, asker[1]), interface if limited else 0)
 
     def answer(self, request: bytes, asker: tuple[str, int] | None = None) -> bytes | None:
         """The reply to one request, None if it is not for this sensor. A sensor on all addresses has that which ``asker`` sees."""

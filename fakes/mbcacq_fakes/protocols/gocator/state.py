@@ -7,8 +7,9 @@ import socket
 import threading
 import time
 
+from mbcacq_fakes.protocols.faults import Faults
 from mbcacq_fakes.protocols.gocator.connections import ControlConnections
-from mbcacq_fakes.protocols.gocator.faults import Faults
+from mbcacq_fakes.protocols.gocator.faults import FAULTS
 from mbcacq_fakes.protocols.gocator.files import Files
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions
 from mbcacq_fakes.protocols.gocator.publish import Publisher
@@ -29,7 +30,7 @@ class SensorState:
         switches: dict[str, float] = {"Setup/IntensityEnabled": options.intensity, "Setup/UniformSpacingEnabled": options.uniform}
         if options.frame_rate_hz:
             switches |= {"Setup/Trigger/Source": 0, "Setup/Trigger/FrameRate": options.frame_rate_hz}
-        self.files, self.faults = Files(tuple(options.jobs), switches), Faults()
+        self.files, self.faults = Files(tuple(options.jobs), switches), Faults(FAULTS)
         self.settings: dict[str, int] = {
             "alignment_reference": 0,
             "alignment_state": 0,

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgpack
 
-from mbcacq_fakes.protocols.gopxl.faults import GoPxLFaults
+from mbcacq_fakes.protocols.faults import Faults
 from mbcacq_fakes.protocols.gopxl.resources import OK, RequestRefused
 
 _REQUEST, _REPLY = struct.Struct("<IHI"), struct.Struct("<IHiI")
@@ -82,7 +82,7 @@ class ControlClient:
             return _send(self.sock, status, content)
 
 
-def serve(client: ControlClient, handle: Handler, faults: GoPxLFaults) -> None:
+def serve(client: ControlClient, handle: Handler, faults: Faults) -> None:
     """Answer requests until either side closes."""
     try:
         _serve(client, handle, faults)
@@ -90,7 +90,7 @@ def serve(client: ControlClient, handle: Handler, faults: GoPxLFaults) -> None:
         client.watchers.leave(client)
 
 
-def _serve(client: ControlClient, handle: Handler, faults: GoPxLFaults) -> None:
+def _serve(client: ControlClient, handle: Handler, faults: Faults) -> None:
     while (asked := _request(client.sock)) is not None:
         method, path = str(asked.get("method", "")), str(asked.get("path", ""))
         if faults.use("close_control", path.rstrip("/")):

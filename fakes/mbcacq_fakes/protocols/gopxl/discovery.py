@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import socket
 import struct
-import threading
 from collections.abc import Callable
 from ipaddress import IPv4Address
 from typing import Any
@@ -14,7 +13,6 @@ from mbcacq_fakes.protocols import datagrams
 
 PORT = 3320
 SIGNATURE = int.from_bytes(b"LMIGOPXL", "little")
-_POLL_S = 0.1
 
 
 def announcement(content: dict[str, Any]) -> bytes:
@@ -22,8 +20,8 @@ def announcement(content: dict[str, Any]) -> bytes:
     return struct.pack("<QQQQ", 32 + len(body), 0x1001, SIGNATURE, 1) + body
 
 
-class GoPxLDiscovery:
-    """Answers requests on a udp port until closed, as a sensor at ``host`` does; on 0.0.0.0 as one at the address that the asker sees.
+class GoPxLDiscovery(datagrams.Responder):
+    """Answers requests as a sensor at ``host`` does; on 0.0.0.0 as one at the address that the asker sees.
 
     It listens on all interfaces, since a socket bound to one address hears no broadcast; one at a loopback address answers this computer
     only. The vendor's client hears what comes to its own ``reply_port`` (3320), by broadcast or not, and not what comes to the port that
@@ -42,34 +40,12 @@ class GoPxLDiscovery:
     """
 
     def __init__(self, host: str, port: int, reply_port: int, content: Callable[[str], dict[str, Any]]) -> None:
+        super().__init__("fake-gopxl-discovery", port, 64)
         self._host, self._content, self._reply_port = socket.gethostbyname(host), content, reply_port
-        self._closing = threading.Event()
-        self._sock = datagrams.open_socket(port)
-        self._sock.settimeout(_POLL_S)
-        self.port: int = self._sock.getsockname()[1]
-        self._thread = threading.Thread(target=self._run, name="fake-gopxl-discovery", daemon=True)
 
-    def start(self) -> None:
-        self._thread.start()
-
-    def close(self) -> None:
-        self._closing.set()
-        if self._thread.is_alive():
-            self._thread.join(2.0)
-        self._sock.close()
-
-    def _run(self) -> None:
-        while not self._closing.is_set():
-            try:
-                data, asker, interface = datagrams.receive(self._sock, 64)
-            except TimeoutError:
-                continue
-            except OSError:
-                return
-            if len(data) == 24 and struct.unpack("<QQQ", data) == (24, 1, SIGNATURE):
-                self._answer(asker, interface)
-
-    def _answer(self, asker: tuple[str, int], interface: int) -> None:
+    def respond(self, data: bytes, asker: tuple[str, int], interface: int) -> None:
+        if len(data) != 24 or struct.unpack("<QQQ", data) != (24, 1, SIGNATURE):
+            return
         own = datagrams.is_own(asker[0])
         if IPv4Address(self._host).is_loopback and not own:
             return

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from mbcacq_fakes.protocols.faults import Faults
 from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE, Publisher
 from mbcacq_fakes.protocols.gopxl import control, encode, resources
 from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
-from mbcacq_fakes.protocols.gopxl.faults import GoPxLFaults
+from mbcacq_fakes.protocols.gopxl.faults import FAULTS
 from mbcacq_fakes.protocols.gopxl.resources import Resources
 from mbcacq_fakes.world.frame import ScannerFrame
 
@@ -65,7 +66,7 @@ class FakeGoPxL:
 
     def __init__(self, source: Source, settings: FakeGoPxLOptions | None = None, clock: Callable[[], float] | None = None) -> None:
         self.source, self.settings, self._clock = source, settings or FakeGoPxLOptions(), clock
-        self.faults = GoPxLFaults()
+        self.faults = Faults(FAULTS)
         self.resources = Resources(str(self.settings.serial), self.settings.model, self.settings.jobs, self._ask)
         self._watchers = control.Watchers(lambda path: self.resources.handle("read", path, {}, {}))
         self.resources.changed = self._watchers.tell

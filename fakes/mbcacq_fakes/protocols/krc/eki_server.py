@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import threading
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from mbcacq.devices import signals_deferred
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
+from mbcacq_fakes.protocols.krc.controller_process import ControllerProcess
 from mbcacq_fakes.protocols.krc.eki_settings import FAULTS, EkiSettings
 
 
-class FakeEkiController:
+class FakeEkiController(ControllerProcess):
     """A KUKA controller that runs KRL programs given as text, behind an EKI channel given as XML, in a process of its own.
 
     ``state``: an ArmState to publish the arm in, or None for one of its own. Everything else: see EkiSettings.
@@ -25,42 +23,20 @@ class FakeEkiController:
     def __init__(self, state: ArmState | None = None, **settings: Any) -> None:
         self.settings = EkiSettings(**settings)
         self._given = self.state = state
-        self._process: subprocess.Popen[str] | None = None
         self._lock = threading.Lock()
         self.port = self.settings.port
-
-    def start(self) -> Self:
-        """Returns when the controller listens. Raises RuntimeError with the controller's words if it does not start."""
-        if self._process is not None:
-            return self
-        try:
-            self._start()
-        except BaseException:
-            self.stop()
-            raise
-        return self
 
     def _start(self) -> None:
         if self.state is None:
             with signals_deferred():
                 self.state = ArmState.create(tuple(np.radians(self.settings.start_deg)))
-        command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.eki_process"]
-        # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        self._run("mbcacq_fakes.protocols.krc.eki_process")
         answer = self._exchange({"settings": self.settings.to_json(), "state": self.state.name})
         if "error" in answer:
             raise RuntimeError(f"the fake controller did not start: {answer['error']}")
         self.port = answer["port"]
 
-    def stop(self) -> None:
-        """End the process. Idempotent."""
-        process, self._process = self._process, None
-        if process is not None:
-            try:
-                process.communicate(timeout=5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.communicate()
+    def _release(self) -> None:
         if self.state is not None and self._given is None:
             self.state.close()
             self.state = None
@@ -80,17 +56,6 @@ class FakeEkiController:
         return self._exchange({"ask": True})
 
     def _exchange(self, message: dict[str, Any]) -> dict[str, Any]:
-        process = self._process
-        if process is None or process.stdin is None or process.stdout is None:
-            raise RuntimeError("the fake controller does not run")
         with self._lock:
-            process.stdin.write(json.dumps(message) + "\n")
-            process.stdin.flush()
-            line = process.stdout.readline()
+            line = self._ask(message)
         return json.loads(line) if line else {"error": "its process has ended"}
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()

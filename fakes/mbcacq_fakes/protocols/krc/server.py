@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from mbcacq.devices import signals_deferred
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import LOG_COLUMNS, Control
+from mbcacq_fakes.protocols.krc.controller_process import ControllerProcess
 from mbcacq_fakes.protocols.krc.settings import FAULTS, KrcSettings
 
 
-class FakeKrc:
+class FakeKrc(ControllerProcess):
     """A KUKA controller with its RSI program running, in a process of its own, sending to ``client``.
 
     ``state``: an ArmState to publish the arm in, its name, or None for one of its own (``krc.state``). Everything else: see
@@ -26,20 +23,8 @@ class FakeKrc:
     def __init__(self, state: ArmState | str | None = None, *, bind: str = "127.0.0.1", **settings: Any) -> None:
         self.settings = KrcSettings(**settings)
         self._given, self._bind = state, bind
-        self._process: subprocess.Popen[str] | None = None
         self._control: Control | None = None
         self.state: ArmState | None = state if isinstance(state, ArmState) else None
-
-    def start(self) -> Self:
-        """Returns when the controller is running (telegrams are on their way)."""
-        if self._process is not None:
-            return self
-        try:
-            self._start()
-        except BaseException:
-            self.stop()
-            raise
-        return self
 
     def _start(self) -> None:
         if self.state is None:
@@ -49,29 +34,13 @@ class FakeKrc:
         with signals_deferred():
             control = self._control = Control.create(self.settings.log)
         control.set_faults(self.settings.faults)
-        command = [sys.executable, "-m", "mbcacq_fakes.protocols.krc.process"]
-        # A group of its own: Ctrl-C in a terminal reaches it not even while it starts.
-        process = self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-        )
-        assert process.stdin is not None  # both are pipes
-        assert process.stdout is not None
+        self._run("mbcacq_fakes.protocols.krc.process")
         start = {"settings": self.settings.to_json(), "state": self.state.name, "control": control.name, "bind": self._bind}
-        process.stdin.write(json.dumps(start) + "\n")
-        process.stdin.flush()
-        if not process.stdout.readline():
+        if not self._ask(start):
             raise RuntimeError("the fake controller did not start")
         control.forget()
 
-    def stop(self) -> None:
-        """End the process. Idempotent."""
-        process, self._process = self._process, None
-        if process is not None:
-            try:
-                process.communicate(timeout=5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.communicate()
+    def _release(self) -> None:
         if self._control is not None:
             self._control.close()
             self._control = None
@@ -109,9 +78,3 @@ class FakeKrc:
         if self._control is None:
             raise RuntimeError("the fake controller does not run")
         return self._control
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import socket
 import struct
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from types import TracebackType
-from typing import Any, Self
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
+from mbcacq_fakes.protocols.one_client_server import OneClientServer
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
 from mbcacq_fakes.protocols.stall import HANGING_S, STALL_S
@@ -33,8 +33,8 @@ FAULTS = {
 }
 
 
-class FakeUrController:
-    """Context manager. start_deg: where the arm stands; state: gets what it does, or None; realtime: packages by the clock. watchdog_s: the
+class FakeUrController(OneClientServer):
+    """start_deg: where the arm stands; state: gets what it does, or None; realtime: packages by the clock. watchdog_s: the
     arm halts where the client is silent for longer; by default that of mbcacq_ur.script, in lock-step a computer's stall."""
 
     def __init__(
@@ -55,15 +55,11 @@ class FakeUrController:
         self.inject(**faults)
         self.arm, self._realtime, self._state = ProgrammedArm(start_deg, state, CLOCK_START_S), realtime, state
         self.watchdog_s = watchdog_s if watchdog_s is not None else WATCHDOG_S if realtime else STALL_S
-        self._server = socket.create_server((host, port))
-        self._server.settimeout(0.1)
-        self.port = int(self._server.getsockname()[1])
-        self._quit = threading.Event()
+        super().__init__("fake-ur-controller", host, port)
         self._led: np.ndarray | None = None
         self.outputs = 0  # bits of the standard digital outputs
         self.on_output: Callable[[int, bool], None] | None = None  # called with number and value of one that changes
         self.led = False  # somebody moves it: a client that only listens need not be served by the clock
-        self._thread = threading.Thread(target=self._serve, name="fake-ur-controller", daemon=True)
 
     def lead(self, target: np.ndarray) -> None:
         """A person brings the arm to ``target`` (6,) rad; from any thread."""
@@ -75,37 +71,11 @@ class FakeUrController:
             raise ValueError(f"there is no fault {', '.join(unknown)} (known: {', '.join(FAULTS)})")
         self._active |= faults
 
-    def start(self) -> Self:
-        self._thread.start()
-        return self
-
-    def stop(self) -> None:
-        self._quit.set()
-        if self._thread.is_alive():
-            self._thread.join(5.0)
-        self._server.close()
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()
-
-    def _serve(self) -> None:
-        while not self._quit.is_set():
-            try:
-                connection, _ = self._server.accept()
-            except TimeoutError:
-                continue
-            except OSError:  # closed
-                return
-            with connection:
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                try:
-                    _Conversation(self, connection).run()
-                except (OSError, struct.error, ValueError, UnicodeDecodeError, KeyError):
-                    pass  # a client that is gone, or talks nonsense
-            self.arm.halt()
+    def talk(self, connection: socket.socket) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with suppress(OSError, struct.error, ValueError, UnicodeDecodeError, KeyError):  # a client that is gone, or talks nonsense
+            _Conversation(self, connection).run()
+        self.arm.halt()
 
     @property
     def closing(self) -> bool:

@@ -1,0 +1,109 @@
+"""What the drivers of both generations of snapshot sensors do alike: connect, expose, and try again after a dropped connection."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from typing import Generic, Protocol, TypeVar
+
+from mbcacq.devices import Aborted, ConnectError, ContextDevice, Description, DeviceTimeout, IdentityError, ProtocolError, Scan
+from mbcacq_gocator.named_errors import named
+
+_BACKOFF_S = 0.2
+RESTORE_CONNECT_S, RESTORE_REPLY_S = 1.0, 5.0  # of a new connection, only to put settings back
+
+
+class Session(Protocol):
+    """A connection to a sensor, with what has been agreed over it."""
+
+    @property
+    def has_ended(self) -> bool: ...
+
+    def close(self) -> None: ...
+
+
+S = TypeVar("S", bound=Session)
+
+
+class SnapshotScanner(ContextDevice, ABC, Generic[S]):
+    """Implements mbcacq.devices.Scanner. Once stopped it stays stopped: ``capture`` raises Aborted until the next ``connect``."""
+
+    def __init__(self, name: str, model: str, retries: int, exposure_us: float | None, description: Description) -> None:
+        self.name, self.model = name, model
+        self._retries, self._exposure_us, self._description = retries, exposure_us, description
+        self._cancel = threading.Event()
+        self._one_capture = threading.Lock()
+        self._session: S | None = None
+        self._wanted = False
+
+    @abstractmethod
+    def _opened(self) -> S:
+        """A new session, and what the sensor is in the description."""
+
+    @abstractmethod
+    def _expose(self, session: S) -> Scan:
+        """One scan, with every warning since the last one."""
+
+    @abstractmethod
+    def _restore(self) -> None:
+        """Put back what was changed, over the connection that stands, or a new one where it was cut. What cannot be put back is said, not
+        raised."""
+
+    def connect(self) -> None:
+        """Raises ConnectError, IdentityError, ConfigError (job, exposure, output, alignment), DeviceFault, DeviceTimeout, ProtocolError."""
+        self._cancel.clear()
+        self._wanted = True
+        try:
+            self._connect()
+        except BaseException:
+            self._restore()  # a set-up that ended half way
+            raise
+
+    def describe(self) -> Description:
+        return self._description
+
+    def capture(self, exposure_us: float | None = None) -> Scan:
+        """Expose as the options say. Connects anew after a dropped connection, a few times.
+
+        Raises DeviceTimeout, ProtocolError, DeviceFault, ConnectError (the sensor stays away), Aborted (``stop`` was called).
+        """
+        if not self._wanted:
+            raise ConnectError(f"scanner '{self.name}' is not connected; call connect first")
+        with self._one_capture:
+            if exposure_us is not None:
+                self._exposure_us = exposure_us
+            attempt = 0
+            while True:
+                if self._cancel.is_set():
+                    raise Aborted(f"scanner '{self.name}' was stopped; connect it again before the next scan")
+                try:
+                    session = self._connect()
+                    with named(self.name):
+                        return self._expose(session)
+                except IdentityError:
+                    self._drop()
+                    raise
+                except ConnectError as error:
+                    self._drop()
+                    last = attempt >= self._retries
+                    if self._cancel.wait(0 if last else _BACKOFF_S * 2**attempt):
+                        raise Aborted(f"scanner '{self.name}': the scan was stopped") from error
+                    if last:
+                        raise
+                except (Aborted, DeviceTimeout, ProtocolError):
+                    self._drop()  # what is still under way must not be taken for the next scan
+                    raise
+                attempt += 1
+
+    def _connect(self) -> S:
+        if self._session is not None and self._session.has_ended:
+            self._drop()  # nothing is under way
+        if self._session is None:
+            with named(self.name):
+                self._session = self._opened()
+        return self._session
+
+    def _drop(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
