@@ -26,7 +26,7 @@ from mbcacq.quantities import micrometres, percent
 
 FORMAT = "mbcacq-diagnosis/3"
 READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
-THE_CONTENT, CURE = "this JSON content", "give what mbcacq diagnose --out writes"
+THE_CONTENT, CURE = "this JSON content", "give a diagnosis as mbcacq diagnose --out writes it"
 
 
 def _model(file: EffectModelFile | None) -> EffectModel | None:
