@@ -19,6 +19,7 @@ import simulated_cell
 
 import mbcacq
 from investigate.cells import Table
+from mbcacq.model.json_text import fields_as_json
 from mbcacq.model.observations import Observations
 from mbcacq.recording.rrd.layout import INVESTIGATION_FILE
 
@@ -53,8 +54,8 @@ class Undisturbed:
         again = mbcacq.load_observations(folder)
         same = {name: np.array_equal(getattr(again, name), getattr(self.observed, name)) for name in COMPARED_EXACTLY}
         differs = [
-            {name: (value, b.to_dict()[name]) for name, value in a.to_dict().items() if value != b.to_dict()[name]}
-            for a, b in zip(resumed, self.decided, strict=False)
+            {name: (value, b[name]) for name, value in a.items() if value != b[name]}
+            for a, b in zip(map(fields_as_json, resumed), map(fields_as_json, self.decided), strict=False)
         ]
         decisions = len(resumed) == len(self.decided) and not any(differs)
         return {"decisions": decisions, "differs": differs, **same, "calibration": figures_of(again) == self.calibrated}
