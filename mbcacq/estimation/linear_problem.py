@@ -72,7 +72,8 @@ class LinearProblem:
         every = [*zip(effects, coefficients, strict=True), *given]
         displaced = terms.accumulate(obs, *zip(*every, strict=True)) if every else None
         prediction = forward_model.predict(obs, state, displaced)
-        lineariser = Lineariser(obs, layout, options)
+        # Residual, effects and geometry are of one scale: covariances that single measurements state count in the adjustment alone.
+        lineariser = Lineariser(replace(obs, covariance=None), layout, options)
         residual = forward_model.residual(obs, prediction)
         linear = lineariser.at(state.chain, prediction, residual)
         whole = cls(

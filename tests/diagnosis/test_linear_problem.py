@@ -8,7 +8,7 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis.problem import prepare
-from mbcacq.estimation import parameters
+from mbcacq.estimation import forward_model, parameters
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.terms import Part
@@ -84,3 +84,19 @@ def test_what_turns_a_joint_gives_as_a_twist_what_its_columns_give(plan, shown):
         one.information / np.outer(size, size), other.information[np.ix_(order, order)] / np.outer(size, size), atol=1e-9
     )
     np.testing.assert_allclose(one.gradient / size, other.gradient[order] / size, atol=1e-6 * np.sqrt(one.cost))
+
+
+def test_covariances_that_measurements_state_leave_residual_and_columns_on_one_scale(linear):
+    """A step along a free parameter changes the residual by its column, whatever the measurements state of themselves."""
+    obs = linear.obs
+    sigma = np.where(np.arange(obs.n_centres) % 2, 0.005, 0.5)
+    stated = dataclasses.replace(obs, covariance=sigma[:, None, None] ** 2 * np.eye(3))
+    problem = LinearProblem.of(stated, linear.state)
+    chain, h = linear.state.chain, 1e-6
+    name = next(n for n in problem.layout.names if n.startswith("alpha_2"))
+    moved = dataclasses.replace(linear.state, chain=dataclasses.replace(chain, alpha=chain.alpha + h * (np.arange(chain.n) == 1)))
+    slope = (
+        forward_model.residual(obs, forward_model.predict(obs, linear.state))
+        - forward_model.residual(obs, forward_model.predict(obs, moved))
+    ) / h
+    assert np.allclose(problem.geometry[:, :, problem.layout.names.index(name)], slope, atol=1e-3 * np.abs(slope).max())

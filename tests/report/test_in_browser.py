@@ -101,14 +101,15 @@ def fleet_page(tmp_path_factory):
     """Three arms, each measured on five days; one drifts. Nothing of it was measured on a real arm."""
     from mbcacq.fleet.control_chart import arm_types, outliers
     from mbcacq.fleet.page import fleet_content
+    from mbcacq.fleet.row import FleetRow
     from mbcacq.report.page import render_fleet
 
     rows = [
-        {
-            "recording": f"runs/{a}/day-{k}", "arm": f"welding cell {a}", "time": f"2026-0{k + 1}-03T10:00:00+00:00", "status": "evaluated",
-            "robot": "R", "nominal": [0.0] * 30, "error.theta_2": 1e-4 * k * (a == 1) + 1e-6 * a, "std.theta_2": 1e-5, "simulated": True,
-            "names": ["theta_2"], "covariance": [1e-10], "poses": 96, "rms_mm": 0.0093, "spacing_max_mm": 0.022,
-        }
+        FleetRow(
+            recording=f"runs/{a}/day-{k}", arm=f"welding cell {a}", time=f"2026-0{k + 1}-03T10:00:00+00:00", status="evaluated",
+            robot="R", nominal=(0.0,) * 30, estimates={"theta_2": (1e-4 * k * (a == 1) + 1e-6 * a, 1e-5)}, simulated=True,
+            names=("theta_2",), covariance=(1e-10,), poses=96, rms_mm=0.0093, spacing_max_mm=0.022,
+        )
         for a in range(3)
         for k in range(5)
     ]  # fmt: skip
