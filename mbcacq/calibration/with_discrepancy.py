@@ -75,7 +75,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     prior = variance_components.noise_prior(obs.cell, options.noise)
     nothing = _Groups(problem, prior, (), (), alone.noise)
     best = _grown(nothing, (discrepancy.own_errors, *FURTHER), here)
-    if serial_correlation(alone, here.order) > CORRELATED:
+    if obs.n_poses <= discrepancy.OPTIONS.wander_poses and serial_correlation(alone, here.order) > CORRELATED:
         # Where the poses follow a grid, posture and order say much the same: which of them it is the evidence decides.
         other = _grown(nothing, (discrepancy.wander, discrepancy.own_errors, *FURTHER), here)
         best = other if other.evidence > best.evidence + LEAST_GAIN else best

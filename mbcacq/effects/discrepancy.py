@@ -34,6 +34,7 @@ class DiscrepancyOptions:
     least_torque: float = 0.02  # of the largest torque's range, below which the torque about a joint says nothing
     wander_rad: float = 1e-4  # ten times a joint's repeatability
     wander_functions: int = 60  # cosines over the order of the poses, and no more than half of these: one a pair of poses
+    wander_poses: int = 1200  # of longer recordings so many cosines show nothing that fewer than twenty poses share
 
 
 OPTIONS = DiscrepancyOptions()
