@@ -71,7 +71,9 @@ def _most_agreed(points: np.ndarray, gate: float, largest_radius: float) -> np.n
     """x, z, radius of the circle through three points near to each other that most others lie on (RANSAC with fixed draws)."""
     rng = np.random.default_rng(0)
     first = rng.integers(0, len(points), size=TRIPLETS)
-    low, high = (np.searchsorted(points[:, 0], points[first, 0] + side * largest_radius) for side in (-1, 1))
+    # Up to and with the last equal one: a point so far out that a radius more is the same number has itself for a neighbour.
+    low = np.searchsorted(points[:, 0], points[first, 0] - largest_radius)
+    high = np.searchsorted(points[:, 0], points[first, 0] + largest_radius, side="right")
     a, b, c = points[first], points[rng.integers(low, high)], points[rng.integers(low, high)]
     M = 2 * np.stack([b - a, c - a], axis=1)
     right = np.stack([np.sum(b * b - a * a, axis=1), np.sum(c * c - a * a, axis=1)], axis=1)

@@ -93,3 +93,11 @@ def test_a_profile_without_a_pose_and_a_wrong_diameter_are_refused(shown, tmp_pa
     done = CliRunner().invoke(app, [*command, "--diameter", "3"])
     assert done.exit_code == 2
     assert "show a circle of a sphere of 3 mm" in done.stderr
+
+
+def test_a_point_out_of_all_proportion_leaves_the_circle_where_it_is():
+    angle = np.linspace(0.3, 2.8, 60)
+    points = np.c_[12.0 * np.cos(angle), 300.0 + 12.0 * np.sin(angle)]
+    found = circle_in(np.vstack([points, [1e25, 300.0]]), RADIUS)
+    assert found is not None
+    assert np.allclose([*found.centre, found.radius], [0.0, 300.0, 12.0], atol=1e-6)
