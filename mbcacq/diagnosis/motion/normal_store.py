@@ -187,10 +187,6 @@ class NormalStore:
         A[np.diag_indices_from(A)] += RIDGE
         return cho_factor(A, lower=True, check_finite=False), scale
 
-    def prior_distance(self, chosen: np.ndarray, x: np.ndarray) -> float:
-        """Squared Mahalanobis distance of the coefficients from their priors."""
-        return float(((x / np.array(self.prior)[chosen]) ** 2).sum())
-
     # errors
 
     def errors(self, chosen: np.ndarray, x: np.ndarray, fold: int | None = None) -> np.ndarray:
