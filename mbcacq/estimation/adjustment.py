@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -21,7 +21,17 @@ from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, usual_sizes
 from mbcacq.estimation.random_effect_sizes import sizes_of_groups
-from mbcacq.estimation.solver import LINEAR_ROTATION, Solution, Weights, evaluated, gauss_newton_step, solve, system, with_prior_of
+from mbcacq.estimation.solver import (
+    LINEAR_ROTATION,
+    Solution,
+    Weights,
+    evaluated,
+    gauss_newton_step,
+    reweighted_poses,
+    solve,
+    system,
+    with_prior_of,
+)
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
@@ -69,6 +79,13 @@ class Adjustment:
     def used(self) -> np.ndarray:
         """(M,) bool: centres that took part."""
         return (self.weights.centre > 0) & (self.weights.pose[self.lineariser.obs.pose] > 0)
+
+    @cached_property
+    def stated_chi2(self) -> float:
+        """Chi square under the noise that scanner and data sheet state, or a guess of their class, with the prior rows."""
+        at, noise = evaluated(self.lineariser, self.solution), variance_components.first_noise(self.lineariser.obs.cell)
+        *_, chi2 = reweighted_poses(self.lineariser, at, noise, self.weights).right_hand_side()
+        return chi2 + at.prior.cost
 
 
 def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | None = None) -> Adjustment:
@@ -194,15 +211,17 @@ def robust_solve(
 
 
 def settle_variances(
-    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions
+    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions, sizes_first: bool = False
 ) -> tuple[Lineariser, Solution, Noise, Weights]:
     """Noise, and the sizes of the random effects that have none of their own, by turns until both are settled; the lineariser has them as
-    priors. Sizes begin large: the noise then holds only what no random effect explains.
+    priors. Sizes begin large: the noise then holds only what no random effect explains. sizes_first: the noise is settled with the
+    same effects free, which is as large as they can be.
     """
     first = lineariser.layout
     size, usual = dict.fromkeys(first.sized, 1.0), usual_sizes(lineariser.obs.cell)
-    for _ in range(SIZE_TURNS if size else 1):
-        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
+    for turn in range(SIZE_TURNS if size else 1):
+        if turn or not sizes_first:
+            solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
         if not size:
             break
         before, present = size, LEAST_SIZE / min(size.values())

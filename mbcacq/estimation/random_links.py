@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.estimation.adjustment import COARSE, FINE, Adjustment, settle_variances
+from mbcacq.estimation.adjustment import FINE, Adjustment, settle_variances
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import KINDS, KINDS_START, ParameterBlock, ParameterLayout
 from mbcacq.estimation.solver import solve, with_prior_of
@@ -41,15 +41,10 @@ def with_random_links(fitted: Adjustment, options: CalibrationOptions) -> Adjust
     if layout is fitted.lineariser.layout:
         return fitted
     lineariser = fitted.lineariser.with_layout(layout)
-    solution = solve(lineariser, with_prior_of(lineariser, fitted.solution), fitted.noise, fitted.weights, tolerance=COARSE)
-    lineariser, solution, noise, weights = settle_variances(lineariser, solution, fitted.noise, fitted.weights, options)
-    return replace(
-        fitted,
-        lineariser=lineariser,
-        solution=solve(lineariser, with_prior_of(lineariser, solution), noise, weights, tolerance=FINE),
-        noise=noise,
-        weights=weights,
-    )
+    free = with_prior_of(lineariser, fitted.solution)
+    lineariser, solution, noise, weights = settle_variances(lineariser, free, fitted.noise, fitted.weights, options, sizes_first=True)
+    solution = solve(lineariser, solution, noise, weights, tolerance=FINE)
+    return replace(fitted, lineariser=lineariser, solution=solution, noise=noise, weights=weights)
 
 
 def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = KINDS_START) -> ParameterLayout:
