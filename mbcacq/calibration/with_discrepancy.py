@@ -134,6 +134,17 @@ def serial_correlation(adjusted: Adjustment, order: np.ndarray) -> float:
     return float(products.sum() / np.sqrt(np.maximum(np.sum(products**2), 1e-300)))
 
 
+def _twists(problem: LinearProblem, groups: Sequence[EffectTerm], here: Covariates) -> list[np.ndarray]:
+    """(P, u, k) of each group, all of which turn one joint; the functions of all groups of a joint are evaluated together."""
+    found: dict[str, np.ndarray] = {}
+    for joint in {g.parts[0].index for g in groups}:
+        own = [g for g in groups if g.parts[0].index == joint]
+        part = replace(own[0].parts[0], columns=tuple(column for g in own for column in g.parts[0].columns))
+        ends = np.cumsum([g.k for g in own])[:-1]
+        found |= zip((g.key for g in own), np.split(problem.twists_of(evaluated(here, [part])), ends, axis=2), strict=True)
+    return [found[g.key] for g in groups]
+
+
 @dataclass(frozen=True)
 class _Groups:
     """Groups within the linear problem; all move a pose as a whole. twists: (P, u, k) of each; start: of each group by key, rad, where the
@@ -151,7 +162,7 @@ class _Groups:
         """The known groups with further ones of this recording, whose functions are where they are learnt."""
         if not groups:
             return None
-        built = (known.problem.twists_of(evaluated(here, g.parts)) for g in groups)
+        built = _twists(known.problem, groups, here)
         start = known.start | {g.key: float(g.sigma.max()) for g in groups}
         return replace(known, terms=(*known.terms, *groups), twists=(*known.twists, *built), start=start)
 
