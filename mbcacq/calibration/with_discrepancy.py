@@ -44,7 +44,8 @@ LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are 
 @dataclass(frozen=True)
 class WithDiscrepancy:
     """An adjustment with smooth errors. model: with the groups that are left of the arm; gain: log evidence over geometry alone, of the
-    poses by which they were sized; wander_rad: (n,) rms of each joint's error that poses after one another share, None where they are independent."""
+    poses by which the groups were sized; wander_rad: (n,) rms of each joint's error that poses after one another share, None where they
+    are independent."""
 
     adjustment: Adjustment
     options: CalibrationOptions
