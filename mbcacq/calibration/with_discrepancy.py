@@ -31,6 +31,7 @@ from mbcacq.model.observations import Observations
 
 MOST_POSES = 2400  # by which groups are found and sized: 3000 of a UR10 predict as well as all of them do so (104 um; by 1200 111 um)
 LEAST_GAIN = 5.0  # log evidence over geometry alone: odds of 150 to 1 for all groups together
+CHANCE = 0.1  # log evidence that each size gains by chance: 2.4 by 28 own errors, the median of 60 arms that err by their geometry alone
 LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no point by a micrometre
 LARGEST_SIZE = 4.0  # of the same, which is large already
 TURNS, ROUNDS, CONVERGED = 12, 60, 0.1  # turns of sizes and noise; steps of the fixed point in each; change of a logarithm
@@ -75,10 +76,12 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     prior = variance_components.noise_prior(obs.cell, options.noise)
     nothing = _Groups(_some_of(alone), prior, (), (), alone.noise)
     best = _grown(nothing, (discrepancy.own_errors, *FURTHER), here)
+    if best.terms and joint_factor(best.noise, obs.cell) < EXCESS:
+        # In few poses many functions of one angle account for what is one product of two, with sums that are wrong elsewhere.
+        best = _more_probable(best, _grown(nothing, (discrepancy.pairs, discrepancy.own_errors), here, where_noisy=()))
     if obs.n_poses <= discrepancy.OPTIONS.wander_poses and serial_correlation(alone, here.order) > CORRELATED:
-        # Where the poses follow a grid, posture and order say much the same: which of them it is the evidence decides.
-        other = _grown(nothing, (discrepancy.wander, discrepancy.own_errors, *FURTHER), here)
-        best = other if other.evidence > best.evidence + LEAST_GAIN else best
+        # Where the poses follow a grid, posture and order say much the same.
+        best = _more_probable(best, _grown(nothing, (discrepancy.wander, discrepancy.own_errors, *FURTHER), here))
     if not best.terms:
         return None
     learnt = LearntRecording.of(obs)
@@ -100,26 +103,33 @@ def _some_of(alone: Adjustment) -> LinearProblem:
     return LinearProblem.of(obs.select(poses), alone.state, used, terms, estimate.coefficients, alone.lineariser.layout)
 
 
-def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates) -> _Groups:
-    """The groups with those of further kinds, one kind after the other, where the evidence asks for them."""
+def _more_probable(one: _Groups, other: _Groups, least: float = LEAST_GAIN) -> _Groups:
+    """What the evidence prefers of two explanations; the first unless it does so clearly."""
+    return other if other.evidence > one.evidence + least else one
+
+
+def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: Collection[Kind] = FURTHER) -> _Groups:
+    """The groups with those of further kinds, one kind after the other, where the evidence asks for them. where_noisy: the kinds that are
+    tried only where the joints' noise is beyond the data sheet."""
     allowed = variance_components.first_noise(here.obs.cell)
     for kind in kinds:
-        further = kind in FURTHER
-        if further and joint_factor(best.noise, here.obs.cell) < EXCESS:
+        if kind in where_noisy and joint_factor(best.noise, here.obs.cell) < EXCESS:
             break
         tried = _Groups.first(best, kind(here), here)
         if tried is None:
             continue
+        further = kind in FURTHER
+        # Groups of further kinds are judged one by one.
+        least = LEAST_GAIN if further else LEAST_GAIN + CHANCE * (len(tried.terms) - len(best.terms))
         gain, size = tried.quick_gain(best.noise)
-        if gain < LEAST_GAIN:
+        if gain < least:
             continue
         if further:
             tried = tried.without([key for key in size if size[key] < LEAST_SIZE and key not in best.start])
         settled = tried.settled(allowed)
         if further:
             settled = settled.supported(best.start).settled(settled.noise)
-        if settled.evidence > best.evidence + LEAST_GAIN:
-            best = settled
+        best = _more_probable(best, settled, least)
     return best
 
 

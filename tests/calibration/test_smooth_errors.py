@@ -26,10 +26,12 @@ def at_new_places(law, seed, options=None):
     return placed_wrong(found, new, truth), {t.depends_on + t.variant for t in found.effects.terms} if found.effects else set()
 
 
-def test_an_arm_without_further_errors_is_calibrated_as_by_geometry_alone():
-    off, groups = at_new_places("nothing further", 3)
+@pytest.mark.parametrize("seed", [3, 8, 27, 34])
+def test_an_arm_without_further_errors_is_calibrated_as_by_geometry_alone(seed):
+    """28 sizes that fit the noise of three of these arms gain 6 to 7 by chance."""
+    off, groups = at_new_places("nothing further", seed)
     assert groups == set()
-    assert off == at_new_places("nothing further", 3, GEOMETRY)[0]
+    assert off == at_new_places("nothing further", seed, GEOMETRY)[0]
 
 
 def test_a_wind_up_goes_on_at_torques_beyond_those_that_were_there():
@@ -37,6 +39,13 @@ def test_a_wind_up_goes_on_at_torques_beyond_those_that_were_there():
     clean = at_new_places("nothing further", 3)[0]
     assert at_new_places("elastic A2, A4", 3)[0] < 1.2 * clean
     assert at_new_places("elastic A2, A4", 3, GEOMETRY)[0] > 4.0 * clean
+
+
+def test_a_product_of_two_angles_is_not_taken_for_a_sum_of_functions_of_one():
+    """Such a sum accounts for the poses as well, and is four times as wrong at new places."""
+    off, groups = at_new_places("a product of two angles", 3)
+    assert groups == {"q2*q5smooth"}
+    assert off < 1.2 * at_new_places("nothing further", 3)[0]
 
 
 @pytest.mark.parametrize("law", ["gear errors of orders 2 to 4", "gear errors of orders 17 and 22"])
