@@ -12,9 +12,9 @@ from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
 from mbcacq.diagnosis.evidence.untried_rivals import stands_for_untried
+from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
 from mbcacq.effects.effect import ParameterEstimate, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 

@@ -10,7 +10,7 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients as coefficients_
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
-from mbcacq.diagnosis.result import EffectFound
+from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.diagnosis.search.projected_solve import prior_sigma
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.covariates import Covariates
@@ -23,7 +23,7 @@ from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
 from mbcacq.effects.unmodelled import unit_of
 
 
-def kept_model(full: ModelFit, reported: list[EffectFound]) -> EffectModel:
+def kept_model(full: ModelFit, reported: list[PoseEffect]) -> EffectModel:
     """The reported effects as terms: what was judged is what is kept. Groups at all locations of a long recording have no size yet: a
     calibration with them gives it.
     """
