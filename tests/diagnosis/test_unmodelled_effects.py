@@ -18,6 +18,7 @@ from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.output.kept_model import unmodelled_terms
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
+from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import parts_of
 from mbcacq.effects.effect_term import LearntRecording, learnt_ranges
@@ -247,3 +248,8 @@ def test_instrument_noise_stays_near_its_stated_value(plan):
 
     assert np.all(found.noise.point < 1.3 * simulated.POINT_NOISE)
     assert [c.name for c, _ in found.model.effects] == ["ball_shift"]
+
+
+def test_patterns_that_differ_in_an_offset_alone_share_no_name_of_a_coefficient(plan):
+    one, other = (unmodelled.common_pattern(Covariates(plan), [0.0, offset], [1, -1], [1, 3]) for offset in (0.3, 0.4))
+    assert len({*one.names, *other.names}) == one.k + other.k
