@@ -103,8 +103,8 @@ def _describes_the_same(reported: Hypothesis, other: Hypothesis) -> bool:
 def displaced(reported: Hypothesis, hypothesis: Hypothesis, labels: frozenset[str]) -> np.ndarray:
     """(rows,) whitened displacement by some effects of a hypothesis, beyond the geometry, under the noise of the reported set."""
     found, p = coefficients(hypothesis), reported.point.projected
-    chosen = [(m, own) for m, own in zip(hypothesis.members, found.slices, strict=True) if m.label in labels]
-    moved = sum((p.block(m.candidate, m.hyper) @ found.mean[own] for m, own in chosen), np.zeros(len(p.r0)))
+    chosen = [(m, own) for m, own in zip(hypothesis.members, found.slices(), strict=True) if m.label in labels]
+    moved = sum((p.block(m.candidate, m.hyper) @ found.coefficients[own] for m, own in chosen), np.zeros(len(p.r0)))
     return moved - p.Q @ (p.Q.T @ moved)
 
 
@@ -117,7 +117,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 def sized(hypothesis: Hypothesis, labels: frozenset[str]) -> SizedEffect | None:
     """The first catalogued effect of these labels with its coefficients."""
     found = coefficients(hypothesis)
-    for m, p in zip(hypothesis.members, found.slices, strict=True):
+    for m, p in zip(hypothesis.members, found.slices(), strict=True):
         if m.label in labels and m.candidate.name != UNKNOWN:
-            return SizedEffect(m.candidate, m.hyper, found.mean[p])
+            return SizedEffect(m.candidate, m.hyper, found.coefficients[p])
     return None

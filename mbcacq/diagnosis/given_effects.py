@@ -70,8 +70,8 @@ class PosesGiven:
         obs = self.problem.linear.obs
         here, found = Covariates(obs), coefficients(best)
         terms = [
-            term_of(here, m.candidate, m.hyper, found.mean[own], np.sqrt(np.diag(found.covariance)[own]))
-            for m, own in zip(best.members, found.slices, strict=True)
+            term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
+            for m, own in zip(best.members, found.slices(), strict=True)
         ]
         held = [replace(term_of(here, g.candidate, None, g.mean, g.std), held=True) for g in self.problem.given]
         return EffectModel(obs.cell.robot, (*held, *terms), LearntRecording.of(obs), obs.cell.measurement)

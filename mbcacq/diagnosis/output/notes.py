@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.result import NoiseDependence, PoseEffect, PoseMismatch
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects import catalogue
@@ -140,7 +141,8 @@ def sum_of_shares(mismatch: Sequence[PoseMismatch], before: PredictiveScore, aft
 def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     """Sentences on periodic errors of which the recording covers less than a period."""
     out = []
-    for candidate, hyper in full.model.effects:
+    for m in full.model.members:
+        candidate, hyper = m.candidate, m.hyper
         for name in partly_covered(setup.context, candidate, hyper):
             values = setup.context.value(name)
             share = periods_covered(values, hyper or 0.0)

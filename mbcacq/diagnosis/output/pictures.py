@@ -143,7 +143,8 @@ class DrawnEffect:
 def drawn_effects(full: ModelFit) -> Iterator[DrawnEffect]:
     """Parametric effects, and unmodelled ones by location and covariate."""
     model, rest = full.model, full.random_effects
-    for (candidate, hyper), p in zip(model.effects, model.slices(), strict=True):
+    for m, p in zip(model.members, model.slices(), strict=True):
+        candidate, hyper = m.candidate, m.hyper
         order = hyper if candidate.periodic else None
         found = model.coefficients[p], model.covariance[p, p]
         yield DrawnEffect(
