@@ -28,6 +28,7 @@ from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import directions, independent_values, largest_ratio, upper_limit
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects import catalogue, steps
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import MOMENT, Candidate
@@ -56,15 +57,13 @@ class BandLimit:
         return SizedEffect(self.candidate, self.hyper, self.coefficients)
 
 
-def limits_of(
-    problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[tuple[Candidate, float | None]]
-) -> list[BandLimit]:
+def limits_of(problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[Member]) -> list[BandLimit]:
     """Limits of every candidate that was not found, by band and parameter. problem: conditioned on what was found."""
     few = of_fewest_coefficients(candidates)
-    there = {(c.name, c.where) for c, _ in found}
+    there = {m.candidate.location for m in found}
     out = []
     for candidate in few:
-        orders = [h for c, h in found if (c.name, c.where) == (candidate.name, candidate.where) and h is not None]
+        orders = [m.hyper for m in found if m.candidate.location == candidate.location and m.hyper is not None]
         if (candidate.name, candidate.where) in there and not (candidate.periodic and candidate.several):
             continue
         beside = with_confounders(problem, candidate, [c for c in few if (c.name, c.where) not in there])
@@ -207,10 +206,10 @@ def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Els
     """
     context = Context(full.geometry_only.linear.obs, there.context.state, full.geometry_only.linear.prediction)
     compensation = Compensation.of(full.geometry_only, there)
-    found = {(c.name, c.where) for c, _ in full.model.effects}
+    found = {m.candidate.location for m in full.model.members}
     others = [c for c in of_fewest_coefficients(candidates) if (c.name, c.where) not in found]
     out: dict[tuple, ExclusionLimit] = {}
-    for limit in limits_of(conditioned_on_everything(full), candidates, full.model.effects):
+    for limit in limits_of(conditioned_on_everything(full), candidates, full.model.members):
         gone = not np.isfinite(limit.value)
         if gone and (catalogue.declaration(limit.candidate.name).acts_in_time or harmless(there, limit.sized)):
             continue
