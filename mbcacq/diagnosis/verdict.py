@@ -25,14 +25,13 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
-from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.in_words import odds_in_words
 
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedFit:
     """What is reported of a fit. before: score on the data fitted with geometry alone, which leaves residual (M, R). pairs: that are not
-    separable, with their coefficients. model: the reported effects, to be kept; None where there are none.
+    separable, with their coefficients.
     """
 
     full: ModelFit
@@ -44,7 +43,6 @@ class JudgedFit:
     effects: list[EffectFound]
     not_separable: tuple[NotSeparable, ...]
     pairs: tuple[tuple[SizedEffect, SizedEffect], ...]
-    model: EffectModel | None
 
 
 def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> JudgedFit:
@@ -54,7 +52,6 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
     found = effects_by_contribution(full, contributions, proof)
     effects, mismatch = with_alternatives(full, found), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
-    model = kept_model(full, effects) or None
     return JudgedFit(
         full=full,
         proof=proof,
@@ -65,7 +62,6 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
         effects=effects,
         not_separable=not_separable,
         pairs=pairs,
-        model=model,
     )
 
 
@@ -106,7 +102,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
         ),
         exclusion_limits=exclusion_limits(full, setup.candidates, there),
         between_recordings=between_recordings(full),
-        model=fit.model,
+        model=kept_model(full) or None,
         evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
     )

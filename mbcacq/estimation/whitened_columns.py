@@ -29,6 +29,10 @@ class ColumnProducts:
     right: np.ndarray
     square: float
 
+    def __add__(self, other: ColumnProducts) -> ColumnProducts:
+        """The products over these centres and others."""
+        return ColumnProducts(self.information + other.information, self.right + other.right, self.square + other.square)
+
     def of_columns(self, index: np.ndarray) -> ColumnProducts:
         """The products of some of the columns."""
         return ColumnProducts(self.information[np.ix_(index, index)], self.right[index], self.square)
