@@ -39,6 +39,11 @@ class WorkerPool:
     The others leave Ctrl-C to this process. Where one was killed the context raises CalibrationError.
     """
 
+    @property
+    def workers(self) -> int:
+        """How many processes there are, this one included."""
+        return self._others + 1
+
     def __init__(self, workers: int = 1):
         self._others = 0 if multiprocessing.current_process().daemon else workers - 1
         if self._others:
@@ -57,16 +62,16 @@ class WorkerPool:
         """
         return self.begin(function, *arguments)(answered)
 
-    def begin(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Callable[[Callable[[int], None]], list[Any]]:
-        """A function that returns what ``map`` does, of ``answered``. The other processes begin with their calls at once, this one with its
-        own when the answers are asked for.
+    def begin(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Callable[..., list[Any]]:
+        """A function that returns what ``map`` does, of ``answered`` if that is wanted. The other processes begin with their calls at once,
+        this one with its own when the answers are asked for.
         """
         # Not pool.map: it cancels what is left over when Ctrl-C comes, which loky's own thread then cannot end without a stack trace.
         # All calls of a process go together: what they share, and what is computed from it once, it has once.
         calls, step = list(zip(*arguments, strict=True)), self._others + 1
         others = [self.beside(lambda share: [function(*call) for call in share], calls[k::step]) for k in range(1, step)]
 
-        def answers(answered: Callable[[int], None]) -> list[Any]:
+        def answers(answered: Callable[[int], None] = lambda count: None) -> list[Any]:
             own = []
             for call in calls[::step]:
                 own.append(function(*call))
