@@ -89,7 +89,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     learnt = LearntRecording.of(obs)
     built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
     chosen = replace(options, terms=(*options.terms, *built))
-    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise)), chosen)
+    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise), links_follow=True), chosen)
     # What the order of the poses explains belongs to this recording: it is in the uncertainties, and says nothing of other poses.
     of_the_arm = tuple(t for t in best.terms if t.variant != discrepancy.WANDER)
     model = EffectModel(obs.cell.robot, of_the_arm, learnt, obs.cell.measurement)
@@ -192,7 +192,7 @@ class _Groups:
         """Log evidence that the groups add under a noise that holds what they would explain, which is less than they add with their own
         noise; and their sizes then."""
         extended = self.extended
-        return gain_of_groups(extended.at(noise).normal, extended.prior, self.index, LARGEST_SIZE, ROUNDS)
+        return gain_of_groups(extended.at(noise).normal, extended.prior, self.index, (LEAST_SIZE, LARGEST_SIZE), ROUNDS)
 
     def supported(self, known: Collection[str]) -> _Groups:
         """The groups but those beyond the known ones that the recording does not support by themselves."""
