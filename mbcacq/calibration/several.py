@@ -136,7 +136,7 @@ def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
         if name in known:
             index, of = [position[one] for one in t.names], known[name]
             values, std = values + step[index], np.sqrt(np.diag(covariance)[index])
-            out.append(DayToDay(**vars(BetweenRecordings.of(of.name, of.where, name, values, std)), unit=of.units[of.names.index(name)]))
+            out.append(DayToDay.of(of.name, of.where, name, values, std, unit=of.units[of.names.index(name)]))
     return out
 
 
