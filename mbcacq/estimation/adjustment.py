@@ -245,7 +245,7 @@ def settle_variances(
         before, present = size, LEAST_SIZE / min(size.values())
         factor = sizes_of_groups(solution.normal, solution.prior, lineariser.layout.sized, (present, LARGEST_SIZE), SIZE_ROUNDS, usual)
         size = {name: float(np.clip(factor[name] * s, LEAST_SIZE, LARGEST_SIZE)) for name, s in size.items()}
-        lineariser = lineariser.with_layout(first.resized(size))
+        solution, lineariser = evaluated(lineariser, solution), lineariser.with_layout(first.resized(size))
         solution = solve(lineariser, with_prior_of(lineariser, solution), noise, weights, tolerance=COARSE, within_linear=True)
         if max(abs(np.log(size[name] / before[name])) for name in size) < SIZE_CONVERGED:
             break
