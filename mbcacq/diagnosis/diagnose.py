@@ -11,18 +11,23 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.memory import freed_memory_kept
-from mbcacq.diagnosis.model_fit import fit_model
+from mbcacq.diagnosis.model_fit import completed, fit_model, searched
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
+from mbcacq.diagnosis.output.kept_model import kept_model
+from mbcacq.diagnosis.output.next_measurements import elsewhere
 from mbcacq.diagnosis.output.notes import noise_in_words
 from mbcacq.diagnosis.problem import is_long, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.time_budget import TimeBudget
-from mbcacq.diagnosis.validation.cross_validation import cross_validate
+from mbcacq.diagnosis.validation.cross_validation import validated
+from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.diagnosis.verdict import conclude, judge
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError, ContradictionError
+from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.model.observations import Observations
@@ -89,20 +94,34 @@ def _diagnose(
         problem = thinned(problem, problem.linear.keep, OPTIONS.most_poses)
         notes = [f"of {obs.n_poses} poses {OPTIONS.most_poses}, evenly at random, were used"]
     progress("searching for effects")
-    full = fit_model(problem)
-    variations = noise_variations(full)
-    if variations and not is_long(obs) and not problem.budget.spent:
-        progress("searching for effects again, with the noise as it depends on the place")
-        problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), options)
-        full = fit_model(problem)
     usual = OPTIONS.folds if obs.n_poses < 2 * OPTIONS.searched_poses else 2
+
+    def begin_again(linear: LinearProblem, unmodelled: bool) -> RepeatedSearch:
+        return RepeatedSearch.begin(replace(problem, linear=linear, budget=budget), folds or usual, pool, unmodelled)
+
+    variations, found = [], searched(problem)
+    if is_long(obs):  # the random effects of the fit take seconds, in which another process repeats the search
+        again = begin_again(found.linear, True)
+        full = completed(problem, found)
+    else:
+        full = completed(problem, found)
+        variations = noise_variations(full)
+        if variations and not problem.budget.spent:
+            progress("searching for effects again, with the noise as it depends on the place")
+            problem = problem.with_observations(with_noise_scale(problem.linear.obs, variations), options)
+            full = fit_model(problem)
+        pool = WorkerPool() if full.empty else pool  # nothing is claimed, there is nothing to validate
+        again = begin_again(full.geometry_only.linear, bool(full.random))
+    # What is validated and concluded does not depend on the refit, which takes seconds: another process makes it meanwhile, and then its
+    # share of the limits of a long recording.
+    model = kept_model(full)
+    refitted = pool.beside(refit, model) if refit is not None and model else None
+    limits = exclusion_limits(full, problem.candidates, elsewhere(problem.context), pool) if is_long(obs) else None
+    validation = validated(full, again, progress)
+    variations = noise_variations(full) if is_long(obs) else variations
     problem = replace(problem, budget=budget)
-    validation = cross_validate(problem, full, folds or usual, pool, progress)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    judged = judge(problem, full, validation)
-    # What is concluded does not depend on the refit, which takes seconds: another process makes it meanwhile.
-    refitted = pool.beside(refit, judged.model) if refit is not None and judged.model is not None else None
-    result = conclude(problem, judged)
+    result = conclude(problem, judge(problem, full, validation), limits)
     if formulas:
         proposed = propose(problem, full, result.effects, progress)
         result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))

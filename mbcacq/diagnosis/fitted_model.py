@@ -56,5 +56,10 @@ class ModelFit:
         """Whether there are random effects at all locations, which could do what parametric effects do."""
         return bool(self.random) and self.estimated is None
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was found."""
+        return not self.random and not self.model.members
+
     def without_random_effects(self) -> ModelFit:
         return replace(self, random=(), estimated=None)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import relinearized
-from mbcacq.diagnosis.evidence.evidence_fit import compared, fit_evidence
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres
@@ -28,12 +28,45 @@ from mbcacq.estimation.variance_components import NoisePrior, pack
 __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "fit_part", "prepare"]
 
 
+@dataclass(frozen=True, kw_only=True)
+class SearchedEffects:
+    """What the search has found. best: the set that is reported, of all poses; linear: its linearisation, without discrepancy. part, found:
+    of a long recording, the part that was searched, and the set in it.
+    """
+
+    fit: EvidenceFit
+    best: Hypothesis
+    linear: LinearProblem
+    part: DiagnosisProblem | None = None
+    found: Hypothesis | None = None
+
+
 def fit_model(problem: DiagnosisProblem) -> ModelFit:
     """The model of all centres; outliers are judged with it in place."""
+    return completed(problem, searched(problem))
+
+
+def searched(problem: DiagnosisProblem) -> SearchedEffects:
+    """The effects of all centres; of a long recording they are searched in a part of it."""
     if not is_long(problem.linear.obs):
         fit = with_untried_rivals(problem, fit_evidence(problem))
-        return model_of(problem, fit, reported_hypothesis(fit), fit.linear)
-    return fit_long_recording(problem)
+        return SearchedEffects(fit=fit, best=reported_hypothesis(fit), linear=fit.linear)
+    part = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
+    fit = with_untried_rivals(part, compared(part, part.linear, pack(part.noise), alternatives=True, staged=True))
+    found = reported_hypothesis(fit)
+    whole = on_the_whole(problem, part, found)
+    return SearchedEffects(fit=fit, best=whole, linear=whole.point.linear, part=part, found=found)
+
+
+def completed(problem: DiagnosisProblem, effects: SearchedEffects) -> ModelFit:
+    """The model of the effects that were found; what is left of a long recording is random effects at every location."""
+    best, random, cells = effects.best, (), ()
+    if effects.part is not None and effects.found is not None:
+        random, noise, cells = random_effects_everywhere(problem, effects.part, effects.found, best.point.noise)
+        if random:
+            best = under(replace(best.point, theta=pack(noise)), best.members, best.log_prior)
+    model = model_of(problem, effects.fit, best, effects.linear)
+    return model if effects.part is None else replace(model, random=random, cells=cells)
 
 
 def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> tuple[EffectSet, tuple[RandomEffect, ...]]:
@@ -52,19 +85,6 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
     return EffectSet(transferred(small, problem, best.catalogued)), random
 
 
-def fit_long_recording(problem: DiagnosisProblem) -> ModelFit:
-    """The same for a long recording: effects are searched in a part of it, the remainder is random effects at every location."""
-    small = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
-    fit = with_untried_rivals(small, compared(small, small.linear, pack(small.noise), alternatives=True, staged=True))
-    found = reported_hypothesis(fit)
-    whole = on_the_whole(problem, small, found)
-    linear, noise = whole.point.linear, whole.point.noise
-    random, noise, cells = random_effects_everywhere(problem, small, found, noise)
-    if random:
-        whole = under(replace(whole.point, theta=pack(noise)), whole.members, whole.log_prior)
-    return replace(model_of(problem, fit, whole, linear), random=random, cells=cells)
-
-
 def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis) -> Hypothesis:
     """The effects of the catalogue found in a part of a recording, on all of it: outliers judged and linearised anew with them in place."""
     members = transferred(small, problem, found.catalogued)
@@ -72,6 +92,12 @@ def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypo
     whole = estimated(members, point, found.log_prior)
     linear = relinearized(problem.linear, whole).restricted(kept_centres(whole))
     return estimated(members, replace(whole.point, linear=linear), found.log_prior)
+
+
+def groups_everywhere(problem: DiagnosisProblem) -> list[RandomEffect]:
+    """The groups that may stand at all locations of a long recording, their sizes not known."""
+    here = problem.context
+    return here.computed_once(("groups everywhere",), lambda: [RandomEffect.of(here, group) for group in unmodelled.everywhere(here)])
 
 
 def random_effects_everywhere(
@@ -85,7 +111,7 @@ def random_effects_everywhere(
     """
     there, linear = EffectSet(found.catalogued), relinearized(small.linear, replace(found, members=found.catalogued))
     whole, chosen = problem.linear.obs, np.isin(problem.linear.obs.pose_id, small.linear.obs.pose_id)
-    everywhere = [RandomEffect.of(problem.context, group) for group in unmodelled.everywhere(problem.context)]
+    everywhere = groups_everywhere(problem)
     groups = [g.of_poses(chosen, whole.pose).of_unit_size(linear) for g in everywhere]
     sizes = np.full(len(groups), np.mean(noise.point))
     cells: tuple[LocatedMismatch, ...] = ()

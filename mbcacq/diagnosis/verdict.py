@@ -14,7 +14,7 @@ from mbcacq.diagnosis.output.between_recordings import between_recordings
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
 from mbcacq.diagnosis.output.evidence_summary import summarized
-from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
+from mbcacq.diagnosis.output.exclusion_limits import Limits, exclusion_limits
 from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
@@ -26,14 +26,13 @@ from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, training_score
-from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.in_words import odds_in_words
 
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedFit:
     """What is reported of a fit. before: score on the data fitted with geometry alone, which leaves residual (M, R). pairs: that are not
-    separable, with their coefficients. model: the reported effects, to be kept; None where there are none.
+    separable, with their coefficients.
     """
 
     full: ModelFit
@@ -45,7 +44,6 @@ class JudgedFit:
     effects: list[PoseEffect]
     not_separable: tuple[NotSeparable, ...]
     pairs: tuple[tuple[SizedEffect, SizedEffect], ...]
-    model: EffectModel | None
 
 
 def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> JudgedFit:
@@ -55,7 +53,6 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
     found = effects_by_contribution(full, contributions, proof)
     effects, mismatch = with_alternatives(full, found), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
-    model = kept_model(full, effects) or None
     return JudgedFit(
         full=full,
         proof=proof,
@@ -66,12 +63,14 @@ def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> Ju
         effects=effects,
         not_separable=not_separable,
         pairs=pairs,
-        model=model,
     )
 
 
-def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
-    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found."""
+def conclude(setup: DiagnosisProblem, fit: JudgedFit, limits: Limits | None = None) -> Diagnosis:
+    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found.
+
+    limits: returns these, where other processes have begun with them.
+    """
     full, proof, before = fit.full, fit.proof, fit.before
     after, residual_after = training_score(full.joint)
     there = elsewhere(setup.context)
@@ -105,9 +104,9 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
             *undecided_evidence(full),
             *evidence.untried,
         ),
-        exclusion_limits=exclusion_limits(full, setup.candidates, there),
+        exclusion_limits=(limits or exclusion_limits(full, setup.candidates, there))(),
         between_recordings=between_recordings(full),
-        model=fit.model,
+        model=kept_model(full) or None,
         evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
     )

@@ -17,7 +17,6 @@ from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.terms import PER_POSE, Part
 from mbcacq.estimation.whitening import CentreWhitening
 
-GROUPS_AT_ONCE = 12  # of a whitening
 WIDE = 24  # functions of one displacement from which its columns are not written out
 
 
@@ -28,6 +27,10 @@ class ColumnProducts:
     information: np.ndarray
     right: np.ndarray
     square: float
+
+    def __add__(self, other: ColumnProducts) -> ColumnProducts:
+        """The products over these centres and others."""
+        return ColumnProducts(self.information + other.information, self.right + other.right, self.square + other.square)
 
     def of_columns(self, index: np.ndarray) -> ColumnProducts:
         """The products of some of the columns."""
@@ -50,15 +53,25 @@ class WhitenedColumns:
         ends = given.shape[2] + np.cumsum([0] + [parts[0].basis.shape[1] for parts in narrow])
         self.written = np.empty((linear.residual.size, ends[-1] + 1))
         self.written[:, : ends[0]] = whiten(given)
-        for first in range(0, len(narrow), GROUPS_AT_ONCE):  # all at once would be in memory twice
-            some = narrow[first : first + GROUPS_AT_ONCE]
-            own = slice(ends[first], ends[first + len(some)])
-            self.written[:, own] = whiten(np.concatenate([linear.columns(parts) for parts in some], axis=2))
+        for parts, start, end in zip(narrow, ends[:-1], ends[1:], strict=True):
+            self._write(linear, parts, self.written[:, start:end])
         self.written[:, -1] = whiten(linear.residual)
         if self._wide:
             self._units = whiten(np.stack([linear.unit(p.place, p.index, p.component) for p in self._wide], axis=2))
             self._by_pose = whiten.pose_products(self._units, self.written)
             self._among = whiten.pose_products(self._units, self._units)
+
+    def _write(self, linear: LinearProblem, parts: Sequence[Part], out: np.ndarray) -> None:
+        """The columns of a narrow group (M R, k). A function of the pose is a factor of the pose's whitened rows."""
+        if any(p.place not in PER_POSE for p in parts):
+            out[:] = self._whiten(linear.columns(parts))
+            return
+        units = self._whiten(np.stack([linear.unit(p.place, p.index, p.component) for p in parts], axis=2))
+        out[:] = 0.0
+        by_centre, rows = out.reshape(*linear.residual.shape, -1), units.reshape(*linear.residual.shape, -1)
+        for j, part in enumerate(parts):
+            for column in np.flatnonzero(part.basis.any(axis=0)):
+                by_centre[:, :, column] += rows[:, :, j] * part.basis[self._obs.pose, column, None]
 
     def with_change(self, own: slice, change: np.ndarray) -> WhitenedColumns:
         """The same where some of the columns that were given are more by these (M R, k), whitened."""

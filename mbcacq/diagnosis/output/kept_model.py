@@ -10,7 +10,6 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients as coefficients_
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
-from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.diagnosis.search.projected_solve import prior_sigma
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.covariates import Covariates
@@ -23,19 +22,18 @@ from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
 from mbcacq.effects.unmodelled import unit_of
 
 
-def kept_model(full: ModelFit, reported: list[PoseEffect]) -> EffectModel:
-    """The reported effects as terms: what was judged is what is kept. Groups at all locations of a long recording have no size yet: a
+def kept_model(full: ModelFit) -> EffectModel:
+    """The effects of a fit as terms: what was judged is what is kept. Groups at all locations of a long recording have no size yet: a
     calibration with them gives it.
     """
     obs = full.geometry_only.linear.obs
     here = Covariates(obs)
-    names = {e.name for e in reported}
     terms: list[EffectTerm] = []
     for m, own in zip(full.model.members, full.model.slices(), strict=True):
-        if m.candidate.name in names and can_be_kept(m.candidate, m.hyper):
+        if can_be_kept(m.candidate, m.hyper):
             variance = np.diag(full.model.covariance[own, own])
             terms.append(term_of(here, m.candidate, m.hyper, full.model.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
-    if UNKNOWN in names:
+    if full.random:
         terms += everywhere(here, terms) if full.everywhere else unmodelled_terms(here, reported_hypothesis(full.evidence))
     return EffectModel(obs.cell.robot, tuple(terms), LearntRecording.of(obs), obs.cell.measurement)
 

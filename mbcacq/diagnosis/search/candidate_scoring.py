@@ -7,7 +7,8 @@ problem is conditioned on were refitted together with the candidate.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import partial
 
 import numpy as np
 
@@ -65,6 +66,11 @@ class CandidateScoring:
     along: np.ndarray
     store: ProductStore = field(default_factory=ProductStore, repr=False)
     conditioned_products: dict[tuple[UnitKey, ...], np.ndarray] = field(default_factory=dict, repr=False)
+
+    def __reduce__(self) -> tuple:
+        """Without what is computed when first asked for."""
+        kept = {one.name: getattr(self, one.name) for one in fields(self) if one.default_factory is MISSING}
+        return partial(CandidateScoring, **kept), ()
 
     @classmethod
     def of(cls, linear: LinearProblem, noise: Noise, nuisance: tuple[np.ndarray, np.ndarray] | None = None) -> CandidateScoring:

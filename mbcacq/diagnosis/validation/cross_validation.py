@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
-from mbcacq.diagnosis.validation.folds import FoldResult, evaluated_fold, split
+from mbcacq.diagnosis.validation.folds import RepeatedSearch, evaluated_folds
 from mbcacq.diagnosis.validation.predictive_score import NO_CENTRES, PredictiveScore, held_out_score
 from mbcacq.diagnosis.validation.workers import WorkerPool
 
@@ -68,25 +68,26 @@ def cross_validate(
 
     pool: of processes that share the folds. progress: gets a sentence a fold.
     """
-    linear = full.geometry_only.linear
-    fold, how = split(linear, folds)
-    left_out = [fold == k for k in range(int(fold.max()) + 1)]
-    keys = effect_keys(full)
-    if not keys and not full.random:  # nothing is claimed, there is nothing to validate
+    problem = problem.with_linearization(full.geometry_only.linear)
+    return validated(full, RepeatedSearch.begin(problem, folds, pool or WorkerPool(), bool(full.random)), progress)
+
+
+def validated(full: ModelFit, again: RepeatedSearch, progress: Callable[[str], None] = lambda text: None) -> CrossValidation:
+    """The same of a search that was begun in other processes."""
+    keys, left_out = effect_keys(full), again.left_out
+    if full.empty:  # nothing is claimed, there is nothing to validate
         plain = geometry_scores(full, left_out)
-        return CrossValidation(plain, plain, how, {})
-    problem = problem.with_linearization(linear)
+        return CrossValidation(plain, plain, again.how, {})
 
     def begun(done: int) -> None:
         if done < len(left_out):
             progress(f"searching again without each part of the data: part {done + 1} of {len(left_out)}")
 
     begun(0)
-    again = [(problem, full.noise, test, bool(full.random), keys, full.everywhere) for test in left_out]
-    results: list[FoldResult] = (pool or WorkerPool()).map(evaluated_fold, *zip(*again, strict=True), answered=begun)
+    results = evaluated_folds(full, again, keys, begun)
     without = {key: summed(a.without[key] for a in results) for key in keys}
     parametric = summed(a.parametric for a in results) if full.everywhere else None
-    return CrossValidation(summed(a.before for a in results), summed(a.after for a in results), how, without, parametric)
+    return CrossValidation(summed(a.before for a in results), summed(a.after for a in results), again.how, without, parametric)
 
 
 def effect_keys(full: ModelFit) -> tuple[str, ...]:

@@ -1,19 +1,53 @@
-"""One fold: the whole search repeated without it, and the model so found evaluated on it."""
+"""Folds: how a recording is split, the whole search repeated without each, and the models so found evaluated on what they have not seen."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.model_fit import fit_part
+from mbcacq.diagnosis.fitted_model import ModelFit
+from mbcacq.diagnosis.model_fit import fit_part, groups_everywhere
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
-from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.problem import DiagnosisProblem, is_long
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.validation.predictive_score import HeldOutPrediction, PredictiveScore
+from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
+from mbcacq.diagnosis.validation.shared_products import SharedProducts
+from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.options import Noise
+
+Model = tuple[EffectSet, tuple[RandomEffect, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepeatedSearch:
+    """The search without each part of the poses, begun in other processes. problem: linearised at the fit of all data; left_out: (P,) bool
+    of each part, of one or several kinds (``how``). models: returns what was found without each, when all of it is there; it gets a
+    function that is told how many there are.
+    """
+
+    problem: DiagnosisProblem
+    left_out: list[np.ndarray]
+    how: str
+    models: Callable[[Callable[[int], None]], list[Model]]
+
+    @classmethod
+    def begin(cls, problem: DiagnosisProblem, folds: int, pool: WorkerPool, unmodelled: bool) -> RepeatedSearch:
+        """unmodelled: of a long recording, whether there may be anything but effects of the catalogue."""
+        fold, how = split(problem.linear, folds)
+        left_out = [fold == k for k in range(int(fold.max()) + 1)]
+        calls = zip(*((problem, test, unmodelled) for test in left_out), strict=True)
+        return cls(problem=problem, left_out=left_out, how=how, models=pool.begin(model_without, *calls))
+
+
+def model_without(problem: DiagnosisProblem, test: np.ndarray, unmodelled: bool) -> Model:
+    """The model found without a part, test (P,) bool, of the poses; groups at all locations of a long recording without their parts, which
+    are large and the same for all. unmodelled: of a long recording, whether there is anything but effects of the catalogue.
+    """
+    linear = problem.linear
+    model, random = fit_part(problem, linear.keep & ~test[linear.obs.pose], unmodelled)
+    return model, tuple(replace(g, parts=()) for g in random) if is_long(linear.obs) else random
 
 
 @dataclass(frozen=True)
@@ -28,18 +62,26 @@ class FoldResult:
     parametric: PredictiveScore
 
 
-def evaluated_fold(
-    problem: DiagnosisProblem, noise: Noise, test: np.ndarray, unmodelled: bool, keys: tuple[str, ...], everywhere: bool
-) -> FoldResult:
-    """The model found without a fold, and its scores on it, in one call, which a worker process can do.
+def evaluated_folds(full: ModelFit, again: RepeatedSearch, keys: Sequence[str], searched: Callable[[int], None]) -> list[FoldResult]:
+    """The models found without each part, evaluated on that part under the noise of the fit of all data.
 
-    problem: linearised at the fit of all data; noise: of that fit; test: (P,) bool, the poses left out. unmodelled: whether there is more
-    than effects of the catalogue. keys: effects to be left out in turn; everywhere: random effects stand at all locations.
+    keys: effects to be left out in turn. searched: gets how many of the searches have ended.
     """
-    linear, left_out = problem.linear, test[problem.linear.obs.pose]
-    train = linear.keep & ~left_out
-    model, random = fit_part(problem, train, unmodelled)
-    held = HeldOutPrediction(linear, train, linear.keep & left_out, model, random, noise)
+    problem, models = again.problem, again.models(searched)
+    if is_long(problem.linear.obs):
+        groups = {(g.location, g.depends_on): g for g in groups_everywhere(problem)} if full.random else {}
+        alive = ((model, [g for g in random if groups]) for model, random in models)
+        models = [(model, tuple(replace(groups[g.location, g.depends_on], sigma=g.sigma) for g in random)) for model, random in alive]
+    products = SharedProducts(full.joint, models, again.left_out)
+    return [evaluated_fold(full, model, random, keys, products, number) for number, (model, random) in enumerate(models)]
+
+
+def evaluated_fold(
+    full: ModelFit, model: EffectSet, random: tuple[RandomEffect, ...], keys: Sequence[str], products: SharedProducts, number: int
+) -> FoldResult:
+    """The scores of the model found without a part, of this number, on that part."""
+    held = products.held_out(number, model, random, full.noise)
+    everywhere = full.everywhere
     after = held.score()
     whole = held.score(groups=()) if everywhere else after
     without = {}

@@ -6,7 +6,7 @@ common to many centres, so a weak effect shows there first.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
@@ -53,13 +53,21 @@ class HeldOutPrediction:
     """
 
     def __init__(
-        self, linear: LinearProblem, train: np.ndarray, test: np.ndarray, model: EffectSet, random: Sequence[RandomEffect], noise: Noise
+        self,
+        linear: LinearProblem,
+        train: np.ndarray,
+        test: np.ndarray,
+        model: EffectSet,
+        random: Sequence[RandomEffect],
+        noise: Noise,
+        products: Callable[[JointModel], tuple[ColumnProducts, ColumnProducts]] | None = None,
     ):
+        """products: where they are known, those of the columns over the poses of train and over those of test."""
         self.linear, self.train, self.test, self.noise = linear, train, test, noise
         self.joint = JointModel(linear, model, random, linear.restricted(train | test).whitener(noise))
         self._poses = np.bincount(linear.obs.pose, train, linear.obs.n_poses) > 0
-        self._seen = self.joint.columns.products(self._poses)
-        self._others = self.joint.columns.products(~self._poses)
+        each = (self._poses, ~self._poses)
+        self._seen, self._others = products(self.joint) if products else (self.joint.columns.products(poses) for poses in each)
 
     def score(self, effects: Iterable[int] | None = None, groups: Iterable[int] | None = None) -> PredictiveScore:
         """With geometry and these effects and groups alone, by their numbers, or with all of them."""

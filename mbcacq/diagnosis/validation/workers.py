@@ -39,6 +39,11 @@ class WorkerPool:
     The others leave Ctrl-C to this process. Where one was killed the context raises CalibrationError.
     """
 
+    @property
+    def workers(self) -> int:
+        """How many processes there are, this one included."""
+        return self._others + 1
+
     def __init__(self, workers: int = 1):
         self._others = 0 if multiprocessing.current_process().daemon else workers - 1
         if self._others:
@@ -55,16 +60,26 @@ class WorkerPool:
 
         Which process makes a call depends on its number alone. Raises the error of a call.
         """
+        return self.begin(function, *arguments)(answered)
+
+    def begin(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Callable[..., list[Any]]:
+        """A function that returns what ``map`` does, of ``answered`` if that is wanted. The other processes begin with their calls at once,
+        this one with its own when the answers are asked for.
+        """
         # Not pool.map: it cancels what is left over when Ctrl-C comes, which loky's own thread then cannot end without a stack trace.
         # All calls of a process go together: what they share, and what is computed from it once, it has once.
         calls, step = list(zip(*arguments, strict=True)), self._others + 1
         others = [self.beside(lambda share: [function(*call) for call in share], calls[k::step]) for k in range(1, step)]
-        own = []
-        for call in calls[::step]:
-            own.append(function(*call))
-            answered(min(len(own) * step, len(calls)))
-        each = [own, *(answers() for answers in others)]
-        return [each[k % step][k // step] for k in range(len(calls))]
+
+        def answers(answered: Callable[[int], None] = lambda count: None) -> list[Any]:
+            own = []
+            for call in calls[::step]:
+                own.append(function(*call))
+                answered(min(len(own) * step, len(calls)))
+            each = [own, *(answer() for answer in others)]
+            return [each[k % step][k // step] for k in range(len(calls))]
+
+        return answers
 
     def beside(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
         """A function that returns the answer to one call, which another process makes while this one goes on; without another, it is made
@@ -79,6 +94,6 @@ class WorkerPool:
         if self._others:
             from loky.process_executor import BrokenProcessPool
 
-            self._pool.shutdown(wait=True, kill_workers=kind is not None)
+            self._pool.shutdown(wait=True, kill_workers=True)  # what nobody asked the answer of is not waited for
             if kind and issubclass(kind, BrokenProcessPool):
                 raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
