@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.determination import canonical_correlation
-from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.signals import direction_of_rotation, prepare
 from mbcacq.diagnosis.motion.torque_constants import with_torque
 from mbcacq.diagnosis.search.effect_set import Member
@@ -57,12 +57,12 @@ class TorqueInformation:
         for candidate in catalogue.motion_candidates(group, runs):
             if candidate.rows.usual and not candidate.rows.extends:
                 hyper = None if candidate.hyper is None else float(candidate.hyper.values[len(candidate.hyper.values) // 2])
-                model.selected.append(SelectedEffect(Member(candidate, hyper, columns=model.add(candidate, hyper))))
+                model.selected.append(Member(candidate, hyper, columns=model.add(candidate, hyper)))
         chosen = model.chosen()
         weights = model.weights(chosen)
         normal = model.store.normal(weights)[np.ix_(chosen, chosen)] + np.diag(1.0 / np.array(model.store.prior)[chosen] ** 2)
         position = {int(c): i for i, c in enumerate(chosen)}
-        placed = tuple(replace(e.member, columns=np.array([position[int(i)] for i in e.member.columns])) for e in model.selected)
+        placed = tuple(replace(e, columns=np.array([position[int(i)] for i in e.columns])) for e in model.selected)
         named, names, scale = _named(placed, len(chosen))
         arm = np.array([position[int(i)] for i in model.store.base[len(group.joints) : -robot.n]], dtype=int)
         return cls(

@@ -76,12 +76,17 @@ class EffectFound:
 
     def __post_init__(self) -> None:
         sizes = {name: estimate.components for name, estimate in self.parameters.items()}
-        object.__setattr__(self, "trend", trend(sizes, *self.removed))
+        object.__setattr__(self, "trend", trend(sizes, self.gain_here, self.gain_std))
 
     @property
-    def removed(self) -> tuple[float | None, float]:
-        """Share of the excess that it removes where it acts (None: it is no trend by that), and its standard deviation."""
-        return self.held_out_gain, 0.0
+    def gain_here(self) -> float:
+        """Share of the held-out excess that it removes where it acts."""
+        return self.held_out_gain
+
+    @property
+    def gain_std(self) -> float:
+        """Standard deviation of ``gain_here``, 0 where it is not known."""
+        return 0.0
 
     @property
     def at(self) -> str:

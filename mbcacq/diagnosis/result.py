@@ -54,8 +54,8 @@ class PoseEffect(EffectFound):
     held_out_gain_std: Number = 0.0
 
     @property
-    def removed(self) -> tuple[float | None, float]:
-        return self.held_out_gain, self.held_out_gain_std
+    def gain_std(self) -> float:
+        return self.held_out_gain_std
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,9 @@ from mbcacq.effects.kinds.drive_lag import LAGS_S, LOOPS_S
 
 def fit(*effects):
     group = SimpleNamespace(joints=(0, 2), index=(0, 2).index)
-    parts = [SimpleNamespace(joints=joints, gain=np.array(gain)) for joints, gain in effects]
+    parts = [
+        SimpleNamespace(candidate=SimpleNamespace(rows=SimpleNamespace(joints=joints)), gain=np.array(gain)) for joints, gain in effects
+    ]
     return SimpleNamespace(group=group, effects=parts, held_out_before=np.ones(2), held_out_after=np.ones(2), floor=np.full(2, 0.1))
 
 

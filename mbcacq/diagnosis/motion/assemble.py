@@ -50,7 +50,7 @@ class HeldOutTable:
         before, after = (fit.held_out_before, fit.held_out_after) if cross_validated is None else cross_validated
         refused = np.asarray(after > before)
         removed = np.where(refused, 0.0, before - after)
-        drops = [np.where(np.isin(fit.group.joints, e.joints), np.maximum(e.gain, 0.0), 0.0) for e in fit.effects]
+        drops = [np.where(np.isin(fit.group.joints, e.candidate.rows.joints), np.maximum(e.gain, 0.0), 0.0) for e in fit.effects]
         total = np.maximum(sum(drops, np.zeros(len(before))), 1e-300)
         return cls(fit, before, np.where(refused, before, after), refused, [removed * drop / total for drop in drops])
 
@@ -67,7 +67,7 @@ class HeldOutTable:
 
     def keeps(self, effect: FittedEffect) -> bool:
         """Some joint on which the effect acts keeps its model."""
-        return not all(self.refused[self.fit.group.index(joint)] for joint in effect.joints)
+        return not all(self.refused[self.fit.group.index(joint)] for joint in effect.candidate.rows.joints)
 
 
 def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_validated: dict[str, np.ndarray] | None) -> MotionDiagnosis:
@@ -124,12 +124,12 @@ def _verdict(fits: list[MotionFit], effects: list[MotionEffect | UnmodelledMotio
 
 def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MotionEffect:
     fit = table.fit
-    at = [fit.group.index(joint) for joint in effect.joints]
+    at = [fit.group.index(joint) for joint in effect.candidate.rows.joints]
     share = table.share(gain)
     return MotionEffect(
-        name=effect.name,
-        where=effect.where,
-        depends_on=effect.depends_on,
+        name=effect.candidate.name,
+        where=effect.candidate.where,
+        depends_on=effect.candidate.depends_on,
         channel=fit.group.name,
         parameters=effect.parameters,
         p_value=effect.p_value,
@@ -148,8 +148,9 @@ def _step(fit: MotionFit, step: FitStep, at: list[int]) -> MotionStep:
 
 
 def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MotionMismatch:
-    at = effect.where[0] if len(effect.joints) == 1 and not catalogue.declaration(effect.name).between_locations else effect.where[-1]
-    return MotionMismatch(at, effect.depends_on, table.share(gain), effect.p_value, table.fit.group.name)
+    c = effect.candidate
+    at = c.where[0] if len(c.rows.joints) == 1 and not catalogue.declaration(c.name).between_locations else c.where[-1]
+    return MotionMismatch(at, c.depends_on, table.share(gain), effect.p_value, table.fit.group.name)
 
 
 def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
@@ -207,7 +208,7 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, 
 def _inertial(fit: MotionFit) -> list[BodyInertia]:
     if fit.inertial is None:
         return []
-    tools = any(catalogue.declaration(e.name).adds_body for e in fit.effects)
+    tools = any(catalogue.declaration(e.candidate.name).adds_body for e in fit.effects)
     links = len(fit.inertial) - tools
     return [
         BodyInertia(f"link{k + 1}" if k < links else "tool", float(p[0]), tuple((MILLI * p[1:4]).tolist()), tuple(p[4:].tolist()))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.spectrum import periodic_candidates
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
@@ -46,19 +48,19 @@ class CandidatePool:
         ]
         return [[member] for member in model.add_of_one_joint(found, [_middle(c) for c in found])]
 
-    def keep(self, effect: SelectedEffect) -> None:
-        """Give an effect columns that stay, whatever ``forget_step`` removes."""
-        member = effect.member
-        if len(member.columns) and member.columns[0] < self.mark:
-            return
+    def kept(self, effect: Member) -> Member:
+        """The effect in columns that stay, whatever ``forget_step`` removes."""
+        if len(effect.columns) and effect.columns[0] < self.mark:
+            return effect
         self.forget_step()
-        effect.at(member.hyper, self._model.add(member.candidate, member.hyper))
+        columns = self._model.add(effect.candidate, effect.hyper)
         self.mark = len(self._model.store.prior)
+        return replace(effect, columns=columns)
 
     def forget_step(self) -> None:
         self._model.store.forget(self.mark)
 
-    def extend(self, effect: SelectedEffect) -> None:
+    def extend(self, effect: Member) -> None:
         """Offer the refinements of an effect that was selected; its columns and theirs stay."""
         candidate = effect.candidate
         if not candidate.rows.extends:
@@ -67,7 +69,7 @@ class CandidatePool:
                 known = refinement.form in offered
                 here = refinement.rows.extends and refinement.location == candidate.location
                 if here and not known and self._can_be_tested(refinement, candidate):
-                    self.forms.append(self._of(refinement, effect.member.hyper if refinement.rows.shares_hyper else None))
+                    self.forms.append(self._of(refinement, effect.hyper if refinement.rows.shares_hyper else None))
         self.mark = len(self._model.store.prior)
 
     def _can_be_tested(self, refinement: Candidate, candidate: Candidate) -> bool:

@@ -7,7 +7,7 @@ hyper-parameters and the load are estimated anew, and periodic components are lo
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
-from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate
@@ -28,8 +29,20 @@ MOST_PASSES = 60  # linearisations: one an effect, and some more where an effect
 TRIED = 5  # effects of the most evidence that are compared, each with the colour of the residual that it would leave
 
 
+@dataclass(frozen=True, kw_only=True)
+class Worth:
+    """What a selected effect is worth. p_value: one over its Bayes factor in its set. before, after: held-out mean square (J,) without it
+    and with it. alternatives: what else could stand in its place."""
+
+    p_value: float = 1.0
+    before: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    after: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    alternatives: list[Alternative] = field(default_factory=list)
+
+
 class EffectSelection:
-    """Selects effects for a model. start: (J,) held-out mean square of the model's base alone. sets: what was compared last."""
+    """Selects effects for a model. start: (J,) held-out mean square of the model's base alone. sets: what was compared last. worth: of each
+    form of an effect that was selected, empty where a part is held out."""
 
     def __init__(self, model: MotionModel, candidates: list[Candidate] | None = None, budget: TimeBudget = UNLIMITED) -> None:
         """candidates: what may be selected, None for the whole catalogue. budget: when it is spent, the set is not changed any more."""
@@ -37,13 +50,14 @@ class EffectSelection:
         self.model = model
         self.pool = CandidatePool(model, catalogue.motion_candidates(model.group, model.runs) if candidates is None else candidates)
         self._left_out: set[tuple] = set()
+        self.worth: dict[tuple, Worth] = {}
         chosen = model.chosen()
         self.start = model.held_out_mean_square(chosen, model.fold_normals(model.weights(chosen)))
         self.sets: RankedSets | None = None
 
     def run(self) -> None:
         """Start with what every arm may have; change the set as long as that makes it more probable; report what the evidence shows."""
-        self.model.selected = [SelectedEffect(forms[len(forms) // 2]) for forms in self.pool.usual()]
+        self.model.selected = [forms[len(forms) // 2] for forms in self.pool.usual()]
         settle = True
         for _ in range(MOST_PASSES):
             if self.budget.spent and not settle:
@@ -77,7 +91,7 @@ class EffectSelection:
         problem, prior = GramProblem.of(model, colour), np.array(store.prior)
         information = np.diag(problem.weighted(weights * colour, corrected=True))[:-1]
         candidates = [tuple(sized(one, prior, information) for one in forms) for forms in offered]
-        members = tuple(sized(e.member, prior, information) for e in model.selected)
+        members = tuple(sized(e, prior, information) for e in model.selected)
         self._colour = colour
         self._search = search = MotionSearch(
             candidates=candidates,
@@ -118,26 +132,21 @@ class EffectSelection:
     def _take(self, best: Hypothesis) -> None:
         """Make a set that of the model, and linearise anew."""
         model, known = self.model, {e.candidate.form: e for e in self.model.selected}
-        kept, new = [], []
-        for member in best.members:
-            effect = known.get(member.candidate.form)
-            if effect is None:
-                effect = SelectedEffect(member)
-                new.append(effect)
-            else:
-                columns = effect.member.columns if effect.member.hyper == member.hyper else member.columns
-                effect.member = replace(member, columns=columns)
-            kept.append(effect)
-        for effect in new:
-            self.pool.keep(effect)
-        model.selected = kept
-        if not any(e.candidate.rows.channel_delay for e in kept):
+        model.selected = [self._placed(member, known.get(member.candidate.form)) for member in best.members]
+        if not any(e.candidate.rows.channel_delay for e in model.selected):
             model.store.correct_delay(0.0)
         self.pool.forget_step()
-        if any(_relinearises(e.candidate) for e in new) or len(kept) < len(known):
+        new = any(_relinearises(e.candidate) for e in model.selected if e.candidate.form not in known)
+        if new or len(model.selected) < len(known):
             estimate_hyperparameters(model)
-        for effect in kept:
+        for effect in model.selected:
             self.pool.extend(effect)
+
+    def _placed(self, member: Member, before: Member | None) -> Member:
+        """An effect of a set in columns that stay: those that it had ``before``, at the same value of its hyper-parameter."""
+        if before is None:
+            return self.pool.kept(member)
+        return replace(member, columns=before.columns) if before.hyper == member.hyper else member
 
     def _report(self, sets: RankedSets) -> None:
         """Keep what the evidence shows, with the held-out errors without and with each effect, and what else it could be.
@@ -160,11 +169,14 @@ class EffectSelection:
             member = forms[effect.candidate.form]
             rest = tuple(m for m in reported.members if m is not member)
             lost = reported.log_evidence - estimated(rest, reported.point, 0.0).log_evidence
-            effect.p_value = float(np.exp(-max(lost, 0.0)))
-            effect.before, effect.after = self._mean_square_without(effect, weights, normals), after
-            effect.alternatives = [Alternative.of_label(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)]
+            self.worth[effect.candidate.form] = Worth(
+                p_value=float(np.exp(-max(lost, 0.0))),
+                before=self._mean_square_without(effect, weights, normals),
+                after=after,
+                alternatives=[Alternative.of_label(a.label, a.odds) for a in alternatives_of(sets, reported, member.label)],
+            )
 
-    def _mean_square_without(self, effect: SelectedEffect, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
+    def _mean_square_without(self, effect: Member, weights: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
         model, chosen = self.model, self.model.chosen(without=effect)
         if not effect.candidate.rows.channel_delay:
             return model.held_out_mean_square(chosen, normals)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,16 +11,17 @@ from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.findings import Alternative, NotSeparable
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.determination import at_bound
-from mbcacq.diagnosis.motion.effect_selection import EffectSelection
+from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Worth
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
 from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
-from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.effects.effect import Parameters, joined_parameters
-from mbcacq.effects.motion_effect import ChannelGroup
+from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.effects.effect import Candidate, Parameters, joined_parameters
+from mbcacq.effects.motion_effect import ChannelGroup, MotionRows
 
 ByRun = list[list[np.ndarray]]  # (T,) by joint of the group and run
 
@@ -41,12 +43,9 @@ class FittedEffect:
     and run, what it adds to the mismatch.
     """
 
-    name: str
-    where: tuple[str, ...]
-    depends_on: str
+    candidate: Candidate[MotionRows]
     parameters: Parameters
     p_value: float
-    joints: tuple[int, ...]
     gain: np.ndarray
     steps: list[FitStep]
     alternatives: list[Alternative]
@@ -98,7 +97,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     found = bodies(model, chosen)
     result = MotionFit(
         group=model.group,
-        effects=_effects(model, x, spread),
+        effects=_effects(model, selection.worth, x, spread),
         residual_before=residual_before,
         residual_after=_residuals(model, chosen, x),
         used=[[use[:, j] for use in model.group.use] for j in joints],
@@ -156,7 +155,7 @@ def _links(model: MotionModel, x: np.ndarray) -> ByRun:
     return [[group.base[run][:, j, :-n] @ inertial for run in range(len(model.runs))] for j in range(J)]
 
 
-def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[FittedEffect]:
+def _effects(model: MotionModel, worth: Mapping[tuple, Worth], x: np.ndarray, spread: np.ndarray) -> list[FittedEffect]:
     chosen = model.chosen()
     position = {int(c): i for i, c in enumerate(chosen)}
     continuous = continuous_effects(model)
@@ -164,32 +163,29 @@ def _effects(model: MotionModel, x: np.ndarray, spread: np.ndarray) -> list[Fitt
     for effect in model.selected:
         hyper = [len(chosen) + k for k, e in enumerate(continuous) if e is effect]
         hyper_std = float(np.sqrt(max(spread[hyper[0], hyper[0]], 0.0))) if hyper else 0.0
-        at = [position[int(i)] for i in effect.member.columns]
-        fitted = _fitted(model, effect, x[at], spread[np.ix_(at, at)], hyper_std)
+        at = [position[int(i)] for i in effect.columns]
+        fitted = _fitted(model, effect, worth.get(effect.candidate.form, Worth()), x[at], spread[np.ix_(at, at)], hyper_std)
         known = out.get(effect.candidate.location)
         out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)
     return list(out.values())
 
 
-def _fitted(model: MotionModel, effect: SelectedEffect, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
+def _fitted(model: MotionModel, effect: Member, worth: Worth, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
     candidate = effect.candidate
-    parameters = dict(candidate.parameters(c, v, effect.member.hyper, hyper_std))
+    parameters = dict(candidate.parameters(c, v, effect.hyper, hyper_std))
     notes = []
-    if candidate.hyper is not None and at_bound(effect.member):
+    if candidate.hyper is not None and at_bound(effect):
         del parameters[candidate.hyper.name]
         tried = np.sort(candidate.hyper.values)
         limits = f"{tried[0]:.3g} to {tried[-1]:.3g}"
         notes = [f"{candidate.hyper.name} is not determined: the best fit is at the end of what was tried, {limits}"]
     return FittedEffect(
-        name=candidate.name,
-        where=candidate.where,
-        depends_on=candidate.depends_on,
+        candidate=candidate,
         parameters=parameters,
-        p_value=effect.p_value,
-        joints=candidate.rows.joints,
-        gain=effect.before - effect.after,
-        steps=[FitStep(list(parameters), effect.before, effect.after)],
-        alternatives=effect.alternatives,
+        p_value=worth.p_value,
+        gain=worth.before - worth.after,
+        steps=[FitStep(list(parameters), worth.before, worth.after)],
+        alternatives=worth.alternatives,
         contributions=_delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c),
         notes=notes,
     )
@@ -210,19 +206,16 @@ def _joined(first: FittedEffect, other: FittedEffect) -> FittedEffect:
     )
 
 
-def _contribution(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:
+def _contribution(model: MotionModel, effect: Member, c: np.ndarray) -> ByRun:
     candidate = effect.candidate
     return [
-        [
-            candidate.rows.columns(run, j, effect.member.hyper) @ c if j in candidate.rows.joints else np.zeros(len(run.q))
-            for run in model.runs
-        ]
+        [candidate.rows.columns(run, j, effect.hyper) @ c if j in candidate.rows.joints else np.zeros(len(run.q)) for run in model.runs]
         for j in model.group.joints
     ]
 
 
-def _delayed(model: MotionModel, effect: SelectedEffect, c: np.ndarray) -> ByRun:
-    delay, signals = effect.member.value + float(c[0]), model.group.signal
+def _delayed(model: MotionModel, effect: Member, c: np.ndarray) -> ByRun:
+    delay, signals = effect.value + float(c[0]), model.group.signal
     return [
         [-shift_difference(signals[k][:, j], run.step_s, delay) for k, run in enumerate(model.runs)] for j in range(len(model.group.joints))
     ]

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.time_alignment import estimate_delay
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate
 
@@ -49,19 +50,19 @@ def _improved_orders(model: MotionModel) -> bool:
         ids = np.concatenate([chosen, *add_derivatives(model, chosen, x)]).astype(int)
         steps = store.solve(store.normal(weights), ids)[len(chosen) :]
         store.forget(mark)
-        for effect, step, (low, high) in zip(free, steps, bounds, strict=True):
-            hyper = float(np.clip(effect.member.value + step, low, high))
-            effect.at(hyper, model.add(effect.candidate, hyper))
-    return any(_is_order(e) and e.member.value in ends for e, ends in zip(free, bounds, strict=True))
+        for i, (step, (low, high)) in enumerate(zip(steps, bounds, strict=True)):
+            hyper = float(np.clip(free[i].value + step, low, high))
+            free[i] = model.moved(free[i], hyper, model.add(free[i].candidate, hyper))
+    return any(_is_order(e) and e.value in ends for e, ends in zip(free, bounds, strict=True))
 
 
-def _is_order(effect: SelectedEffect) -> bool:
+def _is_order(effect: Member) -> bool:
     """The values that are tried are a few about one that was found among many."""
     hyper = effect.candidate.hyper
     return hyper is not None and hyper.independent > len(hyper.values)
 
 
-def continuous_effects(model: MotionModel) -> list[SelectedEffect]:
+def continuous_effects(model: MotionModel) -> list[Member]:
     """The selected effects whose hyper-parameter is estimated."""
     return [e for e in model.selected if e.candidate.hyper is not None and e.candidate.hyper.refine]
 
@@ -74,8 +75,8 @@ def add_derivatives(model: MotionModel, chosen: np.ndarray, x: np.ndarray) -> li
     position = {int(c): i for i, c in enumerate(chosen)}
     out = []
     for effect in continuous_effects(model):
-        c = x[[position[int(i)] for i in effect.member.columns]]
-        h = effect.member.value
+        c = x[[position[int(i)] for i in effect.columns]]
+        h = effect.value
         d = NUMBERS.hyper_step * max(abs(h), SMALLEST_HYPER)
         columns = [_derivative(model, effect.candidate, joint, h, d, c) for joint in effect.candidate.rows.joints]
         out.append(model.store.add(model.joint_indices(effect.candidate), columns))
@@ -104,14 +105,14 @@ def update_load(model: MotionModel) -> None:
     model.set_runs(tuple(runs))
 
 
-def _neighbours(effect: SelectedEffect) -> tuple[float, float]:
+def _neighbours(effect: Member) -> tuple[float, float]:
     """The values tried next to the present one; beyond the largest, one more step. An order has no first or last value."""
     assert effect.candidate.hyper is not None
     values = np.sort(effect.candidate.hyper.values)
     if _is_order(effect):
         step = float(values[1] - values[0])
-        return effect.member.value - step, effect.member.value + step
-    k = int(np.argmin(np.abs(values - effect.member.value)))
+        return effect.value - step, effect.value + step
+    k = int(np.argmin(np.abs(values - effect.value)))
     low = values[k - 1] if k else values[0]
     high = values[k + 1] if k + 1 < len(values) else 2 * values[-1] - values[-2]
     return float(low), float(high)

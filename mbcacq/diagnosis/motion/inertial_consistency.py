@@ -60,7 +60,7 @@ def bodies(model: MotionModel, chosen: np.ndarray) -> InertialBodies | None:
         if catalogue.declaration(effect.candidate.name).adds_body:
             described = np.concatenate([described, np.zeros((1, BODY))])
             sigma = np.concatenate([sigma, np.ones((1, BODY))])
-            at = np.concatenate([at, position[effect.member.columns][None]])
+            at = np.concatenate([at, position[effect.columns][None]])
     return InertialBodies(described, sigma, at, position[base[len(base) - n :]])
 
 

@@ -76,7 +76,7 @@ def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[NotSepara
         return []
     out, there = [], {e.candidate.location for e in model.selected}
     for name in dict.fromkeys(c.name for c in pool.candidates if c.rows.load_parameters):
-        own = [e.member for e in model.selected if e.candidate.name == name and e.candidate.rows.usual]
+        own = [e for e in model.selected if e.candidate.name == name and e.candidate.rows.usual]
         variants = own or [
             v for variants in pool.usual() for v in variants if v.candidate.name == name and v.candidate.location not in there
         ]

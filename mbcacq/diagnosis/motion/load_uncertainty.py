@@ -32,7 +32,7 @@ def _load(model: MotionModel, j: int, chosen: np.ndarray, x: np.ndarray) -> tupl
     group, store = model.group, model.store
     links = store.base[len(group.joints) : -model.runs[0].q.shape[1]]  # the first are offsets, the last the rotors
     behind_gear = {int(i) for i in links}
-    behind_gear |= {int(i) for e in model.selected if not catalogue.declaration(e.candidate.name).motor_side for i in e.member.columns}
+    behind_gear |= {int(i) for e in model.selected if not catalogue.declaration(e.candidate.name).motor_side for i in e.columns}
     columns, at = store.training_columns(j, chosen)
     own = np.array([i for i, number in enumerate(chosen[at]) if int(number) in behind_gear], dtype=int)
     rigid = [run.rigid[:, group.joints[j]] for run in model.runs if run.rigid is not None]

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.findings import Alternative
 from mbcacq.diagnosis.motion.noise import third_difference_noise
 from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import NUMBERS
@@ -18,26 +17,6 @@ from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 LEAST_NOISE = 1e-6  # of a channel, as a share of its range: of simulated recordings without noise; encoders resolve a millionth of a turn
 
 
-@dataclass(eq=False)
-class SelectedEffect:
-    """before, after: held-out mean square (J,) without it and with it. p_value: one over the Bayes factor that it is worth in its set;
-    alternatives: what else could stand in its place."""
-
-    member: Member
-    p_value: float = 1.0
-    before: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    after: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    alternatives: list[Alternative] = field(default_factory=list)
-
-    @property
-    def candidate(self) -> Candidate:
-        return self.member.candidate
-
-    def at(self, hyper: float | None, columns: np.ndarray) -> None:
-        """Take another value of the hyper-parameter, whose columns have these numbers."""
-        self.member = replace(self.member, hyper=hyper, columns=columns)
-
-
 class MotionModel:
     """Columns of a group of channels and the effects selected among them. floor: (J,) standard deviation of the channels' noise."""
 
@@ -45,7 +24,7 @@ class MotionModel:
         """held, learnt: what takes part, as ``segments.segments`` has it."""
         self.group, self.runs = group, runs
         self.store = NormalStore(group, runs, held, learnt)
-        self.selected: list[SelectedEffect] = []
+        self.selected: list[Member] = []
         joints = range(len(group.joints))
         measured = group.signal or group.mismatch  # where there is no delay to be found, there is no signal beside the mismatch
         ranges = np.array([np.ptp(np.concatenate([one[:, j] for one in measured])) for j in joints])
@@ -74,19 +53,25 @@ class MotionModel:
         numbers = self.store.add_many([(self.group.index(j), column) for j, column in zip(joints, columns, strict=True)], sigmas)
         return [Member(c, h, columns=ids) for c, h, ids in zip(candidates, hypers, numbers, strict=True)]
 
+    def moved(self, effect: Member, hyper: float | None, columns: np.ndarray) -> Member:
+        """A selected effect at another value of its hyper-parameter, whose columns have these numbers; it is selected in its place."""
+        new = replace(effect, hyper=hyper, columns=columns)
+        self.selected = [new if one is effect else one for one in self.selected]
+        return new
+
     def set_runs(self, runs: tuple[MotionSignals, ...]) -> None:
         """The same runs with another load; columns of the effects that follow it are computed again."""
         self.runs = runs
         for effect in self.selected:
             if effect.candidate.rows.follows_load:
-                columns = [self.columns(effect.candidate, j, effect.member.hyper) for j in effect.candidate.rows.joints]
-                self.store.replace(effect.member.columns, self.joint_indices(effect.candidate), columns)
+                columns = [self.columns(effect.candidate, j, effect.hyper) for j in effect.candidate.rows.joints]
+                self.store.replace(effect.columns, self.joint_indices(effect.candidate), columns)
 
     # fit
 
-    def chosen(self, without: SelectedEffect | None = None) -> np.ndarray:
+    def chosen(self, without: Member | None = None) -> np.ndarray:
         """Numbers of the columns of the base and of the selected effects."""
-        return np.concatenate([self.store.base, *(e.member.columns for e in self.selected if e is not without)]).astype(int)
+        return np.concatenate([self.store.base, *(e.columns for e in self.selected if e is not without)]).astype(int)
 
     def weights(self, chosen: np.ndarray) -> np.ndarray:
         """What a sample of each joint (J,) counts: one over the mean square of the residual of these columns and over the number of samples
@@ -131,6 +116,6 @@ class MotionModel:
             out += base[:, j, : len(inertial)] @ x[[position[int(i)] for i in inertial]]
         for effect in self.selected:
             if effect.candidate.name not in without and joint in effect.candidate.rows.joints:
-                columns = effect.candidate.rows.columns(signals, joint, effect.member.hyper)
-                out += columns @ x[[position[int(i)] for i in effect.member.columns]]
+                columns = effect.candidate.rows.columns(signals, joint, effect.hyper)
+                out += columns @ x[[position[int(i)] for i in effect.columns]]
         return out

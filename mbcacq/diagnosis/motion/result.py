@@ -66,8 +66,8 @@ class MotionEffect(EffectInChannel):
     notes: tuple[str, ...] = ()
 
     @property
-    def removed(self) -> tuple[float | None, float]:
-        return self.held_out_gain_here, 0.0
+    def gain_here(self) -> float:
+        return self.held_out_gain_here
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,9 +80,8 @@ class UnmodelledMotionEffect(EffectInChannel):
     alternatives: tuple[Alternative, ...] = field(init=False, default=())
     trend: Annotated[str, Field(exclude=True)] = field(init=False, default="")
 
-    @property
-    def removed(self) -> tuple[float | None, float]:
-        return None, 0.0
+    def __post_init__(self) -> None:
+        """It is never a trend: it was held against noise by itself."""
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mbcacq.diagnosis.motion.result import ChannelFit, MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
 from mbcacq.diagnosis.output.evidence_summary import e_value_in_words
-from mbcacq.diagnosis.output.text import FINDINGS, TRENDS, reported, verdict_in_words
-from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.quantities import percent, significant, symbol
+from mbcacq.diagnosis.output.text import effect_lines, mismatch_lines, open_lines, verdict_in_words
+from mbcacq.quantities import significant, symbol
 
 CHANNELS = {
     "q_joint": "joint-side against motor-side angle",
@@ -38,21 +39,9 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
     """What the verdict rests on: mismatch, effects with their parameters, and residuals on held-out data, in lines."""
     lines = [f"The description of the data looks wrong: {s}" for s in diagnosis.suspicions]
     lines += [""] if diagnosis.suspicions else []
-    if diagnosis.mismatch:
-        lines.append("Where model and data disagree:")
-        for m in diagnosis.mismatch[:MOST_ROWS]:
-            lines.append(f"  {m.at:<8} depends on {m.depends_on:<14} share {percent(m.share)} ({CHANNELS[m.channel]})")
-        lines.append("")
-    for heading, trend in ((FINDINGS, False), (TRENDS, True)):
-        effects = [e for e in diagnosis.effects if bool(e.trend) is trend]
-        lines += [heading] if effects else []
-        for effect in effects:
-            lines += _describe(effect)
-    for pair in diagnosis.not_separable:
-        both = " and ".join(map(effect_in_words, pair.effects))
-        odds = "" if pair.odds is None else f"; {odds_in_words(pair.odds)} for the second"
-        lines.append(f"Not separated: {both} (correlation of the estimates {pair.correlation:.3f}{odds})")
-    lines += [f"To tell them apart: {a.reason}." for a in diagnosis.advice]
+    lines += mismatch_lines(diagnosis.mismatch[:MOST_ROWS], lambda m: f" ({CHANNELS[m.channel]})")
+    lines += effect_lines(diagnosis.effects, further)
+    lines += open_lines(diagnosis.not_separable, diagnosis.advice)
     for e in diagnosis.evidence:
         odds, found = e_value_in_words(e.evidence)
         lines.append(f"{CHANNELS[e.channel]}: effects against none {odds}, {found}.")
@@ -67,16 +56,9 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
     return "\n".join(lines)
 
 
-def _describe(effect: MotionEffect | UnmodelledMotionEffect) -> list[str]:
-    """The lines of one effect; of a trend no figure."""
-    where = ", ".join(effect.where)
-    if isinstance(effect, UnmodelledMotionEffect):
-        gain, rest = effect.held_out_gain, [size_of_shape(effect)]
-    else:
-        values = [effect.trend] if effect.trend else [reported(name, p) for name, p in effect.parameters.items()]
-        gain, rest = effect.held_out_gain_here, [*values, *effect.notes]
-    head = f"{effect_in_words(effect.name)} at {where} (removes {percent(gain)} of the excess there, on held-out data)"
-    return [head, *(f"  {line}" for line in rest)]
+def further(effect: MotionEffect | UnmodelledMotionEffect) -> Sequence[str]:
+    """What is said of an effect beside its parameters."""
+    return [size_of_shape(effect)] if isinstance(effect, UnmodelledMotionEffect) else effect.notes
 
 
 def size_of_shape(effect: UnmodelledMotionEffect) -> str:

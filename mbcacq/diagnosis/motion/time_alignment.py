@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
+from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.options import NUMBERS
+from mbcacq.diagnosis.search.effect_set import Member
 
 
 def estimate_delay(model: MotionModel) -> None:
@@ -20,17 +21,17 @@ def estimate_delay(model: MotionModel) -> None:
         return
     for _ in range(NUMBERS.delay_rounds):
         x = model.coefficients()
-        first = int(np.flatnonzero(model.chosen() == late.member.columns[0])[0])
+        first = int(np.flatnonzero(model.chosen() == late.columns[0])[0])
         _update_slope(model, late, x)
-        before, step = late.member.value, float(model.coefficients()[first])
+        before, step = late.value, float(model.coefficients()[first])
         delay = float(np.clip(before + step, -NUMBERS.longest_delay_s, NUMBERS.longest_delay_s))
-        late.at(delay, late.member.columns)
+        late = model.moved(late, delay, late.columns)
         model.store.correct_delay(delay)
         if abs(delay - before) < NUMBERS.delay_tolerance_s:
             return
 
 
-def _update_slope(model: MotionModel, late: SelectedEffect, x: np.ndarray) -> None:
+def _update_slope(model: MotionModel, late: Member, x: np.ndarray) -> None:
     """The column of the delay: for a torque, minus the rate of all that is simulated."""
     if model.group.name != "tau":
         return
@@ -42,4 +43,4 @@ def _update_slope(model: MotionModel, late: SelectedEffect, x: np.ndarray) -> No
             torque = run.rigid[:, joint] + model.simulated(j, k, x, without=(late.candidate.name,), rotors=True)
             rates.append(-np.gradient(torque, run.step_s))
         columns.append(np.concatenate(rates)[:, None])
-    model.store.replace(late.member.columns, list(range(len(columns))), columns)
+    model.store.replace(late.columns, list(range(len(columns))), columns)

@@ -23,8 +23,8 @@ def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[Motio
     uncertainty = np.zeros(runs[0].q.shape[1])
     for j, joint in enumerate(torque.group.joints):
         uncertainty[joint] = torque.load_uncertainty[j] if explained[j] else NUMBERS.unexplained_load_uncertainty
-    lost = [e for e in torque.effects if catalogue.declaration(e.name).motor_side]
-    passed = [e for e in torque.effects if not catalogue.declaration(e.name).motor_side]
+    lost = [e for e in torque.effects if catalogue.declaration(e.candidate.name).motor_side]
+    passed = [e for e in torque.effects if not catalogue.declaration(e.candidate.name).motor_side]
     out = []
     for k, run in enumerate(runs):
         load = available(run.rigid).copy()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
-from mbcacq.diagnosis.findings import Alternative, EffectFound, NotSeparable
+from mbcacq.diagnosis.findings import Advice, Alternative, EffectFound, MismatchEntry, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
@@ -16,6 +17,8 @@ from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 
+E = TypeVar("E", bound=EffectFound)
+M = TypeVar("M", bound=MismatchEntry)
 VERDICTS = {
     "none": "No effect: the simulation explains the recording {distance}.",
     "explained": "Explained: the effects below bring the simulation {distance}.",
@@ -42,22 +45,14 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
     lines = [first_sentence(d, floor)]
     lines += summary_lines(d, floor, calibrated)
     lines.append("")
-    if d.mismatch:
-        lines.append("Where model and data disagree:")
-        lines += [f"  {m.at:<10} depends on {m.depends_on:<18} share {percent(m.share)}" for m in d.mismatch]
-        lines.append("")
-    findings, trends = findings_and_trends(d.effects)
-    for heading, effects in ((FINDINGS, findings), (TRENDS, trends)):
-        lines += [heading] if effects else []
-        for effect in effects:
-            lines += describe(effect)
+    lines += mismatch_lines(d.mismatch)
+    lines += effect_lines(d.effects)
     lines += geometry_lines(d.geometry_alone)
     lines.append(held_out_line(d, floor))
     lines += proposal_lines(d.proposals)
     lines += limit_lines(d.exclusion_limits)
     lines += [difference(one) for one in d.between_recordings]
-    lines += [f"Cannot be told apart: {' and '.join(map(effect_in_words, pair.effects))} ({odds_of(pair)})" for pair in d.not_separable]
-    lines += [f"Measure next: {a.reason}" for a in d.advice[1:]]
+    lines += open_lines(d.not_separable, d.advice[1:])
     lines += [f"Note: {note}." for note in d.notes]
     return "\n".join(lines)
 
@@ -78,7 +73,29 @@ def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
     return f"On held-out data (by {held.split}): {rms}; χ²/dof {chi2}; expected from noise alone: {floor.noise} (k = 2)."
 
 
-def findings_and_trends(effects: Sequence[EffectFound]) -> tuple[list[EffectFound], list[EffectFound]]:
+def mismatch_lines(mismatch: Sequence[M], kind: Callable[[M], str] = lambda m: "") -> list[str]:
+    """What depends on what, with an empty line at the end. kind: of a mismatch, where there are several, in words."""
+    lines = [f"  {m.at:<10} depends on {m.depends_on:<18} share {percent(m.share)}{kind(m)}" for m in mismatch]
+    return ["Where model and data disagree:", *lines, ""] if lines else []
+
+
+def effect_lines(effects: Sequence[E], further: Callable[[E], Sequence[str]] = lambda e: ()) -> list[str]:
+    """The findings, then the trends. further: what is said of an effect beside its parameters."""
+    lines = list[str]()
+    for heading, some in zip((FINDINGS, TRENDS), findings_and_trends(effects), strict=True):
+        lines += [heading] if some else []
+        for effect in some:
+            lines += describe(effect, further(effect))
+    return lines
+
+
+def open_lines(not_separable: Sequence[NotSeparable], advice: Sequence[Advice]) -> list[str]:
+    """What cannot be told apart, and what to measure next."""
+    lines = [f"Cannot be told apart: {' and '.join(map(effect_in_words, pair.effects))} ({odds_of(pair)})" for pair in not_separable]
+    return [*lines, *(f"Measure next: {a.reason}" for a in advice)]
+
+
+def findings_and_trends(effects: Sequence[E]) -> tuple[list[E], list[E]]:
     """The effects with a figure that may be relied on, and those without one, each in their order."""
     return [e for e in effects if not e.trend], [e for e in effects if e.trend]
 
@@ -251,13 +268,12 @@ def limited(limit: ExclusionLimit) -> str:
     return f"{at} of {words} {with_unit(low, unit)}" if low == high else f"{at} of any {words} from {low} to {with_unit(high, unit)}"
 
 
-def describe(effect: EffectFound) -> list[str]:
-    """The lines of one effect, with an empty one at the end; of a trend no figure."""
-    out = [
-        f"{effect_in_words(effect.name)} at {', '.join(effect.where)} ({p_value(effect.p_value)}, "
-        f"removes {percent(effect.held_out_gain)} of the excess over noise)"
-    ]
-    out += [f"  {effect.trend}"] if effect.trend else [f"  {reported(name, estimate)}" for name, estimate in effect.parameters.items()]
+def describe(effect: EffectFound, further: Sequence[str] = ()) -> list[str]:
+    """The lines of one effect, with an empty one at the end; of a trend no figure. further: what is said beside its parameters."""
+    at = f"{effect_in_words(effect.name)} at {', '.join(effect.where)}"
+    out = [f"{at} ({p_value(effect.p_value)}, removes {percent(effect.gain_here)} of the excess over noise)"]
+    values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in effect.parameters.items()]
+    out += [f"  {line}" for line in (*values, *further)]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
     excluded = [a for a in effect.alternatives if a not in possible]
     for heading, some in (("could also be", possible), ("excluded in its place", excluded)):

@@ -37,12 +37,7 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
         (label, _misfit(fit[key], "before"), _misfit(fit[key], "after"))
         for key, label in (("train", "data fitted"), ("held_out", f"held-out data (by {fit['held_out']['split']})"))
     ]
-    remarks = [
-        f"Not separable: {' and '.join(map(effect_in_words, p['effects']))} (correlation {p['correlation']:.2f})."
-        for p in diagnosis.get("not_separable", ())
-    ]
-    remarks += [f"Measure next: {a['reason']}" for a in diagnosis.get("advice", ())]
-    remarks += [f"{_note(note)}." for note in diagnosis.get("notes", ())]
+    remarks = [*open_remarks(diagnosis), *(f"{_note(note)}." for note in diagnosis.get("notes", ()))]
     return DiagnosisContent(
         level=level,
         headline=headline,
@@ -103,6 +98,16 @@ def effect_content(effect: Mapping[str, Any]) -> EffectContent:
         harmonics=_harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
         trend=trend,
     )
+
+
+def open_remarks(diagnosis: Mapping[str, Any]) -> list[str]:
+    """What cannot be told apart, and what to measure next, of a diagnosis of poses or of motion."""
+    remarks = []
+    for one in diagnosis.get("not_separable", ()):
+        odds = "" if one.get("odds") is None else f", {odds_in_words(one['odds'])}"
+        both = " and ".join(map(effect_in_words, one["effects"]))
+        remarks.append(f"Not separable: {both} (correlation {one['correlation']:.2f}{odds}).")
+    return remarks + [f"Measure next: {a['reason'].removesuffix('.')}." for a in diagnosis.get("advice", ())]
 
 
 def _note(note: str) -> str:

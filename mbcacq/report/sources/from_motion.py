@@ -12,12 +12,11 @@ from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import CheckedChannel, MotionDiagnosis, MotionEffect, MotionMismatch, UnmodelledMotionEffect
 from mbcacq.diagnosis.motion.text import CHANNELS, size_of_shape, verdict_sentence
 from mbcacq.diagnosis.output.pictures import axis_of
-from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.model.json_text import plain
 from mbcacq.quantities import percent, significant, split_unit, symbol
 from mbcacq.report.content import EffectContent, MotionChannel, MotionContent, MotionKind
-from mbcacq.report.sources.from_diagnosis import VERDICTS, effect_content
+from mbcacq.report.sources.from_diagnosis import VERDICTS, effect_content, open_remarks
 from mbcacq.report.verdict import readable
 
 STRETCH_S = 20.0  # of a recording that is drawn: longer, and a reversal of an axis is narrower than a line
@@ -103,7 +102,10 @@ def _content(found: MotionDiagnosis, series: MotionSeries, both: PosesAndMotion 
         small=sum(not _listed(m) for m in found.mismatch),
         kinds=kinds,
         checks=[(one.recording or "the other recording", [_checked(c) for c in one.channels]) for one in found.checks],
-        remarks=_remarks(diagnosis),
+        remarks=[
+            *(f"The description of the data looks wrong: {text}." for text in diagnosis.get("suspicions", ())),
+            *open_remarks(diagnosis),
+        ],
         contradictions=[] if both is None else both.contradictions,
         both=[] if both is None else _as_one_problem(both),
     )
@@ -161,15 +163,6 @@ def _before_after(error: Mapping[str, Any]) -> tuple[tuple[str, str], tuple[str,
 def _checked(channel: CheckedChannel) -> tuple[str, str, str, str, str]:
     before, after = (significant(rms) for rms in (channel.error.before_rms, channel.error.after_rms))
     return channel.at, CHANNELS[channel.channel], before, after, symbol(channel.unit)
-
-
-def _remarks(diagnosis: Mapping[str, Any]) -> list[str]:
-    remarks = [f"The description of the data looks wrong: {text}." for text in diagnosis.get("suspicions", ())]
-    for pair in diagnosis.get("not_separable", ()):
-        odds = "" if pair.get("odds") is None else f"; {odds_in_words(pair['odds'])} for the second"
-        both = " and ".join(map(effect_in_words, pair["effects"]))
-        remarks.append(f"Not separable: {both} (correlation {pair['correlation']:.2f}{odds}).")
-    return remarks + [f"Measure next: {advice['reason']}." for advice in diagnosis.get("advice", ())]
 
 
 def _sentence(text: str) -> str:
