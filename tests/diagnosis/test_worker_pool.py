@@ -11,7 +11,7 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.validation import cross_validation
-from mbcacq.diagnosis.validation.workers import WorkerPool
+from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.errors import CalibrationError
 
 
