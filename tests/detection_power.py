@@ -24,7 +24,7 @@ from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects, noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.variance_components import NoisePrior
@@ -109,13 +109,15 @@ def most_probable(fit: EvidenceFit, truth: dict[str, Any]) -> bool:
 
 def with_estimated_hypers(setup: DiagnosisProblem, model: EffectSet) -> tuple[EffectSet, float]:
     """The model with orders and moments as these data would have them, and the number of independent choices of all of them."""
-    screen, members, choices = CandidateScoring.of(setup.linear, geometry_noise(setup)), list(model.effects), 1.0
-    for j, (candidate, _) in enumerate(members):
+    screen, members, choices = CandidateScoring.of(setup.linear, geometry_noise(setup)), list(model.members), 1.0
+    for j, candidate in enumerate(m.candidate for m in model.members):
         if candidate.hyper is not None:
-            others = screen.conditioned_on([(screen.block(c, h), prior_weight(c)) for c, h in members[:j] + members[j + 1 :]])
+            others = screen.conditioned_on(
+                [(screen.block(m.candidate, m.hyper), prior_weight(m.candidate)) for m in members[:j] + members[j + 1 :]]
+            )
             best = best_hyper(others, candidate)
-            members[j] = candidate, best.hyper
-            same = sum(c.key == candidate.key for c, _ in members[: j + 1])
+            members[j] = Member(candidate, best.hyper)
+            same = sum(m.candidate.key == candidate.key for m in members[: j + 1])
             choices *= max(independent_values(candidate.hyper, best.hyper in candidate.hyper.preferred) / same, 1.0)
     return EffectSet(tuple(members)), choices
 
@@ -161,11 +163,11 @@ def search_space(challenger: Challenger, scenario: Scenario, one: dict) -> tuple
     setup = prepare(observations)
     members = true_members(setup, plain(stated["effects"][0]))
     prior = SetPrior.of(setup.candidates, len(setup.design_blocks.locations))
-    share = np.exp(prior.log_probability_of_set([c for c, _ in members]))
-    for candidate, hyper in members:
-        if candidate.hyper is not None:
-            share /= independent_values(candidate.hyper, hyper in candidate.hyper.preferred)
-    return max(sum(c.k for c, _ in members), 1), min(float(share) * factorial(len(members)), 1.0)
+    share = np.exp(prior.log_probability_of_set([m.candidate for m in members]))
+    for m in members:
+        if m.candidate.hyper is not None:
+            share /= independent_values(m.candidate.hyper, m.hyper in m.candidate.hyper.preferred)
+    return max(sum(m.candidate.k for m in members), 1), min(float(share) * factorial(len(members)), 1.0)
 
 
 def ninety_percent_point(multiples: Sequence[float], found: np.ndarray) -> float:

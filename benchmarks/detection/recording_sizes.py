@@ -19,7 +19,7 @@ from scipy.stats import beta
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import Diagnosis
-from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import Covariates
@@ -123,7 +123,7 @@ def informed_chi2(observed: Observations, effect: tuple[str, tuple[str, ...], tu
     """What a likelihood-ratio test says that knows the effect and its place: chi2 of one degree of freedom where it is not there."""
     problem = prepare(observed)
     known = next(c for c in problem.candidates if (c.name, c.where) == effect[:2])
-    return likelihood_ratio(problem, EffectSet(((known, None),)))
+    return likelihood_ratio(problem, EffectSet((Member(known, None),)))
 
 
 def said_possible(found: Diagnosis, effect: tuple[str, tuple[str, ...], tuple[float, ...]]) -> bool:

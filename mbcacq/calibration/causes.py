@@ -58,8 +58,8 @@ def fault_of(lineariser: Lineariser, strict: Solution, known: Collection[int] = 
     known : Collection[int]
         Poses that were rejected already.
     """
-    misfit, dof = excess(lineariser, strict)
-    best = convincing(list(stories(lineariser, strict)), misfit) if misfit > SCATTER * np.sqrt(2 * dof) else None
+    misfit = beyond_noise(lineariser, strict, strict.cost)
+    best = convincing(list(stories(lineariser, strict)), misfit) if misfit else None
     return "" if best is None or best.pose in known else best.text
 
 
@@ -69,12 +69,12 @@ def misdescribed(obs: Observations) -> str:
     return exchanged_balls(obs) or "; ".join(map(str, wrong_descriptions(obs))) or other_arm(obs)
 
 
-def excess(lineariser: Lineariser, strict: Solution) -> tuple[float, float]:
-    """Chi square beyond what the noise explains, and the degrees of freedom."""
-    weights = strict.weights.centre * strict.weights.pose[lineariser.obs.pose]
-    flat = int(np.sum(~np.isfinite(strict.prior.sigma))) + int(strict.normal.station_rank.sum())
+def beyond_noise(lineariser: Lineariser, at: Solution, chi2: float) -> float:
+    """How much of a chi square with the weights of a solution the noise does not explain; 0 where it is within its scatter."""
+    weights = at.weights.centre * at.weights.pose[lineariser.obs.pose]
+    flat = int(np.sum(~np.isfinite(at.prior.sigma))) + int(at.normal.station_rank.sum())
     dof = max(lineariser.rows.width * float(weights.sum()) - flat, 1.0)
-    return strict.cost - dof, dof
+    return chi2 - dof if chi2 - dof > SCATTER * np.sqrt(2 * dof) else 0.0
 
 
 def convincing(found: list[Story], misfit: float) -> Story | None:

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.calibration.causes import exchanged_balls, fault_of, misdescribed
+from mbcacq.calibration.causes import beyond_noise, exchanged_balls, fault_of, misdescribed
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters, variance_components
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
-from mbcacq.estimation.solver import Solution, Weights, evaluated, reweighted_poses, solve
+from mbcacq.estimation.solver import Solution, Weights, solve
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
@@ -109,12 +109,10 @@ def stated_chi2_dof(adjustment: Adjustment, dof: int) -> float | None:
 
     The noise that a calibration estimates makes its own chi square 1, whatever is wrong.
     """
-    lineariser, cell = adjustment.lineariser, adjustment.lineariser.obs.cell
+    cell = adjustment.lineariser.obs.cell
     if cell.noise_mm is None or not cell.robot.repeatability_mm or dof < 1:
         return None
-    at = evaluated(lineariser, adjustment.solution)
-    *_, chi2 = reweighted_poses(lineariser, at, variance_components.first_noise(cell), adjustment.weights).right_hand_side()
-    return (chi2 + at.prior.cost) / dof
+    return adjustment.stated_chi2 / dof
 
 
 def every_pose(weights: Weights) -> Weights:
@@ -125,10 +123,13 @@ def every_pose(weights: Weights) -> Weights:
 def fault_while_recording(adjustment: Adjustment) -> str:
     """A sentence on a place, mount or joint that changed while an arm was recorded that is to be identified; '' where none explains the
     misfit, or where one pose does that was rejected already."""
-    lineariser = adjustment.lineariser
+    lineariser, solution, rejected = adjustment.lineariser, adjustment.solution, rejected_poses(adjustment)
+    if exchanged := exchanged_balls(lineariser.obs):
+        return exchanged
+    if not rejected and not beyond_noise(lineariser, solution, adjustment.stated_chi2):
+        return ""  # the fit under that noise misses by even less
     noise = variance_components.first_noise(lineariser.obs.cell)
-    strict = solve(lineariser, adjustment.solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
-    return exchanged_balls(lineariser.obs) or fault_of(lineariser, strict, known=rejected_poses(adjustment))
+    return fault_of(lineariser, solve(lineariser, solution, noise, every_pose(adjustment.weights), tolerance=1e-2), known=rejected)
 
 
 def rejected_poses(adjustment: Adjustment) -> list[int]:

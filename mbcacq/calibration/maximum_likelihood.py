@@ -103,7 +103,7 @@ def _collected(options: CalibrationOptions, fitted: Adjustment) -> CalibratedCel
 def _adjusted(obs: Observations, options: CalibrationOptions) -> Adjustment:
     """Raises CalibrationError as ``adjust_recording``, with what happened while the recording was made where that is why."""
     try:
-        return adjust_recording(obs, options)
+        return adjust_recording(obs, options, links_follow=options.kinematics)
     except ContradictionError:
         raise
     except CalibrationError as error:
@@ -166,7 +166,7 @@ def _unless_it_loses(
 
     def linked(some: Observations) -> Adjustment:
         if id(some) not in shared:  # three of the methods begin with it
-            shared[id(some)] = some, with_random_links(adjust_recording(some, lenient), lenient)
+            shared[id(some)] = some, with_random_links(adjust_recording(some, lenient, links_follow=True), lenient)
         return shared[id(some)][1]
 
     fits: dict[str, Callable[[Observations], tuple[CalibratedCell, Adjustment]]] = {

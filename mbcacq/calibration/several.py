@@ -104,7 +104,7 @@ def _together(problem: JointProblem, options: CalibrationOptions, effects: Effec
 def _fitted(problem: JointProblem, options: CalibrationOptions) -> CalibratedCell:
     obs = problem.observations
     options = replace(options, start=problem.start)
-    fitted = adjust(obs, options)
+    fitted = adjust(obs, options, links_follow=options.kinematics)
     fitted = with_random_links(fitted, options) if options.kinematics else fitted
     result = adjusted_cell(options, fitted)
     return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
@@ -136,7 +136,7 @@ def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
         if name in known:
             index, of = [position[one] for one in t.names], known[name]
             values, std = values + step[index], np.sqrt(np.diag(covariance)[index])
-            out.append(DayToDay(**vars(BetweenRecordings.of(of.name, of.where, name, values, std)), unit=of.units[of.names.index(name)]))
+            out.append(DayToDay.of(of.name, of.where, name, values, std, unit=of.units[of.names.index(name)]))
     return out
 
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from mbcacq.challenge.likelihood_gain import best_hyper, gain_at
-from mbcacq.diagnosis.evidence.hypothesis import Member, under
+from mbcacq.diagnosis.evidence.hypothesis import under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres
 from mbcacq.diagnosis.nonparametric.joint_model import noise_with
 from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation import folds, predictive_score
 from mbcacq.effects.catalogue import declaration
 from mbcacq.effects.declaration import EffectCoupling, Where
@@ -59,8 +59,7 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
     model, rest = EffectSet((*companions, *chain.from_iterable(each))), EffectSet(tuple(companions))
     linear = setup.linear
     sigma = noise_with(linear, model, setup.noise, setup.prior_noise)
-    members = tuple(Member(candidate, hyper) for candidate, hyper in model.effects)
-    better = kept_centres(under(NoisePoint(linear, setup.prior_noise, pack(sigma)), members, 0.0))
+    better = kept_centres(under(NoisePoint(linear, setup.prior_noise, pack(sigma)), model.members, 0.0))
     if np.mean(~better) < 0.05:
         linear = linear.restricted(better)
         sigma = noise_with(linear, model, sigma, setup.prior_noise)
@@ -70,10 +69,10 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
     return Achievable(before, after, known, tuple(less))
 
 
-def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
+def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[Member]:
     """The catalogue's candidates that are the injected effect; of several variants the one that fits best for its size."""
     if (coupling := declaration(effect["name"]).coupling) is not None:
-        return [(c, None) for c in coupling.candidates(setup.context, carriers(coupling, effect))]
+        return [Member(c, None) for c in coupling.candidates(setup.context, carriers(coupling, effect))]
     chosen = []
     screen = CandidateScoring.of(setup.linear, setup.noise)
     for group in location_sets(effect):
@@ -83,10 +82,10 @@ def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[
             for hyper in true_hypers(setup, candidate, effect):
                 scored.append((hyper, gain_at(screen, candidate, hyper) if hyper is not None else best_hyper(screen, candidate)))
         if any(c.periodic for c in fitting):
-            chosen += [(s.candidate, h) for h, s in scored]
+            chosen += [Member(s.candidate, h) for h, s in scored]
         elif scored:
             best = max((s for _, s in scored), key=lambda s: s.gain - 3 * s.k)
-            chosen.append((best.candidate, best.hyper))
+            chosen.append(Member(best.candidate, best.hyper))
     return chosen
 
 
@@ -95,13 +94,13 @@ def carriers(coupling: EffectCoupling, effect: dict[str, Any]) -> dict[Where, fl
     return {(f"A{i + 1}",): float(c) for i, c in enumerate(effect[coupling.parameter]) if c > 0}
 
 
-def elastic(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[tuple[Candidate, float | None]]:
+def elastic(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[Member]:
     """What an injected effect alone shows through (a wrong payload through elastic joints): it is no part of what the effect adds."""
     coupling = declaration(effect["name"]).coupling
     if coupling is None:
         return []
     where = carriers(coupling, effect)
-    return [(c, None) for c in setup.candidates if c.name == coupling.through and c.where in where]
+    return [Member(c, None) for c in setup.candidates if c.name == coupling.through and c.where in where]
 
 
 def location_sets(effect: dict[str, Any]) -> list[set[str]]:

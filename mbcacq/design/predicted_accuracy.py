@@ -21,7 +21,6 @@ from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.random_links import with_common_sizes
 from mbcacq.estimation.solver import Weights, system
 from mbcacq.model.json_text import AsJson, keyed
 from mbcacq.model.observations import Observations
@@ -97,7 +96,7 @@ def predicted_calibration(
     first = system(Lineariser(obs, layout, options), estimate, noise, weights)
     layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
     if options.kinematics and options.random_links:
-        layout = with_common_sizes(layout, blocks.usual_sizes(obs.cell))
+        layout = blocks.with_common_sizes(layout, blocks.usual_sizes(obs.cell))
     lineariser = Lineariser(obs, layout, options)
     solution = system(lineariser, estimate, noise, weights)
     return adjusted_cell(

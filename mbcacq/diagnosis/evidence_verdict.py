@@ -11,11 +11,12 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, not_separable, reported_hypothesis, undecided
+from mbcacq.diagnosis.findings import Alternative, NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
-from mbcacq.diagnosis.result import Alternative, EffectFound, NotSeparable
+from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.effects.effect_term import UNKNOWN
 
 
@@ -39,7 +40,7 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     return "partly_explained" if full.model.gain > rest else "unexplained"
 
 
-def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
+def with_alternatives(full: ModelFit, effects: Sequence[PoseEffect]) -> list[PoseEffect]:
     """The effects, each with the strongest others that could stand in its place; an unmodelled one of a long recording with the other
     locations of most evidence.
     """
@@ -102,8 +103,8 @@ def _describes_the_same(reported: Hypothesis, other: Hypothesis) -> bool:
 def displaced(reported: Hypothesis, hypothesis: Hypothesis, labels: frozenset[str]) -> np.ndarray:
     """(rows,) whitened displacement by some effects of a hypothesis, beyond the geometry, under the noise of the reported set."""
     found, p = coefficients(hypothesis), reported.point.projected
-    chosen = [(m, own) for m, own in zip(hypothesis.members, found.slices, strict=True) if m.label in labels]
-    moved = sum((p.block(m.candidate, m.hyper) @ found.mean[own] for m, own in chosen), np.zeros(len(p.r0)))
+    chosen = [(m, own) for m, own in zip(hypothesis.members, found.slices(), strict=True) if m.label in labels]
+    moved = sum((p.block(m.candidate, m.hyper) @ found.coefficients[own] for m, own in chosen), np.zeros(len(p.r0)))
     return moved - p.Q @ (p.Q.T @ moved)
 
 
@@ -116,7 +117,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 def sized(hypothesis: Hypothesis, labels: frozenset[str]) -> SizedEffect | None:
     """The first catalogued effect of these labels with its coefficients."""
     found = coefficients(hypothesis)
-    for m, p in zip(hypothesis.members, found.slices, strict=True):
+    for m, p in zip(hypothesis.members, found.slices(), strict=True):
         if m.label in labels and m.candidate.name != UNKNOWN:
-            return SizedEffect(m.candidate, m.hyper, found.mean[p])
+            return SizedEffect(m.candidate, m.hyper, found.coefficients[p])
     return None

@@ -59,7 +59,7 @@ class ModelFit:
     @property
     def empty(self) -> bool:
         """Whether nothing was found."""
-        return not self.random and not self.model.effects
+        return not self.random and not self.model.members
 
     def without_random_effects(self) -> ModelFit:
         return replace(self, random=(), estimated=None)

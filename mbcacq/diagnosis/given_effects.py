@@ -17,11 +17,11 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients, geometry_of
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
+from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.evidence_summary import shown, summarized
 from mbcacq.diagnosis.output.kept_model import term_of
 from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, is_long, prepare, thinned
-from mbcacq.diagnosis.result import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import can_be_kept
@@ -70,8 +70,8 @@ class PosesGiven:
         obs = self.problem.linear.obs
         here, found = Covariates(obs), coefficients(best)
         terms = [
-            term_of(here, m.candidate, m.hyper, found.mean[own], np.sqrt(np.diag(found.covariance)[own]))
-            for m, own in zip(best.members, found.slices, strict=True)
+            term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
+            for m, own in zip(best.members, found.slices(), strict=True)
         ]
         held = [replace(term_of(here, g.candidate, None, g.mean, g.std), held=True) for g in self.problem.given]
         return EffectModel(obs.cell.robot, (*held, *terms), LearntRecording.of(obs), obs.cell.measurement)

@@ -14,6 +14,7 @@ from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.evidence_verdict import alternatives_to
+from mbcacq.diagnosis.findings import EvidenceSummary
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.options import OPTIONS
@@ -22,7 +23,6 @@ from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect, elsewhere
 from mbcacq.diagnosis.output.sufficient_poses import excluded_share, limited_effects, says_too_little, weights
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare
-from mbcacq.diagnosis.result import EvidenceSummary
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.one_thread import one_thread

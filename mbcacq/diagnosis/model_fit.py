@@ -83,18 +83,12 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
     small = thinned(problem, keep, OPTIONS.searched_poses)
     best = reported_hypothesis(compared(small, small.linear, pack(small.noise), staged=True))
     random = random_effects_everywhere(problem, small, best, best.point.noise, known=True)[0] if unmodelled else ()
-    return transferred(small, problem, effects_of(best)), random
-
-
-def effects_of(hypothesis: Hypothesis) -> EffectSet:
-    """The effects of the catalogue of a hypothesis, without coefficients."""
-    return EffectSet(tuple((m.candidate, m.hyper) for m in hypothesis.catalogued))
+    return EffectSet(transferred(small, problem, best.catalogued)), random
 
 
 def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis) -> Hypothesis:
     """The effects of the catalogue found in a part of a recording, on all of it: outliers judged and linearised anew with them in place."""
-    each = ((m, transferred(small, problem, EffectSet(((m.candidate, m.hyper),)))) for m in found.catalogued)
-    members = tuple(replace(m, candidate=c, hyper=h) for m, there in each for c, h in there.effects)
+    members = transferred(small, problem, found.catalogued)
     point = NoisePoint(problem.linear, problem.prior_noise, found.point.theta)
     whole = estimated(members, point, found.log_prior)
     linear = relinearized(problem.linear, whole).restricted(kept_centres(whole))
@@ -116,7 +110,7 @@ def random_effects_everywhere(
 
     Sizes and noise are found in a thinned recording, to a few per cent; coefficients take all of it.
     """
-    there, linear = effects_of(found), relinearized(small.linear, replace(found, members=found.catalogued))
+    there, linear = EffectSet(found.catalogued), relinearized(small.linear, replace(found, members=found.catalogued))
     whole, chosen = problem.linear.obs, np.isin(problem.linear.obs.pose_id, small.linear.obs.pose_id)
     everywhere = groups_everywhere(problem)
     groups = [g.of_poses(chosen, whole.pose).of_unit_size(linear) for g in everywhere]

@@ -12,7 +12,7 @@ from mbcacq.calibration.several import shares
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import GeometryAlone
-from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.context import Context
@@ -175,16 +175,17 @@ def thinned(problem: DiagnosisProblem, keep: np.ndarray, most: int) -> Diagnosis
     return replace(problem, linear=linear, context=context, candidates=candidates, design_blocks=DesignBlocks(context))
 
 
-def transferred(source: DiagnosisProblem, target: DiagnosisProblem, model: EffectSet) -> EffectSet:
+def transferred(source: DiagnosisProblem, target: DiagnosisProblem, members: Sequence[Member]) -> tuple[Member, ...]:
     """The effects found on one thinning of a recording as candidates of another, to be solved anew there."""
     by_key = {c.key: c for c in target.candidates}
-    effects = []
-    for candidate, hyper in model.effects:
-        if candidate.hyper is not None and candidate.hyper.kind == MOMENT and hyper is not None:
+    out = []
+    for m in members:
+        hyper, known = m.hyper, m.candidate.hyper
+        if known is not None and known.kind == MOMENT and hyper is not None:
             hyper = same_moment(source, target, hyper)
-        if candidate.key in by_key:
-            effects.append((by_key[candidate.key], hyper))
-    return EffectSet(tuple(effects))
+        if m.candidate.key in by_key:
+            out.append(replace(m, candidate=by_key[m.candidate.key], hyper=hyper))
+    return tuple(out)
 
 
 def same_moment(source: DiagnosisProblem, target: DiagnosisProblem, moment: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import coupled
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, first_order
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, first_order
 from mbcacq.diagnosis.evidence.moments import with_moment_uncertainty
 from mbcacq.diagnosis.fitted_model import LocatedMismatch, ModelFit
 from mbcacq.diagnosis.nonparametric.joint_model import conditioned_on_effects
@@ -18,7 +18,7 @@ from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEf
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
-from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.estimation.linear_problem import LinearProblem
 
 
@@ -29,7 +29,7 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
     projected = CandidateScoring.of(linear, best.point.noise)
     agreed = coupled(problem.candidates, problem.context, best)
     members, values, covariance = part_of(agreed, lambda m: m in agreed.catalogued)
-    model = EffectSet(tuple((with_moment_uncertainty(agreed, m), m.hyper) for m in members), 0.0, values, covariance)
+    model = EffectSet(tuple(replace(m, candidate=with_moment_uncertainty(agreed, m)) for m in members), values, covariance)
     conditioned = conditioned_on_effects(projected, model)
     model = replace(model, gain=projected.chi2 - conditioned.chi2)
     estimated = random_effects(best) if best.unmodelled else None
@@ -49,9 +49,9 @@ def model_of(problem: DiagnosisProblem, fit: EvidenceFit, best: Hypothesis, line
 def part_of(hypothesis: Hypothesis, chosen: Callable[[Member], bool]) -> tuple[list[Member], np.ndarray, np.ndarray]:
     """Some effects of a hypothesis, their coefficients (k,) and the covariance (k, k) of these."""
     found = coefficients(hypothesis)
-    own = [(m, p) for m, p in zip(hypothesis.members, found.slices, strict=True) if chosen(m)]
+    own = [(m, p) for m, p in zip(hypothesis.members, found.slices(), strict=True) if chosen(m)]
     index = np.concatenate([np.zeros(0, int), *(np.arange(p.start, p.stop) for _, p in own)])
-    return [m for m, _ in own], found.mean[index], found.covariance[np.ix_(index, index)]
+    return [m for m, _ in own], found.coefficients[index], found.covariance[np.ix_(index, index)]
 
 
 def random_effects(best: Hypothesis) -> RandomEffectsModel:

@@ -1,32 +1,21 @@
-"""The diagnosis as typed objects, and as the JSON object (``mbcacq-diagnosis/3``) that other programs read; versions 1 and 2 are read too.
-
-Every class here is plain data: it pickles, and its fields are the keys of the JSON object, in their order.
-"""
+"""The diagnosis of poses as typed objects, and as the JSON object (``mbcacq-diagnosis/3``) that other programs read."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from html import escape
 from typing import Annotated, Any, Self
-
-from pydantic import Field, WithJsonSchema
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter
-from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.diagnosis.findings import EffectFound, EvidenceSummary, Findings, MismatchEntry
 from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
-from mbcacq.effects.trend import trend
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.model.json_text import InJson, Number, fields_as_json, from_document
-from mbcacq.quantities import micrometres, percent
-
-FORMAT = "mbcacq-diagnosis/3"
-READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
-THE_CONTENT, CURE = "this JSON content", "give a diagnosis as mbcacq diagnose --out writes it"
+from mbcacq.model.json_text import InJson, Number
+from mbcacq.quantities import micrometres
 
 
 def _model(file: EffectModelFile | None) -> EffectModel | None:
@@ -38,7 +27,35 @@ def _content(model: EffectModel | None) -> dict[str, Any] | None:
 
 
 Model = Annotated[EffectModel | None, InJson(EffectModelFile | None, _model, _content)]
-Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_explained", "unexplained", "cannot_tell"]})]
+
+
+@dataclass(frozen=True)
+class PoseMismatch(MismatchEntry):
+    """equivalent: other locations that move these centres alike, so that these data cannot tell which it is."""
+
+    equivalent: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseEffect(EffectFound):
+    """An effect that was found in poses.
+
+    p_value: as in version 1 of the format: p_local of a parametric effect, exp(-log Bayes factor) of an unmodelled one.
+    held_out_gain_std: standard deviation of held_out_gain, 0 where it is not known.
+    p_local: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect. p_corrected: by anything
+    that was tried (all candidates and values of their hyper-parameters, or all locations). log_bayes_factor: natural logarithm, of an
+    unmodelled effect against none. equivalent: other locations that act alike on these data.
+    """
+
+    p_local: float | None = None
+    p_corrected: float | None = None
+    log_bayes_factor: float | None = None
+    equivalent: tuple[str, ...] = ()
+    held_out_gain_std: Number = 0.0
+
+    @property
+    def removed(self) -> tuple[float | None, float]:
+        return self.held_out_gain, self.held_out_gain_std
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,72 +97,6 @@ class GeometryAlone:
 
 
 @dataclass(frozen=True)
-class MismatchEntry:
-    """A location and covariate at which recording and simulation differ. share: of the excess of chi2 over the noise, 0 to 1.
-
-    equivalent: other locations that move these centres alike, so that these data cannot tell which it is.
-    """
-
-    at: str
-    depends_on: str
-    share: Number
-    p_value: Number
-    equivalent: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Alternative:
-    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1. odds:
-    its posterior probability relative to the found effect's; None where that was not computed.
-    """
-
-    later = ("odds",)
-
-    name: str
-    where: tuple[str, ...]
-    held_out_gain: Number
-    odds: float | None = None
-
-    @classmethod
-    def of_label(cls, label: str, odds: float) -> Self:
-        """From ``name:where``; what it would remove is not computed."""
-        name, _, where = label.partition(":")
-        return cls(name, tuple(where.split("+")), 0.0, odds)
-
-
-@dataclass(frozen=True, kw_only=True)
-class EffectFound:
-    """One effect that the diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
-
-    parameters: by name, with the unit as its suffix. p_value: as in version 1 of the format: p_local of a parametric effect, exp(-log Bayes
-    factor) of an unmodelled one. held_out_gain: share of the held-out excess over the noise floor that the effect removes, 0 to 1;
-    held_out_gain_std: its standard deviation, 0 where it is not known.
-    p_local: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect. p_corrected: by anything
-    that was tried (all candidates and values of their hyper-parameters, or all locations). log_bayes_factor: natural logarithm, of an
-    unmodelled effect against none. equivalent: other locations that act alike on these data. trend: why it is a trend, of which no figure
-    may be relied on; empty for a finding.
-    """
-
-    name: str
-    where: tuple[str, ...]
-    parameters: Mapping[str, ParameterEstimate]
-    p_value: Number
-    held_out_gain: Number
-    alternatives: tuple[Alternative, ...] = ()
-    depends_on: str = ""
-    p_local: float | None = None
-    p_corrected: float | None = None
-    log_bayes_factor: float | None = None
-    equivalent: tuple[str, ...] = ()
-    held_out_gain_std: Number = 0.0
-    trend: str = field(init=False, default="")
-
-    def __post_init__(self) -> None:
-        sizes = {name: estimate.components for name, estimate in self.parameters.items()}
-        object.__setattr__(self, "trend", trend(sizes, self.held_out_gain, self.held_out_gain_std))
-
-
-@dataclass(frozen=True)
 class FitFigures:
     """How well the geometry alone (before) and the model with its effects (after) agree with centres: rms of 3D distances in mm, and
     chi2 per degree of freedom under the full noise model.
@@ -171,30 +122,6 @@ class FitSummary:
     train: FitFigures
     held_out: HeldOutFigures
     repeatability_floor_mm: Number
-
-
-TOGETHER = " and "  # between effects that stand together on one side of a pair
-
-
-@dataclass(frozen=True)
-class NotSeparable:
-    """Two effects, as ``name:where``, that these data cannot tell apart, and the correlation of what they explain. Several that stand
-    together are joined by ' and '. odds: posterior probability of the second relative to the first; None where that was not computed.
-    """
-
-    later = ("odds",)
-
-    effects: tuple[str, ...]
-    correlation: Number
-    odds: float | None = None
-
-
-@dataclass(frozen=True)
-class Advice:
-    """What to measure next and why; poses_deg: joint angles, one tuple a pose."""
-
-    reason: str
-    poses_deg: tuple[tuple[Number, ...], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,89 +206,24 @@ class Proposal:
     term: EffectTerm
 
 
-@dataclass(frozen=True)
-class ComparedEffect:
-    """One effect of a set that was compared. parameters: its posterior mean with standard deviations, the geometry refitted. tried: False
-    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried. prior: the parameters
-    without the effect, with the standard deviations that they have before the recording; log_prior: natural logarithm of its probability
-    next to the others of the set, before the recording; both are empty in older files.
-    """
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Diagnosis(Findings):
+    """The result of ``diagnose``, of poses.
 
-    later = ("prior", "log_prior")
-
-    name: str
-    where: tuple[str, ...]
-    parameters: Mapping[str, ParameterEstimate]
-    tried: bool = True
-    prior: Mapping[str, ParameterEstimate] = field(default_factory=dict)
-    log_prior: float | None = None
-
-
-@dataclass(frozen=True)
-class ComparedSet:
-    """A set of effects that was compared. log_odds: natural logarithm of its posterior probability relative to the most probable set's."""
-
-    effects: tuple[ComparedEffect, ...]
-    log_odds: Number
-
-
-@dataclass(frozen=True)
-class EvidenceSummary:
-    """The evidence of a recording: what decides whether there is an effect, and which.
-
-    poses: that took part. log_e_value: natural logarithm of the evidence of all sets with an effect together against none;
-    least_log_e_value: above which there is an effect. Since the e-value of a recording that grows has mean one without any effect, this
-    holds at every look. sets: the most probable first, the empty one among them. untried: a sentence about each set that stands for what
-    was not tried and is not excluded.
-    """
-
-    later = ("untried",)
-
-    poses: int
-    log_e_value: Number
-    least_log_e_value: Number
-    sets: tuple[ComparedSet, ...]
-    untried: tuple[str, ...] = ()
-
-    @property
-    def significant(self) -> bool:
-        """Whether there is an effect."""
-        return self.log_e_value > self.least_log_e_value
-
-
-@dataclass(frozen=True)
-class GivenEvidence:
-    """The evidence of poses with what the motion of the same run is sure of as their prior. given: labels (``name:where``) of the effects
-    that were given, which are in all sets of ``evidence``, with the parameters that the poses alone state of them there.
-    """
-
-    given: tuple[str, ...]
-    evidence: EvidenceSummary
-
-
-@dataclass(frozen=True, kw_only=True)
-class Diagnosis:
-    """The result of ``diagnose``.
-
-    verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first.
     geometry_alone: the cell of each recording before any effect, as a calibration has it; empty in older files. dropped: effects that were
     not considered, with what the recording lacks for them. notes: further sentences for people. exclusion_limits: of all effects that
     were not found, those with the largest error first. between_recordings: of several recordings of one arm. proposals: formulas for
     unmodelled effects, where they were asked for, the most probable of each location first. noise_depends_on: where one noise for all
     poses would be wrong. model: the effects as terms that a calibration takes; None where there is none. evidence: of the sets that were
-    compared; None in older files. plot_data: an ``output.pictures.PlotData`` from which pictures are drawn; it is no part of the JSON
-    object, so None after ``from_json``.
+    compared; None in older files. plot_data: an ``output.pictures.PlotData``.
     """
 
     later = ("geometry_alone", "exclusion_limits", "between_recordings", "proposals", "noise_depends_on", "evidence")
 
-    verdict: Verdict
-    mismatch: tuple[MismatchEntry, ...]
-    effects: tuple[EffectFound, ...]
+    mismatch: tuple[PoseMismatch, ...]
+    effects: tuple[PoseEffect, ...]
     fit: FitSummary
     geometry_alone: tuple[GeometryAlone, ...] = ()
-    not_separable: tuple[NotSeparable, ...] = ()
-    advice: tuple[Advice, ...] = ()
     dropped: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     exclusion_limits: tuple[ExclusionLimit, ...] = ()
@@ -370,42 +232,9 @@ class Diagnosis:
     noise_depends_on: tuple[NoiseDependence, ...] = ()
     model: Model = field(default=None, compare=False)
     evidence: EvidenceSummary | None = None
-    plot_data: Annotated[object | None, Field(exclude=True)] = field(default=None, compare=False)
 
-    def to_json(self) -> dict[str, Any]:
-        """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
-        return {"format": FORMAT} | fields_as_json(self)
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Diagnosis:
-        """The diagnosis that ``to_json`` wrote; a None becomes not-a-number, keys that the format does not have are left out.
-
-        Raises ConfigError where the object has another format or lacks a key.
-        """
-        return from_document(cls, content, READABLE, THE_CONTENT, "diagnosis", CURE)
-
-    def __repr__(self) -> str:
-        found = "; ".join(f"{e.name} at {', '.join(e.where)}" for e in self.effects) or "no effect"
+    @property
+    def held_out(self) -> str:
         held = self.fit.held_out
-        rms = f"{micrometres(held.before_rms_mm)} -> {micrometres(held.after_rms_mm)}"
-        return f"<Diagnosis {self.verdict}: {found}; held-out rms {rms}>"
-
-    def _repr_html_(self) -> str:
-        """A table of the effects for a notebook."""
-        held = self.fit.held_out
-        rows = [
-            (
-                e.name,
-                ", ".join(e.where),
-                f"a trend: {e.trend}" if e.trend else "<br>".join(escape(parameter_in_words(*p)) for p in list(e.parameters.items())[:8]),
-                percent(e.held_out_gain),
-            )
-            for e in self.effects
-        ]
-        body = "".join(f"<tr><td>{escape(n)}</td><td>{escape(w)}</td><td>{p}</td><td>{g}</td></tr>" for n, w, p, g in rows)
-        table = f"<table><tr><th>effect</th><th>where</th><th>parameters</th><th>removes</th></tr>{body}</table>" if rows else ""
-        return (
-            f"<p><b>{escape(self.verdict)}</b>; held out: "
-            f"{micrometres(held.before_rms_mm)} before, {micrometres(held.after_rms_mm)} after; "
-            f"χ²/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after; ± is U (k = 2)</p>{table}"
-        )
+        rms = f"{micrometres(held.before_rms_mm)} before, {micrometres(held.after_rms_mm)} after"
+        return f"{rms}; χ²/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_alternatives
+from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.between_recordings import between_recordings
@@ -20,7 +21,7 @@ from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, s
 from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, MismatchEntry, NotSeparable
+from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures, PoseEffect, PoseMismatch
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -39,8 +40,8 @@ class JudgedFit:
     before: PredictiveScore
     residual: np.ndarray
     verdict: str
-    mismatch: list[MismatchEntry]
-    effects: list[EffectFound]
+    mismatch: list[PoseMismatch]
+    effects: list[PoseEffect]
     not_separable: tuple[NotSeparable, ...]
     pairs: tuple[tuple[SizedEffect, SizedEffect], ...]
 

@@ -125,7 +125,8 @@ def _recorded(here: Covariates, kind: str) -> np.ndarray | None:
 
 
 def _by_own_angle(here: Covariates, j: int, orders: Iterable[int]) -> list[EffectTerm]:
-    """One group for each number of periods a turn: a wheel has one, and a size for all would spread over the others."""
+    """One group for each number of periods a turn: a wheel has one, and a size for all would spread over the others. Outside of the angles
+    that were visited they fade (``EffectTerm.fades``)."""
     name = f"q{j + 1}"
     return [_term(here, j, name, (sine(name, k), cosine(name, k)), np.full(2, OPTIONS.start_rad / k), f"order {k}") for k in orders]
 

@@ -26,7 +26,7 @@ GAP = np.radians(5.0)  # between visited angles from which the angles between co
 MARGIN = 0.02  # of a range, by which a value may leave it
 FADES_OVER = np.radians(10.0)  # beyond the visited angles: two such steps on nothing is left of what was learnt
 FADES_OVER_SHARE = 0.1  # the same, of the range of any other covariate
-SMOOTH = "smooth"  # variant of the discrepancy of a calibration: told from the groups of a diagnosis
+SMOOTH = "smooth"  # variant of those groups of a calibration's discrepancy that go on where the recording was not
 GIVES_WAY = "rad/Nm"  # unit of what turns in proportion to a load
 COMMON_PATTERN = "common pattern"  # variant of what several joints share: each learns of it in the range of the others
 
@@ -178,7 +178,7 @@ class EffectTerm(EveryKey):
         **fields: Any,
     ) -> EffectTerm:
         """A group of basis functions of which the recording has not said anything yet. sigma: (k,) prior; fields: clamped, hyper."""
-        label, nothing = key_of(UNKNOWN, where, depends_on, variant, {}), np.zeros(len(sigma))
+        label, nothing = key_of(UNKNOWN, where, depends_on, variant, fields.get("hyper", {})), np.zeros(len(sigma))
         return cls(
             name=UNKNOWN,
             where=where,
@@ -238,8 +238,12 @@ class EffectTerm(EveryKey):
     @property
     def fades(self) -> bool:
         """Whether it shrinks to nothing outside of where it was learnt: a smooth function says nothing of what lies beyond its data. What
-        gives way to a load is no such function, and is held at the end of its range. The discrepancy of a calibration goes on, with the
-        uncertainty of its coefficients.
+        gives way to a load is no such function, and is held at the end of its range.
+
+        The discrepancy of a calibration has both. A joint's own error by periods a turn (``order k``) and the softening of a wind-up are
+        known in the range of the data alone, and fade. Its other groups (variant ``SMOOTH``) go on, with the uncertainty of their
+        coefficients: wind-up is proportional to the torque beyond the torques that were there, too, a coupling to the other joint's angle,
+        and a direction of arrival or a product of two first harmonics has no end of a range.
         """
         return self.name == UNKNOWN and self.variant not in (COMMON_PATTERN, SMOOTH) and GIVES_WAY not in self.units
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -19,15 +19,27 @@ from mbcacq.estimation.identifiability import Undetermined, determines, hold_und
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import outlier_distances, reject_outliers
-from mbcacq.estimation.parameters import Estimate, ParameterLayout, usual_sizes
+from mbcacq.estimation.parameters import Estimate, ParameterLayout, usual_sizes, with_common_sizes
 from mbcacq.estimation.random_effect_sizes import sizes_of_groups
-from mbcacq.estimation.solver import LINEAR_ROTATION, Solution, Weights, evaluated, gauss_newton_step, solve, system, with_prior_of
+from mbcacq.estimation.solver import (
+    LINEAR_ROTATION,
+    Solution,
+    Weights,
+    evaluated,
+    gauss_newton_step,
+    reweighted_poses,
+    solve,
+    system,
+    with_prior_of,
+)
 from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
 COARSE, FINE = 1e-2, 1e-7
 OUTLIER_ROUNDS, NOISE_ROUNDS, HALVINGS = 8, 30, 6
 NOISE_GAIN = 0.01  # of the log posterior: then the noise is within 0.14 of its own standard deviation before the last step
+# The same where the noise is settled once more, with random links: within two standard deviations, of which the last step leaves little.
+ROUGH_NOISE_GAIN = 2.0
 REJECTED_SHARE = 0.4
 COARSE_ROTATION = 5e-3  # rad over which the columns of the hand-eye alone are kept: its residuals are kinematic errors of that order
 CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the data cannot be of this cell
@@ -41,13 +53,13 @@ SIZE_TURNS, SIZE_ROUNDS = 12, 60  # turns of noise and sizes; steps of the fixed
 THIN = 200  # poses that settle geometry and noise before all of a large recording are looked at
 
 
-def adjust_recording(obs: Observations, options: CalibrationOptions) -> Adjustment:
-    """The adjustment of a whole recording; of a long one, that of a part of its poses is the start.
+def adjust_recording(obs: Observations, options: CalibrationOptions, links_follow: bool = False) -> Adjustment:
+    """The adjustment of a whole recording; of a long one, that of a part of its poses is the start. links_follow: as ``adjust`` has it.
 
     Raises ContradictionError where the data contradict the cell or, with ``options.refuse``, leave it undetermined.
     """
     first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not (options.terms or options.displaced) else None
-    return adjust(obs, options, first)
+    return adjust(obs, options, first, links_follow)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,9 +82,17 @@ class Adjustment:
         """(M,) bool: centres that took part."""
         return (self.weights.centre > 0) & (self.weights.pose[self.lineariser.obs.pose] > 0)
 
+    @cached_property
+    def stated_chi2(self) -> float:
+        """Chi square under the noise that scanner and data sheet state, or a guess of their class, with the prior rows."""
+        at, noise = evaluated(self.lineariser, self.solution), variance_components.first_noise(self.lineariser.obs.cell)
+        *_, chi2 = reweighted_poses(self.lineariser, at, noise, self.weights).right_hand_side()
+        return chi2 + at.prior.cost
 
-def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | None = None) -> Adjustment:
-    """Everything from the start to the settled noise; ``first``, an adjustment of some of the poses, saves most of it."""
+
+def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | None = None, links_follow: bool = False) -> Adjustment:
+    """Everything from the start to the settled noise; ``first``, an adjustment of some of the poses, saves most of it. links_follow:
+    ``with_random_links`` comes next, which settles the noise where there are such links."""
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     if first is None:
         preliminary = fit_hand_eye(obs, options)
@@ -91,7 +111,10 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
     if found:
         lineariser = Lineariser(obs, layout, options)
     solution, weights = robust_solve(lineariser, start if found else at, noise, weights, options, COARSE)
-    lineariser, solution, noise, weights = settle_variances(lineariser, solution, noise, weights, options)
+    links_follow = links_follow and options.random_links
+    lineariser, solution, noise, weights = settle_variances(
+        lineariser, solution, noise, weights, options, noise_gain=_noise_gain(layout, links_follow)
+    )
     layout = lineariser.layout
     # Noise larger than expected may leave more undetermined than the first look showed.
     layout, more = hold_undetermined(layout, solution.normal.information, obs, solution.estimate.state)
@@ -100,7 +123,9 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         found = [*found, *more]
         lineariser = Lineariser(obs, layout, options)
         solution = solve(lineariser, _back_to_nominal(solution.estimate, layout, obs), noise, weights, tolerance=COARSE)
-        lineariser, solution, noise, weights = settle_variances(lineariser, solution, noise, weights, options)
+        lineariser, solution, noise, weights = settle_variances(
+            lineariser, solution, noise, weights, options, noise_gain=_noise_gain(layout, links_follow)
+        )
         layout = lineariser.layout
     exact = evaluated(lineariser, solution)
     if exact.normal.decrease(gauss_newton_step(exact.normal, layout.gather("scale"), 0.0)) > COARSE:
@@ -109,6 +134,10 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
         exact, noise, weights = settle_noise(lineariser, exact, noise, weights, options)
     solution = solve(lineariser, exact, noise, weights, tolerance=FINE)
     return Adjustment(lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=preliminary, found=found)
+
+
+def _noise_gain(layout: ParameterLayout, links_follow: bool) -> float:
+    return ROUGH_NOISE_GAIN if links_follow and with_common_sizes(layout) is not layout else NOISE_GAIN
 
 
 def thin(obs: Observations, size: int) -> Observations:
@@ -194,36 +223,44 @@ def robust_solve(
 
 
 def settle_variances(
-    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions
+    lineariser: Lineariser,
+    solution: Solution,
+    noise: Noise,
+    weights: Weights,
+    options: CalibrationOptions,
+    sizes_first: bool = False,
+    noise_gain: float = NOISE_GAIN,
 ) -> tuple[Lineariser, Solution, Noise, Weights]:
     """Noise, and the sizes of the random effects that have none of their own, by turns until both are settled; the lineariser has them as
-    priors. Sizes begin large: the noise then holds only what no random effect explains.
+    priors. Sizes begin large: the noise then holds only what no random effect explains. sizes_first: the noise is settled with the
+    same effects free, which is as large as they can be. noise_gain: as ``settle_noise`` has it.
     """
     first = lineariser.layout
     size, usual = dict.fromkeys(first.sized, 1.0), usual_sizes(lineariser.obs.cell)
-    for _ in range(SIZE_TURNS if size else 1):
-        solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options)
+    for turn in range(SIZE_TURNS if size else 1):
+        if turn or not sizes_first:
+            solution, noise, weights = settle_noise(lineariser, solution, noise, weights, options, noise_gain)
         if not size:
             break
         before, present = size, LEAST_SIZE / min(size.values())
         factor = sizes_of_groups(solution.normal, solution.prior, lineariser.layout.sized, (present, LARGEST_SIZE), SIZE_ROUNDS, usual)
         size = {name: float(np.clip(factor[name] * s, LEAST_SIZE, LARGEST_SIZE)) for name, s in size.items()}
         lineariser = lineariser.with_layout(first.resized(size))
-        solution = solve(lineariser, with_prior_of(lineariser, solution), noise, weights, tolerance=COARSE)
+        solution = solve(lineariser, with_prior_of(lineariser, solution), noise, weights, tolerance=COARSE, within_linear=True)
         if max(abs(np.log(size[name] / before[name])) for name in size) < SIZE_CONVERGED:
             break
     return lineariser, solution, noise, weights
 
 
 def settle_noise(
-    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions
+    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions, noise_gain: float = NOISE_GAIN
 ) -> tuple[Solution, Noise, Weights]:
-    """Estimate the noise by REML and refit, by turns, until its log posterior can rise by less than NOISE_GAIN; reject outliers again, and
-    where that changes what takes part, all of it once more."""
+    """Estimate the noise by REML and refit, by turns, until its log posterior can rise by less than ``noise_gain``; reject outliers
+    again, and where that changes what takes part, all of it once more."""
     prior = variance_components.noise_prior(lineariser.obs.cell, options.noise)
     for _ in range(OUTLIER_ROUNDS):
         refit = partial(_refitted, lineariser, weights)
-        solution, noise = most_probable_noise(refit, solution, noise, prior)
+        solution, noise = most_probable_noise(refit, solution, noise, prior, enough=noise_gain)
         before = weights
         solution, weights = robust_solve(lineariser, solution, noise, weights, options, COARSE)
         if weights is before:
@@ -236,9 +273,15 @@ def _refitted(lineariser: Lineariser, weights: Weights, at: Solution, noise: Noi
 
 
 def most_probable_noise(
-    refit: Callable[[Solution, Noise], Solution], solution: Solution, noise: Noise, prior: NoisePrior, rounds: int = NOISE_ROUNDS
+    refit: Callable[[Solution, Noise], Solution],
+    solution: Solution,
+    noise: Noise,
+    prior: NoisePrior,
+    rounds: int = NOISE_ROUNDS,
+    enough: float = NOISE_GAIN,
 ) -> tuple[Solution, Noise]:
-    """Noise by REML, and the fit with it. refit: the fit under another noise, from the one before.
+    """Noise by REML, and the fit with it. refit: the fit under another noise, from the one before. enough: gain of the log posterior,
+    with a step that promises less than which it ends.
 
     A step that would lower the log posterior is halved: variance components that share one excess would all take it up at once, and give
     it back in the next step.
@@ -253,7 +296,7 @@ def most_probable_noise(
                 solution, noise, reached = there, proposed, value
                 break
             proposed = variance_components.between(noise, proposed)
-        if gain < NOISE_GAIN or noise is not proposed:
+        if gain < enough or noise is not proposed:
             break
     return solution, noise
 

@@ -144,7 +144,8 @@ class LinearProblem:
 
     def twist(self, location: str, index: int, component: int) -> np.ndarray:
         """(P, 6): spatial twist of the arm, in the base frame, by a unit of one component of a joint, a frame of the arm or a station."""
-        return terms.unit_twist(self.obs, self.prediction, location, index, component)
+        key = location, index, component
+        return self.computed_once(("twist", *key), lambda: terms.unit_twist(self.obs, self.prediction, *key))
 
     def unit(self, location: str, index: int, component: int) -> np.ndarray:
         """(M, R): change of the prediction by a unit of one component of one location."""

@@ -5,6 +5,7 @@ maximum likelihood (Hardy, Thompson 1996).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from scipy.special import chdtrc
@@ -34,8 +35,8 @@ class BetweenRecordings:
     p_value: Number
 
     @classmethod
-    def of(cls, name: str, where: tuple[str, ...], parameter: str, values: np.ndarray, std: np.ndarray) -> BetweenRecordings:
-        """The random effect behind values (R,) with standard deviations (R,)."""
+    def of(cls, name: str, where: tuple[str, ...], parameter: str, values: np.ndarray, std: np.ndarray, **further: Any) -> Self:
+        """The random effect behind values (R,) with standard deviations (R,). further: fields that a subclass adds."""
         between = between_std(values, std)
         common, own = weighted_mean(values, std**2 + between**2)
         fixed, _ = weighted_mean(values, std**2)
@@ -49,6 +50,7 @@ class BetweenRecordings:
             common_std=own,
             between_std=between,
             p_value=float(chdtrc(len(values) - 1, np.sum((values - fixed) ** 2 / std**2))),
+            **further,
         )
 
 

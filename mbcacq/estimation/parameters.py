@@ -36,6 +36,7 @@ ORDINARY_LINKS = {LENGTHS: 0.2 / LINK_START[LENGTHS], ANGLES: 5e-4 / LINK_START[
 # arm is built. Sizes at the start as above.
 KINDS = {"theta": "joint zeros", "alpha": "link twists", "beta": "link twists", "d": "lengths", "a": "lengths"}
 KINDS_START = {"joint zeros": 1e-2, "link twists": 3e-3, "lengths": 1.0}
+LEAST_OF_A_KIND = 3  # fewer free parameters say nothing of a common size and stay without one
 USUAL_ANGLE, USUAL_SHARE = 5e-4, 2e-4  # rad; of the reach: an arm of 1 m errs by 0.2 mm in its lengths
 
 
@@ -190,6 +191,34 @@ def usual_sizes(cell: Cell) -> dict[str, float]:
     """sigma (rad, mm) that each kind of errors usually has in an arm of this size that is to be identified."""
     length = USUAL_SHARE * 2 * float(cell.robot.chain.lever.max())
     return {kind: length if kind == "lengths" else USUAL_ANGLE for kind in KINDS_START}
+
+
+def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = KINDS_START) -> ParameterLayout:
+    """The layout with random errors of the links.
+
+    Parameters
+    ----------
+    layout : ParameterLayout
+        Layout of an arm that is to be identified.
+    sizes : mapping
+        sigma (mm, rad) of each kind of error.
+
+    Returns
+    -------
+    ParameterLayout
+        The same where the links have a prior of their own, or too few of them are free.
+    """
+    chain = layout.blocks[0]
+    if chain.group is not None or np.isfinite(chain.sigma[chain.free]).any():
+        return layout
+    kind = np.array([KINDS[p] for p in PARAMETERS] * (len(chain.names) // len(PARAMETERS)))
+    common = {name for name in KINDS_START if np.sum(chain.free & (kind == name)) >= LEAST_OF_A_KIND}
+    if not common:
+        return layout
+    group = tuple(name if name in common else "" for name in kind)
+    sigma = np.array([sizes[g] if g else np.inf for g in group])
+    block: ParameterBlock = replace(chain, sigma=sigma, group=group)
+    return ParameterLayout((block, *layout.blocks[1:]))
 
 
 def arm_prior(cell: Cell, options: CalibrationOptions) -> ArmPrior | None:

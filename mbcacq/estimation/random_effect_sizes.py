@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 
 from mbcacq.estimation.normal_equations import Normal, Prior, inverse_of_lower
 
@@ -89,11 +89,12 @@ def sizes_of_groups(
 
 
 def gain_of_groups(
-    normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], largest: float, rounds: int
+    normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray], limits: tuple[float, float], rounds: int
 ) -> tuple[float, dict[str, float]]:
-    """Log marginal likelihood that groups add, under fixed noise, at the sizes that maximise it; and these, in their present size."""
+    """Log marginal likelihood that groups add, under fixed noise, at the sizes that maximise it; and these, in their present size, zero of
+    groups smaller than the first of the limits."""
     S, b, slices = _conditioned(normal, prior, groups)
-    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, largest), rounds)
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), limits, rounds)
     size = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, found, strict=True)])
     alive, by_name = size > 0, dict(zip(groups, found.tolist(), strict=True))
     if not alive.any():
@@ -160,8 +161,8 @@ def posterior_of(S: np.ndarray, b: np.ndarray, prior: np.ndarray) -> tuple[np.nd
     root = np.sqrt(prior)  # in units of their prior sigma the coefficients' normal matrix is never worse than the identity
     normal, diagonal = S * np.outer(root, root), np.arange(len(S))
     normal[diagonal, diagonal] += 1.0
-    factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
-    return root * cho_solve((factor, True), root * b, check_finite=False), inverse_of_lower(factor) * root
+    half = inverse_of_lower(np.linalg.cholesky(normal))
+    return root * (half.T @ (half @ (root * b))), half * root
 
 
 def joined(slices: Sequence[slice]) -> np.ndarray:

@@ -8,18 +8,12 @@ With a common size for each kind of error, estimated by restricted maximum likel
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
-from mbcacq.estimation.adjustment import COARSE, FINE, Adjustment, settle_variances
+from mbcacq.estimation.adjustment import FINE, Adjustment, settle_variances
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.parameters import KINDS, KINDS_START, ParameterBlock, ParameterLayout
+from mbcacq.estimation.parameters import with_common_sizes
 from mbcacq.estimation.solver import solve, with_prior_of
-from mbcacq.geometry.chain import PARAMETERS
-
-LEAST_OF_A_KIND = 3  # fewer free parameters say nothing of a common size and stay without one
 
 
 def with_random_links(fitted: Adjustment, options: CalibrationOptions) -> Adjustment:
@@ -41,40 +35,7 @@ def with_random_links(fitted: Adjustment, options: CalibrationOptions) -> Adjust
     if layout is fitted.lineariser.layout:
         return fitted
     lineariser = fitted.lineariser.with_layout(layout)
-    solution = solve(lineariser, with_prior_of(lineariser, fitted.solution), fitted.noise, fitted.weights, tolerance=COARSE)
-    lineariser, solution, noise, weights = settle_variances(lineariser, solution, fitted.noise, fitted.weights, options)
-    return replace(
-        fitted,
-        lineariser=lineariser,
-        solution=solve(lineariser, with_prior_of(lineariser, solution), noise, weights, tolerance=FINE),
-        noise=noise,
-        weights=weights,
-    )
-
-
-def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = KINDS_START) -> ParameterLayout:
-    """The layout with random errors of the links.
-
-    Parameters
-    ----------
-    layout : ParameterLayout
-        Layout of an arm that is to be identified.
-    sizes : mapping
-        sigma (mm, rad) of each kind of error.
-
-    Returns
-    -------
-    ParameterLayout
-        The same where the links have a prior of their own, or too few of them are free.
-    """
-    chain = layout.blocks[0]
-    if chain.group is not None or np.isfinite(chain.sigma[chain.free]).any():
-        return layout
-    kind = np.array([KINDS[p] for p in PARAMETERS] * (len(chain.names) // len(PARAMETERS)))
-    common = {name for name in KINDS_START if np.sum(chain.free & (kind == name)) >= LEAST_OF_A_KIND}
-    if not common:
-        return layout
-    group = tuple(name if name in common else "" for name in kind)
-    sigma = np.array([sizes[g] if g else np.inf for g in group])
-    block: ParameterBlock = replace(chain, sigma=sigma, group=group)
-    return ParameterLayout((block, *layout.blocks[1:]))
+    free = with_prior_of(lineariser, fitted.solution)
+    lineariser, solution, noise, weights = settle_variances(lineariser, free, fitted.noise, fitted.weights, options, sizes_first=True)
+    solution = solve(lineariser, solution, noise, weights, tolerance=FINE)
+    return replace(fitted, lineariser=lineariser, solution=solution, noise=noise, weights=weights)

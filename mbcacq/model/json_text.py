@@ -87,7 +87,8 @@ class EveryKey:
         found: Any = handler.resolve_ref_schema(schema)
         key = {field["name"]: field.get("serialization_alias", field["name"]) for field in found["schema"]["fields"]}
         for field in found["schema"]["fields"]:
-            if field["name"] not in (*cls.left_out, *cls.later) and field["schema"]["type"] == "default":
+            written = field.get("init", True) and not field.get("serialization_exclude")
+            if written and field["name"] not in (*cls.left_out, *cls.later) and field["schema"]["type"] == "default":
                 field["schema"] = field["schema"]["schema"]
         if cls.left_out:
             found["serialization"] = core_schema.wrap_serializer_function_ser_schema(write)

@@ -44,29 +44,33 @@ LeftAlone = Annotated[tuple[str, int, str], keyed("name", "line", "reason")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Correction(AsJson):
-    """One file. left_alone: name, line and reason of each point of a program that stays as it is, since it is no absolute target or does
-    not say all joints. notes: what was assumed.
+class _Remarks:
+    """What is said of a file. left_alone: name, line and reason of each point of a program that stays as it is, since it is no absolute
+    target or does not say all joints. notes: what was assumed.
     """
 
-    format: Literal["mbcacq-correction/1"] = "mbcacq-correction/1"
-    file: Annotated[Path, InJson(str, Path, str)]
-    points: tuple[CorrectedPoint, ...]
     left_alone: tuple[LeftAlone, ...] = ()
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Points:
+@dataclass(frozen=True, kw_only=True)
+class Correction(_Remarks, AsJson):
+    """One file."""
+
+    format: Literal["mbcacq-correction/1"] = "mbcacq-correction/1"
+    file: Annotated[Path, InJson(str, Path, str)]
+    points: tuple[CorrectedPoint, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Points(_Remarks):
     """The points of a file, q (P, n) rad as programmed and goals (P, 4, 4) mm, or None where the joints say it; written: the file with
     what was found."""
 
     q: np.ndarray
-    goals: np.ndarray | None
+    goals: np.ndarray | None = None
     names: tuple[str, ...]
     lines: tuple[int, ...]
-    left_alone: tuple[LeftAlone, ...]
-    notes: tuple[str, ...]
     written: Callable[[JointTargets], bytes]
 
 
@@ -145,7 +149,7 @@ def _points(path: Path, n: int) -> _Points:
         def text(found: JointTargets) -> bytes:
             return encode(program.written(found.q, found.reached.tolist()))
 
-        return _Points(program.q, None, names, lines, program.left_alone, program.notes, text)
+        return _Points(q=program.q, names=names, lines=lines, left_alone=program.left_alone, notes=program.notes, written=text)
     if suffix != ".csv":
         raise ConfigError(
             f"{path}: give a robot program ({', '.join(LANGUAGES)}), or a .csv of joints (q1_deg..) or of poses "
@@ -156,7 +160,8 @@ def _points(path: Path, n: int) -> _Points:
     def rows(found: JointTargets) -> bytes:
         return table.written(found.q, found.error_mm, found.reached, found.reasons)
 
-    return _Points(table.q, table.goals, tuple(f"line {line}" for line in table.lines), table.lines, (), (), rows)
+    names = tuple(f"line {line}" for line in table.lines)
+    return _Points(q=table.q, goals=table.goals, names=names, lines=table.lines, written=rows)
 
 
 def _from_anywhere(arm: CalibratedCell, goals: np.ndarray) -> JointTargets:

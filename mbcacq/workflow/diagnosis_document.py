@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, WithJsonSchema
+from pydantic import Field
 
 from mbcacq.calibration.transfer import Transfer
+from mbcacq.diagnosis.motion.combine import BothInFile
 from mbcacq.diagnosis.motion.result import MotionCheck
-from mbcacq.diagnosis.result import FORMAT, FitSummary, GivenEvidence
+from mbcacq.diagnosis.result import FitSummary
 from mbcacq.model.json_text import EveryKey, Number
 from mbcacq.simulation.model_match import ModelMatch
 
@@ -60,23 +61,16 @@ class Provenance(EveryKey):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BesidePoses(EveryKey):
-    """The keys of the document beside those of the diagnosis of the poses. motion, given_motion, agreement, decided, together: of a
-    recording that moved between them."""
+class BesidePoses(BothInFile):
+    """The keys of the document beside those of the diagnosis of the poses. A diagnosis of motion alone has simulation, motion_checks."""
 
-    left_out = ("given_motion", "simulation", "motion", "motion_checks", "agreement", "decided", "together")
+    left_out = (*BothInFile.left_out, "simulation", "motion_checks")
 
-    format: Annotated[str, WithJsonSchema({"type": "string", "const": FORMAT})] = FORMAT
-    given_motion: GivenEvidence | None = None
     simulation: ModelMatch | None = None
     recordings: Annotated[tuple[RecordingFigures, ...], Field(json_schema_extra={"minItems": 1})]
     checks: tuple[Transfer, ...]
     provenance: Provenance
-    motion: dict[str, Any] | None = None
     motion_checks: tuple[MotionCheck, ...] | None = None
-    agreement: tuple[Mapping[str, Any], ...] | None = None
-    decided: tuple[Mapping[str, Any], ...] | None = None
-    together: Mapping[str, Any] | None = None
 
 
 BEFORE_VERSION_3: dict[str, Any] = {"recordings": (), "checks": (), "provenance": {}}  # where an older document lacks these keys

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration.transfer import Transfer
-from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, UnmodelledMotionEffect
-from mbcacq.diagnosis.result import CURE, READABLE, THE_CONTENT, Diagnosis, EffectFound, GivenEvidence, Proposal
+from mbcacq.diagnosis.findings import CURE, READABLE, THE_CONTENT, EffectFound, GivenEvidence
+from mbcacq.diagnosis.motion.result import MotionDiagnosis, is_of_motion
+from mbcacq.diagnosis.result import Diagnosis, Proposal
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import fields_as_json, from_document, read_json
@@ -70,7 +71,7 @@ class DiagnosisResult:
         return None if self.poses is None or self.motion is None else PosesAndMotion(self.poses, self.motion, self.given_motion)
 
     @property
-    def effects(self) -> Sequence[EffectFound | MotionEffect | UnmodelledMotionEffect]:
+    def effects(self) -> Sequence[EffectFound]:
         """The effects found, the largest first: name, where, parameters (value and std by name), p_value, held_out_gain, alternatives."""
         return self.main.effects
 
@@ -182,14 +183,12 @@ class DiagnosisResult:
             return content | ({} if self.simulation is None else {"simulation": fields_as_json(self.simulation)})
         origin = self.provenance or Provenance()
         beside = BesidePoses(
-            given_motion=self.given_motion,
             simulation=self.simulation,
             recordings=(RecordingFigures.learnt(origin.recording or "", self.poses.fit), *map(RecordingFigures.checked, self.checks)),
             checks=self.checks,
             provenance=origin,
         )
-        content |= fields_as_json(beside)
-        return content if self.both is None else content | self.both.to_json()
+        return content | fields_as_json(beside) | ({} if self.both is None else self.both.to_json())
 
     def to_json(self) -> str:
         """``to_dict`` as JSON text."""
@@ -201,12 +200,11 @@ class DiagnosisResult:
         content = read_json(text, "the diagnosis", CURE)
         whole = BEFORE_VERSION_3 | content if isinstance(content, dict) else content
         beside = from_document(BesidePoses, whole, READABLE, THE_CONTENT, "diagnosis", CURE)
-        fit = content.get("fit")
-        if isinstance(fit, dict) and "channels" in fit:
+        if is_of_motion(content):
             return cls(motion=MotionDiagnosis.from_json(content), simulation=beside.simulation)
         return cls(
             poses=Diagnosis.from_json(content),
-            motion=None if beside.motion is None else MotionDiagnosis.from_json(beside.motion),
+            motion=beside.motion,
             given_motion=beside.given_motion,
             checks=beside.checks,
             provenance=beside.provenance,

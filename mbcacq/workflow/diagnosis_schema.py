@@ -1,4 +1,4 @@
-"""The JSON Schema of a diagnosis of poses, made from the types of its parts: what ``DiagnosisResult.to_dict`` writes, and nothing by hand.
+"""The JSON Schema of a diagnosis, made from the types of its parts: what ``DiagnosisResult.to_dict`` writes, and nothing by hand.
 
 It is kept in the package as the contract with other programs (``mbcacq.diagnosis.schema``), and a test compares the two.
 """
@@ -11,13 +11,13 @@ from typing import Any
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode, JsonSchemaValue
 
-from mbcacq.diagnosis.result import FORMAT, Diagnosis
+from mbcacq.diagnosis.findings import FORMAT
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.workflow.diagnosis_document import BesidePoses
 
-NOT_WRITTEN = {"plot_data"}
 ABOUT = (
-    "What mbcacq diagnose says about a recording of poses. Lengths mm, angles rad unless a name says deg; a number that is not finite is "
-    "null."
+    "What mbcacq diagnose says about a recording of poses, and under 'motion' about the motion between them; what it says about a motion "
+    "alone is '#/$defs/MotionDiagnosis'. Lengths mm, angles rad unless a name says deg; a number that is not finite is null."
 )
 
 
@@ -34,6 +34,9 @@ class _AsWritten(GenerateJsonSchema):
         finally:
             self._optional = around
 
+    def dataclass_args_schema(self, schema: Any) -> JsonSchemaValue:
+        return super().dataclass_args_schema(schema | {"fields": [f for f in schema["fields"] if not f.get("serialization_exclude")]})
+
     def field_is_required(self, field: Any, total: bool) -> bool:
         if field["type"] == "dataclass-field":
             return field["name"] not in self._optional
@@ -47,8 +50,6 @@ def generated_schema() -> dict[str, Any]:
     found, shared = TypeAdapter.json_schemas(each, schema_generator=_AsWritten)
     parts = _terse(shared.pop("$defs"))
     of_poses, beside = (_resolved(_terse(found[kind.__name__, "validation"]), parts) for kind in kinds)
-    properties = {key: value for key, value in (beside["properties"] | of_poses["properties"]).items() if key not in NOT_WRITTEN}
-    required = [key for key in (*beside["required"], *of_poses["required"]) if key not in NOT_WRITTEN]
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": FORMAT.replace("/", "-"),
@@ -56,8 +57,8 @@ def generated_schema() -> dict[str, Any]:
         "description": ABOUT,
         "$defs": dict(sorted(parts.items())),
         "type": "object",
-        "properties": properties,
-        "required": sorted(required),
+        "properties": beside["properties"] | of_poses["properties"],
+        "required": sorted([*beside["required"], *of_poses["required"]]),
         "additionalProperties": True,
     }
 

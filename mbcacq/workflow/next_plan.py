@@ -8,8 +8,8 @@ from pathlib import Path
 from mbcacq.design.adaptive.next_plan import NextPoses, advised, next_plan_text
 from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import reachable_views
+from mbcacq.diagnosis.findings import Advice, EvidenceSummary
 from mbcacq.diagnosis.interim import InterimEvidence, weigh
-from mbcacq.diagnosis.result import Advice, EvidenceSummary
 from mbcacq.errors import ConfigError, MbcacqError
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.files.atomic_write import write_file

@@ -11,8 +11,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from mbcacq.diagnosis.evidence.beam_search import EvidenceSearch
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.effect_set import Member
 
 ROWS = 12
 SHOWN, UNDONE, LEFT = 12.0, 6.0, 20.0

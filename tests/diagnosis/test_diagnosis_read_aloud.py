@@ -2,18 +2,17 @@
 
 from dataclasses import replace
 
+from mbcacq.diagnosis.findings import Alternative, NotSeparable
 from mbcacq.diagnosis.output.text import words
 from mbcacq.diagnosis.result import (
-    Alternative,
     Diagnosis,
-    EffectFound,
     EstimatedNoise,
     ExclusionLimit,
     FitFigures,
     FitSummary,
     GeometryAlone,
     HeldOutFigures,
-    NotSeparable,
+    PoseEffect,
 )
 from mbcacq.effects.effect import ParameterEstimate
 
@@ -29,7 +28,7 @@ def diagnosed(verdict, *effects, before=0.020, after=0.009, **fields):
     return Diagnosis(verdict=verdict, mismatch=(), effects=effects, fit=fit, geometry_alone=(GEOMETRY,), **fields)
 
 
-SOFT = EffectFound(
+SOFT = PoseEffect(
     name="joint_compliance",
     where=("A2",),
     parameters={"A2.compliance_rad_per_Nm": ParameterEstimate(2e-6, 1e-7)},

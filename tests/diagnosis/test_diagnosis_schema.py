@@ -12,8 +12,9 @@ from click.testing import CliRunner
 from test_result import FOUND
 
 from mbcacq.cli.diagnosis_schema import command
+from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.output.effects_table import classes
-from mbcacq.diagnosis.result import Diagnosis, NotSeparable
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.schema import diagnosis_schema
 from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates

@@ -69,7 +69,7 @@ def test_one_unmodelled_effect_is_not_split_into_many_parametric_ones(plan):
 
     found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 168, [twist])))
 
-    assert found.model.effects == ()
+    assert found.model.members == ()
     assert found.cells[0].location == "link2"
 
 
@@ -116,7 +116,7 @@ def test_rejected_centres_that_an_effect_explains_are_readmitted(plan):
 
     assert np.sum(~setup.linear.keep) > 3
     assert np.sum(rejected) <= 1  # a degree is not small: the linear column of the step misses its far centres by 0.1 mm
-    assert [c.key for c, _ in found.model.effects] == ["joint_step:A6:pose:"]
+    assert [m.candidate.key for m in found.model.members] == ["joint_step:A6:pose:"]
 
 
 def test_a_ball_far_off_is_reported_as_a_shifted_ball(plan):

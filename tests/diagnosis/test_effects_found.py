@@ -34,7 +34,7 @@ def test_found_named_and_measured(plan, name, where, values, hyper):
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 
-    assert {(c.name, c.where) for c, _ in found.model.effects} == {(name, where)}
+    assert {m.candidate.location for m in found.model.members} == {(name, where)}
     assert verdict_of(found) == "explained"
     std = np.sqrt(np.diag(found.model.covariance))[: len(values)]
     assert np.all(np.abs(found.model.coefficients[: len(values)] - values) < 4 * std)
@@ -45,7 +45,7 @@ def test_two_effects_at_once(plan):
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 
-    assert {(c.name, c.where) for c, _ in found.model.effects} == {("joint_compliance", ("A2",)), ("backlash", ("A1",))}
+    assert {m.candidate.location for m in found.model.members} == {("joint_compliance", ("A2",)), ("backlash", ("A1",))}
 
 
 def test_found_among_one_percent_of_gross_outliers(plan):
@@ -53,5 +53,5 @@ def test_found_among_one_percent_of_gross_outliers(plan):
 
     found = model_fit.fit_model(model_fit.prepare(observed))
 
-    assert [(c.name, c.where) for c, _ in found.model.effects] == [("joint_compliance", ("A2",))]
+    assert [m.candidate.location for m in found.model.members] == [("joint_compliance", ("A2",))]
     assert abs(found.model.coefficients[0] - 2.5e-6) < 4 * np.sqrt(found.model.covariance[0, 0])

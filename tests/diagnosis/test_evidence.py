@@ -12,7 +12,7 @@ from mbcacq.diagnosis import problem
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.evidence.evidence_fit import fit_evidence
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.moments import sizes_with, with_others
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import alternatives_of
@@ -21,6 +21,7 @@ from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.output.sufficient_poses import coefficient_limit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
+from mbcacq.diagnosis.search.effect_set import Member
 
 SIZES = np.array([0.3, 1.0, 3.0])
 

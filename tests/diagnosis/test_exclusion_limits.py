@@ -14,6 +14,7 @@ from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import directions, largest_ratio, upper_limit
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
+from mbcacq.diagnosis.search.effect_set import Member
 
 SLOW, FAST = 1.0, 30.0
 
@@ -172,6 +173,6 @@ def test_limits_hold_at_moments_within_a_station_alone(projected, few, setup):
 
 def test_nothing_is_limited_where_it_was_found(projected, few):
     gear, scale = one(few, "gear_transmission_error", "A4"), one(few, "joint_scale", "A5")
-    limits = limits_of(projected, [gear, scale], [(gear, 2.0), (scale, None)])
+    limits = limits_of(projected, [gear, scale], [Member(gear, 2.0), Member(scale, None)])
     assert {e.candidate.name for e in limits} == {"gear_transmission_error"}
     assert not any(min(e.band.values) <= 2.0 <= max(e.band.values) for e in limits)

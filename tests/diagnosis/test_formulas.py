@@ -13,7 +13,7 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.formulas.propose import holds_up, located, propose, refused
 from mbcacq.diagnosis.formulas.search import FormulaSearch, FormulaSpace
-from mbcacq.diagnosis.result import Diagnosis, EffectFound
+from mbcacq.diagnosis.result import Diagnosis, PoseEffect
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects import catalogue
@@ -41,7 +41,7 @@ def hose_between_two_angles(s):
 
 
 def found_at(where, on):
-    return EffectFound(name=UNKNOWN, where=(where,), parameters={}, p_value=0.0, held_out_gain=1.0, depends_on=on)
+    return PoseEffect(name=UNKNOWN, where=(where,), parameters={}, p_value=0.0, held_out_gain=1.0, depends_on=on)
 
 
 def terms_at(problem, places):
@@ -87,7 +87,7 @@ def test_a_product_of_two_angles_is_found(short):
     best = search.run(most_terms=1)[0]
 
     assert [p.label for p in best.placed] == ["A5(0,):q2*q4['sin(q2) sin(q4)']"]
-    assert abs(coefficients(best.hypothesis).mean[0] - PULL) < 4 * np.sqrt(coefficients(best.hypothesis).covariance[0, 0])
+    assert abs(coefficients(best.hypothesis).coefficients[0] - PULL) < 4 * np.sqrt(coefficients(best.hypothesis).covariance[0, 0])
 
 
 def test_one_cube_is_preferred_to_a_pair_that_nearly_is_one(plan):
@@ -112,7 +112,7 @@ def test_the_draft_is_found_by_its_name_and_explains_the_recording(proposals, re
     with catalogue.with_added([module]):
         found = model_fit.fit_model(model_fit.prepare(recording))
 
-    assert [(c.name, c.where) for c, _ in found.model.effects] == [("a1_by_q3", ("A1",))]
+    assert [m.candidate.location for m in found.model.members] == [("a1_by_q3", ("A1",))]
     assert verdict_of(found) == "explained"
     (value,), ((variance,),) = found.model.coefficients, found.model.covariance
     assert abs(value - PULL) < 4 * np.sqrt(variance)

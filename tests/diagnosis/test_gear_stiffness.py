@@ -47,7 +47,7 @@ def test_as_many_branches_are_found_as_the_gearbox_has(plan, branches):
     stated = parameters_of_branches(found, "lost_motion", "A3")
 
     assert set(found.model.names) == {"joint_compliance", "lost_motion"}
-    assert {candidate.where for candidate, _ in found.model.effects} == {("A3",)}
+    assert {m.candidate.where for m in found.model.members} == {("A3",)}
     assert set(stated) == {f"A3.K{k + 1}_Nm_per_rad" for k in range(branches)}
     for k, true in enumerate(stiffness):
         each = stated[f"A3.K{k + 1}_Nm_per_rad"]

@@ -24,7 +24,7 @@ def test_clean_cells_are_clean(plan, seed):
     found = model_fit.fit_model(model_fit.prepare(simulated.observe(plan, 100 + seed)))
 
     assert verdict_of(found) == "none"
-    assert found.model.effects == ()
+    assert found.model.members == ()
 
 
 def test_clean_cells_with_outliers_are_clean(plan):

@@ -7,7 +7,7 @@ import pytest
 
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.text import limit_lines, summary_lines, words
-from mbcacq.diagnosis.result import Diagnosis, EffectFound, ExclusionBand, ExclusionLimit
+from mbcacq.diagnosis.result import Diagnosis, ExclusionBand, ExclusionLimit, PoseEffect
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects.effect import ParameterEstimate
@@ -46,7 +46,7 @@ def test_an_effect_below_its_expanded_uncertainty_is_a_trend(parameters, weak):
 @pytest.mark.parametrize(("gain", "nothing"), [(0.0, True), (0.0004, True), (0.0006, False), (1.0, False), (None, False), (np.nan, False)])
 def test_an_effect_that_removes_nothing_of_held_out_data_is_a_trend_however_sure_its_size_is(gain, nothing):
     drift = {"name": "station_drift", "where": ["station3"], "parameters": {"drift_mm": {"value": [1.17], "std": [0.07]}}}
-    found = EffectFound(
+    found = PoseEffect(
         name="station_drift", where=("station3",), parameters={"drift_mm": ParameterEstimate(1.17, 0.07)}, p_value=1e-70, held_out_gain=gain
     )
     assert ("as well without it" in found.trend) is nothing
@@ -78,7 +78,7 @@ def diagnosed():
 
 
 def effect(name, where, **parameters):
-    return EffectFound(name=name, where=(where,), parameters=parameters, p_value=1e-9, held_out_gain=0.1)
+    return PoseEffect(name=name, where=(where,), parameters=parameters, p_value=1e-9, held_out_gain=0.1)
 
 
 def test_a_trend_is_no_finding(diagnosed):

@@ -49,7 +49,7 @@ def test_a_clean_recording_keeps_the_noise_of_its_calibration(plan):
 
     full = fit_model(prepare(observed))
 
-    assert full.model.effects == ()
+    assert full.model.members == ()
     np.testing.assert_allclose(
         full.noise.joint,
         calibrate(observed, CalibrationOptions(refuse=False, discrepancy=False, random_links=False)).noise.joint,

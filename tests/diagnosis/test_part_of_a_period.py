@@ -61,7 +61,8 @@ def test_order_and_amplitude_of_half_a_period_are_uncertain_together(postures):
 
     full = fit_model(prepare(simulated.observe(simulated.tracked(q), 13, [("gear_transmission_error", ("A4",), phase, 1.0)])))
 
-    ((candidate, order),) = full.model.effects
+    (member,) = full.model.members
+    candidate, order = member.candidate, member.hyper
     found = candidate.parameters(full.model.coefficients, full.model.covariance, order)
     assert abs(found["A4.order"].value - 1.0) < 3 * found["A4.order"].std
     assert abs(found["A4.amplitude_deg"].value - np.degrees(amplitude)) < 3.5 * found["A4.amplitude_deg"].std

@@ -10,8 +10,9 @@ from mbcacq.challenge import simulated_cells
 from mbcacq.challenge.scenarios import Scenario
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects.context import Context
 from mbcacq.effects.kinds import payload
@@ -38,13 +39,13 @@ def test_a_heavy_tool_is_measured_with_the_elasticity_that_shows_it(seeing):
     found = model_fit.fit_model(model_fit.prepare(observed(seeing, 102, hidden)))
 
     assert verdict_of(found) == "explained"
-    assert {(c.name, c.where) for c, _ in found.model.effects} == {
+    assert {m.candidate.location for m in found.model.members} == {
         ("payload", ("mount",)),
         ("joint_compliance", ("A2",)),
         ("joint_compliance", ("A3",)),
     }
-    for (candidate, hyper), p in zip(found.model.effects, found.model.slices(), strict=True):
-        reported = candidate.parameters(found.model.coefficients[p], found.model.covariance[p, p], hyper)
+    for m, p in zip(found.model.members, found.model.slices(), strict=True):
+        reported = m.candidate.parameters(found.model.coefficients[p], found.model.covariance[p, p], m.hyper)
         for name, entry in reported.items():
             true = {"mass_kg": mass, "com_mm": np.array(com)}.get(name, softness)
             assert np.all(np.abs(np.array(entry.value) - true) < 3 * np.array(entry.std)), name
@@ -59,9 +60,9 @@ def test_a_far_too_heavy_tool_on_soft_joints_is_measured(seeing):
     found = model_fit.fit_model(model_fit.prepare(observed(seeing, 104, hidden)))
 
     assert set(found.model.names) == {"payload", "joint_compliance"}
-    candidate, hyper = found.model.effects[-1]
+    last = found.model.members[-1]
     p = found.model.slices()[-1]
-    mass = candidate.parameters(found.model.coefficients[p], found.model.covariance[p, p], hyper)["mass_kg"]
+    mass = last.candidate.parameters(found.model.coefficients[p], found.model.covariance[p, p], last.hyper)["mass_kg"]
     assert abs(mass.value - 12.0) < 3 * mass.std
     assert mass.std < 1.5
 
@@ -71,7 +72,7 @@ def test_elastic_joints_are_not_reported_as_a_wrong_payload(seeing):
 
     found = model_fit.fit_model(model_fit.prepare(observed(seeing, 103, hidden)))
 
-    assert {c.name for c, _ in found.model.effects} == {"joint_compliance"}
+    assert {m.candidate.name for m in found.model.members} == {"joint_compliance"}
 
 
 def test_unit_torques_add_up_to_the_torque_of_a_tool(plan):

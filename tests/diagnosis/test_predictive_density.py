@@ -6,7 +6,7 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel
-from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet
+from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
 from mbcacq.estimation.posterior import Posterior
@@ -42,7 +42,7 @@ def test_an_effect_that_is_there_predicts_stations_left_out(plan):
 
     plain, known = (
         predictive_score.held_out_score(setup.linear, train, test, model, (), setup.noise)
-        for model in (NO_EFFECTS, EffectSet(((elastic, None),)))
+        for model in (NO_EFFECTS, EffectSet((Member(elastic, None),)))
     )
     assert known.chi2 < plain.chi2 - 10
     assert known.square < plain.square
@@ -53,7 +53,7 @@ def test_poorly_determined_coefficients_stay_near_zero(plan):
     observed = simulated.observe(plan, 142, [("mount_shift", ("mount",), [0.02, 0.0, 0.0, 0.0, 0.0, 0.0], 60.0)])
     setup = model_fit.prepare(observed)
     candidate = next(c for c in setup.candidates if c.name == "mount_shift")
-    model = EffectSet(((candidate, 60.0),))
+    model = EffectSet((Member(candidate, 60.0),))
     joint = JointModel(setup.linear, model, (), setup.linear.whitener(setup.noise))
     parts, free = joint.effects, joint.posterior
 

@@ -11,9 +11,9 @@ def measured(plan, seed, offset_mm, time_constant_s):
     """Distances of the reported offset (3,) and time constant from the true ones in their standard deviations, and that of the latter."""
     observed = simulated.observe(plan, seed, [("scanner_warmup", ("scanner",), offset_mm, time_constant_s)])
     model = model_fit.fit_model(model_fit.prepare(observed)).model
-    ((candidate, hyper),) = model.effects
-    assert candidate.name == "scanner_warmup"
-    offset, constant = candidate.parameters(model.coefficients, model.covariance, hyper).values()
+    (found,) = model.members
+    assert found.candidate.name == "scanner_warmup"
+    offset, constant = found.candidate.parameters(model.coefficients, model.covariance, found.hyper).values()
     away = (np.array(offset.value) - offset_mm) / np.array(offset.std)
     return away, (constant.value - time_constant_s) / constant.std, constant.std
 

@@ -9,15 +9,17 @@ import simulated
 import mbcacq
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.evidence.hypothesis import Member, SetPrior, estimated
+from mbcacq.diagnosis.evidence.hypothesis import SetPrior, estimated
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.pose_search import PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.output.kept_model import unmodelled_terms
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.verdict import conclude, judge, verdict_of
+from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.described import parts_of
 from mbcacq.effects.effect_term import LearntRecording, learnt_ranges
@@ -81,7 +83,7 @@ def test_a_wobbling_axis_is_located_in_the_link_behind_it(plan):
 
     assert verdict_of(found) == "unexplained"
     assert (found.cells[0].location, found.cells[0].depends_on) == ("link2", "q2")
-    assert found.model.effects == ()
+    assert found.model.members == ()
 
 
 def test_a_twisting_link_is_located_and_predicts_what_was_left_out(plan):
@@ -246,4 +248,9 @@ def test_instrument_noise_stays_near_its_stated_value(plan):
     found = model_fit.fit_model(model_fit.prepare(observed))
 
     assert np.all(found.noise.point < 1.3 * simulated.POINT_NOISE)
-    assert [c.name for c, _ in found.model.effects] == ["ball_shift"]
+    assert [m.candidate.name for m in found.model.members] == ["ball_shift"]
+
+
+def test_patterns_that_differ_in_an_offset_alone_share_no_name_of_a_coefficient(plan):
+    one, other = (unmodelled.common_pattern(Covariates(plan), [0.0, offset], [1, -1], [1, 3]) for offset in (0.3, 0.4))
+    assert len({*one.names, *other.names}) == one.k + other.k

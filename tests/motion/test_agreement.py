@@ -6,9 +6,10 @@ import pickle
 import numpy as np
 import pytest
 
+from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
-from mbcacq.diagnosis.result import Diagnosis, EffectFound, FitFigures, FitSummary, HeldOutFigures, NotSeparable
+from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures, PoseEffect
 from mbcacq.effects.effect import ParameterEstimate, number
 from mbcacq.errors import ConfigError
 
@@ -17,7 +18,7 @@ FIT = FitSummary(FitFigures(0.1, 0.05, 4.0, 1.0), HeldOutFigures(0.1, 0.05, 4.0,
 
 def of_poses(*effects, not_separable=()):
     """effects: name, locations and parameters."""
-    found = tuple(EffectFound(name=n, where=w, parameters=p, p_value=0.0, held_out_gain=1.0) for n, w, p in effects)
+    found = tuple(PoseEffect(name=n, where=w, parameters=p, p_value=0.0, held_out_gain=1.0) for n, w, p in effects)
     return Diagnosis(verdict="explained", mismatch=(), effects=found, fit=FIT, not_separable=not_separable)
 
 
@@ -111,8 +112,8 @@ def test_version_1_of_a_motion_stays_readable():
 
 def test_diagnosis_of_motion_shows_its_effects_in_a_notebook():
     diagnosis = MotionDiagnosis.from_json(motion())
-    assert "joint_compliance at A2 (q_joint): held-out gain 80.0%" in repr(diagnosis)
-    assert "<td>joint_compliance</td><td>A2</td>" in diagnosis._repr_html_()
+    assert "joint_compliance at A2 (q_joint)" in repr(diagnosis)
+    assert "<td>joint_compliance</td><td>A2 (q_joint)</td>" in diagnosis._repr_html_()
 
 
 def test_a_diagnosis_of_poses_is_no_diagnosis_of_motion():

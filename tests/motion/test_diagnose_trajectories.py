@@ -100,7 +100,7 @@ def value(result, name, key):
 def test_the_pendulum_of_this_test_agrees_with_the_rigid_body_model():
     """Two independent derivations of the same torque: the residual is the noise that was added."""
     result = diagnose_trajectories([recording(1), recording(2)])
-    for fit in result.channels:
+    for fit in result.fit.channels:
         if fit.channel == "tau":
             assert fit.held_out.before_rms == pytest.approx(0.3, rel=0.15)
 
@@ -171,7 +171,7 @@ def test_uneven_sampling_and_missing_channels():
     keep = np.random.default_rng(0).uniform(size=len(run.time_s)) > 0.05
     result = diagnose_trajectories([Trajectory(ARM, run.time_s[keep], run.q[keep], q_joint=run.q_joint[keep])])
     assert ("channel_latency", "q_joint") in named(result)
-    assert result.split == "time block"
+    assert result.fit.held_out.split == "time block"
 
 
 def test_what_cannot_be_compared_is_refused():
@@ -205,4 +205,4 @@ def test_recordings_without_any_noise_are_diagnosed(fault, expected):
     """Another simulator's own output: the residual is zero to rounding, and what it holds is found all the same."""
     result = diagnose_trajectories([recording(k, noise=False, **fault) for k in (1, 2)])
     assert expected <= named(result)
-    assert all(np.isfinite(fit.held_out.after_rms) for fit in result.channels)
+    assert all(np.isfinite(fit.held_out.after_rms) for fit in result.fit.channels)

@@ -17,11 +17,11 @@ def kr300(shared_data):
 
 def remaining(diagnosis, channel):
     """Held-out rms after the effects, as a share of that before, by joint."""
-    return {c.at: c.held_out.after_rms / c.held_out.before_rms for c in diagnosis.channels if c.channel == channel}
+    return {c.at: c.held_out.after_rms / c.held_out.before_rms for c in diagnosis.fit.channels if c.channel == channel}
 
 
 def test_joint_side_angles_are_explained_to_five_thousandths_of_a_degree(kr300):
-    joint_side = [c for c in kr300.channels if c.channel == "q_joint"]
+    joint_side = [c for c in kr300.fit.channels if c.channel == "q_joint"]
     assert [c.at for c in joint_side] == ["A1", "A2", "A3"]
     for c in joint_side:
         assert c.held_out.before_rms > 0.03
@@ -34,7 +34,7 @@ def test_joint_side_angles_are_explained_to_five_thousandths_of_a_degree(kr300):
 @pytest.mark.parametrize(("axis", "rms"), [("A1", 200), ("A2", 350), ("A3", 235), ("A4", 50), ("A5", 50), ("A6", 40)])
 def test_torque_is_explained_as_well_as_by_a_fit_that_knows_load_and_balancer(kr300, axis, rms):
     """N m, held out; such a fit (benchmarks/peer_fits.py kr300) leaves 187, 301, 228, 50, 50, 28."""
-    after = {c.at: c.held_out.after_rms for c in kr300.channels if c.channel == "tau"}
+    after = {c.at: c.held_out.after_rms for c in kr300.fit.channels if c.channel == "tau"}
     assert after[axis] < rms
 
 
@@ -47,7 +47,7 @@ def test_the_load_and_the_balancer_that_nobody_described_are_found(kr300):
 
 
 def test_no_channel_is_worse_than_without_a_model_and_no_bound_is_a_value(kr300):
-    assert all(c.held_out.after_rms <= c.held_out.before_rms for c in kr300.channels)
+    assert all(c.held_out.after_rms <= c.held_out.before_rms for c in kr300.fit.channels)
     lags = [e for e in kr300.named_effects if e.name == "drive_lag"]
     assert all(entry.value < 99.0 for e in lags for name, entry in e.parameters.items() if name.endswith("time_constant_s"))
     assert any(e.notes for e in lags)

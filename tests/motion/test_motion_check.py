@@ -43,7 +43,7 @@ def test_another_friction_of_the_other_recording_stays_in_its_error(learnt, same
 
 def test_a_diagnosis_carries_its_checks_in_text_and_json(learnt):
     found = diagnose([learnt], check=[recording(2, **FRICTION)])
-    assert found.motion.channels == diagnose([learnt]).motion.channels  # and nothing of the diagnosis is decided by them
+    assert found.motion.fit.channels == diagnose([learnt]).motion.fit.channels  # and nothing of the diagnosis is decided by them
     read = MotionDiagnosis.from_json(found.motion.to_json())
     assert read.checks == found.motion.checks
     assert "Tried on the other recording, of which nothing was learnt:\n  A1 torque" in found.text

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect, ResponseShape, UnmodelledMotionEffect
+from mbcacq.diagnosis.motion.result import FitOfMotion, MotionDiagnosis, MotionEffect, ResponseShape, UnmodelledMotionEffect
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.output.text import describe
-from mbcacq.diagnosis.result import EffectFound
+from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.effects.effect import ParameterEstimate, number
 
 
 def text_of(*effects):
-    return motion_text(MotionDiagnosis(verdict="partly_explained", mismatch=(), effects=effects, channels=(), split="trajectory"))
+    return motion_text(MotionDiagnosis(verdict="partly_explained", mismatch=(), effects=effects, fit=FitOfMotion.of((), "trajectory")))
 
 
 @pytest.mark.parametrize(("std", "said"), [(125.3, "A2 phase is not determined"), (20.0, "A2 phase (−84 ± 40)°")])
@@ -61,13 +61,18 @@ def test_a_size_within_its_uncertainty_is_a_trend_without_a_figure():
 
 def test_the_same_of_poses():
     parameters = {"A2.phase_deg": ParameterEstimate((10.0, 20.0), (120.0, 200.0)), "A2.amplitude_deg": ParameterEstimate(0.01, 0.001)}
-    lines = describe(EffectFound(name="gear_transmission_error", where=("A2",), parameters=parameters, p_value=1e-9, held_out_gain=0.1))
+    lines = describe(PoseEffect(name="gear_transmission_error", where=("A2",), parameters=parameters, p_value=1e-9, held_out_gain=0.1))
     assert "  A2 phase is not determined" in lines
     assert "  A2 amplitude (0.0100 ± 0.0020)°" in lines
 
 
+def unmodelled(channel, y):
+    shape = ResponseShape((0.0, 1.0), y)
+    return UnmodelledMotionEffect(where=("A2",), depends_on="q2", p_value=1e-9, held_out_gain=0.1, channel=channel, shape=shape)
+
+
 def test_an_unmodelled_effect_has_a_size():
-    x, y = (0.0, 1.0), (3.0, -4.0)
-    assert "rms 3.54 N·m, as a function of q2" in text_of(UnmodelledMotionEffect(("A2",), "tau", "q2", 1e-9, 0.1, ResponseShape(x, y)))
+    y = (3.0, -4.0)
+    assert "rms 3.54 N·m, as a function of q2" in text_of(unmodelled("tau", y))
     angle = tuple(np.radians(y).tolist())
-    assert "rms 3.54°, as a function of q2" in text_of(UnmodelledMotionEffect(("A2",), "q_set", "q2", 1e-9, 0.1, ResponseShape(x, angle)))
+    assert "rms 3.54°, as a function of q2" in text_of(unmodelled("q_set", angle))

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion.assemble import HeldOutTable
 from mbcacq.diagnosis.motion.determination import at_bound
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Hyperparameter
 from mbcacq.effects.kinds.drive_lag import LAGS_S, LOOPS_S
 

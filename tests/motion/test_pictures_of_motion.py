@@ -12,7 +12,7 @@ from test_diagnose_trajectories import recording
 
 from mbcacq.cli.app import app
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
-from mbcacq.diagnosis.motion.result import ErrorBeforeAfter, MotionDiagnosis
+from mbcacq.diagnosis.motion.result import ErrorBeforeAfter, FitOfMotion, MotionDiagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.quantities import significant
 from mbcacq.recording import Recording
@@ -122,10 +122,10 @@ def test_what_is_drawn_is_the_json_left_as_it_was(found):
 
 def test_a_fit_that_leaves_more_than_held_out_data_is_explained(found):
     """What is selected without a part may be another set of effects than what is selected on all."""
-    two = [c for c in found.channels if c.channel == "tau"]
+    two = [c for c in found.fit.channels if c.channel == "tau"]
     fit, held_out = (ErrorBeforeAfter(1390.0, after, 1.0, 1.0) for after in (881.0, 416.0))
     changed = [replace(two[0], train=fit, held_out=held_out), replace(two[1], train=held_out, held_out=fit)]
-    rows = motion_content(replace(found, channels=(*changed,))).kinds[0].rows
+    rows = motion_content(replace(found, fit=FitOfMotion.of(changed, ""))).kinds[0].rows
     assert rows[0].remark.startswith("the fit leaves more than held-out data do")
     assert rows[1].remark == ""
 
@@ -136,7 +136,7 @@ def test_of_a_long_recording_the_stretch_with_the_largest_difference_is_drawn(fo
     time = np.arange(0, 200, step)
     size = np.where((time >= 100) & (time < 105), 10.0, 1.0)
     one = replace(found.series.channels[0], time_s=time, measured=size, before=np.zeros_like(time), after=np.zeros_like(time))
-    alone = replace(found, channels=found.channels[:1], plot_data=replace(found.series, channels=(one,)))
+    alone = replace(found, fit=FitOfMotion.of(found.fit.channels[:1], ""), plot_data=replace(found.series, channels=(one,)))
     (drawn,) = motion_content(alone).kinds[0].series
     assert drawn.time_s[0] <= 100.0 < 105.0 <= drawn.time_s[-1] + 2 * step
     assert drawn.time_s[-1] - drawn.time_s[0] <= STRETCH_S

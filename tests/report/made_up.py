@@ -2,16 +2,17 @@
 
 import numpy as np
 
+from mbcacq.diagnosis.findings import Alternative
 from mbcacq.diagnosis.motion.result import (
     ChannelFit,
     ErrorBeforeAfter,
+    FitOfMotion,
     MotionDiagnosis,
     MotionEffect,
     MotionMismatch,
     ResponseShape,
     UnmodelledMotionEffect,
 )
-from mbcacq.diagnosis.result import Alternative
 from mbcacq.effects.effect import number
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.report.content import Devices
@@ -123,15 +124,30 @@ def motion(seed=0):
     parameters = {"A2.coulomb_Nm": number(90.0, 8.0), "A2.viscous_Nms_per_rad": number(390.0, 17.0)}
     return MotionDiagnosis(
         verdict="partly_explained",
-        mismatch=(MotionMismatch("A2", "tau", "qd2", 0.8, 1e-90), MotionMismatch("q_joint", "q_joint", "qd", 0.001, 1e-9)),
+        mismatch=(MotionMismatch("A2", "qd2", 0.8, 1e-90, "tau"), MotionMismatch("q_joint", "qd", 0.001, 1e-9, "q_joint")),
         effects=(
             MotionEffect(
-                "friction", ("A2",), "qd2", "tau", parameters, 1e-90, 0.8, 0.9, (Alternative("backlash", ("A2",), 0.1, 1e-3),), ()
+                name="friction",
+                where=("A2",),
+                depends_on="qd2",
+                parameters=parameters,
+                p_value=1e-90,
+                held_out_gain=0.8,
+                alternatives=(Alternative("backlash", ("A2",), 0.1, 1e-3),),
+                channel="tau",
+                held_out_gain_here=0.9,
+                steps=(),
             ),
-            UnmodelledMotionEffect(("A4",), "q_set", "q4", 1e-9, 0.1, ResponseShape((0.0, 1.0), (0.01, -0.01))),
+            UnmodelledMotionEffect(
+                where=("A4",),
+                depends_on="q4",
+                p_value=1e-9,
+                held_out_gain=0.1,
+                channel="q_set",
+                shape=ResponseShape((0.0, 1.0), (0.01, -0.01)),
+            ),
         ),
-        channels=tuple(channels),
-        split="time block",
+        fit=FitOfMotion.of(channels, "time block"),
         suspicions=("with a load that differs by 130 kg the torque is explained better",),
         plot_data=MotionSeries("an arm of six axes", ("recordings/of-an-arm/with-a-long-name",), tuple(series)),
     )

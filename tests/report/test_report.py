@@ -40,7 +40,7 @@ def test_the_report_of_a_run_holds_the_motion_between_its_poses_too(tmp_path):
     assert words.index("Joint compliance at A2") < words.index("Motion between the poses") < words.index("Friction at A2")
     assert words.index("Friction at A2") < words.index("Trend: friction at A3")
     assert f"Verdict on poses and motion as one problem {headline(info['diagnosis']['together']['verdict'])}" in words
-    for c in of_motion.channels:
+    for c in of_motion.fit.channels:
         assert f'id="figure-motion_{c.channel}_{c.at}"' in html
     del info["pictures"]["motion"]["channels"][0]["before"][3]  # damaged: the tables stay
     html = report_from_result(make_result(), path=tmp_path / "report.html", run_info=info).read_text(encoding="utf-8")

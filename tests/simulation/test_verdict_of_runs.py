@@ -2,7 +2,7 @@
 
 import pytest
 
-from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.motion.result import FitOfMotion, MotionDiagnosis
 from mbcacq.simulation.model_match import ChannelError, ModelCheck, ModelMatch, ModelParameter
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
@@ -42,8 +42,7 @@ def test_the_text_opens_with_the_runs_and_then_says_how_the_mismatch_was_located
         verdict=found.verdict,
         mismatch=(),
         effects=(),
-        channels=(),
-        split="trajectory",
+        fit=FitOfMotion.of((), "trajectory"),
         suspicions=("with +6.68 kg the torque is explained better",),
     )
     text = DiagnosisResult(motion=motion, simulation=found).text

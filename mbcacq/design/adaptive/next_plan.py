@@ -16,8 +16,8 @@ from mbcacq.design.adaptive.places import accepted_places
 from mbcacq.design.adaptive.pool import not_measured, reachable_views, routed, shortest_order
 from mbcacq.design.adaptive.questions import differ_by_direction, differ_in_time
 from mbcacq.design.adaptive.visit_choice import OpenPair, Visit, VisitChoice, VisitCosts
+from mbcacq.diagnosis.findings import TOGETHER, Advice
 from mbcacq.diagnosis.interim import InterimEvidence
-from mbcacq.diagnosis.result import TOGETHER, Advice
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.model import yaml12
 from mbcacq.model.observations import Observations

@@ -197,7 +197,7 @@ def _of_set(h: Hypothesis, linear: LinearProblem) -> tuple[np.ndarray, np.ndarra
     """(M, R) displaced by a set with its coefficients, and (M, R, k) its columns in prior sigmas."""
     nothing = np.zeros((*linear.residual.shape, 0))
     columns = np.concatenate([nothing, *(candidate_columns(linear, m.candidate, m.hyper) for m in h.members)], axis=2)
-    return columns @ coefficients(h).mean, columns * prior_sigma(h.members)
+    return columns @ coefficients(h).coefficients, columns * prior_sigma(h.members)
 
 
 def _largest_combinations(X: np.ndarray) -> np.ndarray:

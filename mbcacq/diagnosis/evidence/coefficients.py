@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.search.effect_columns import candidate_columns, candidate_parts
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.terms import term
-
-
-@dataclass(frozen=True)
-class Coefficients:
-    """Mean (k,) and covariance (k, k) of all coefficients of a set; slices: of each effect."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    slices: tuple[slice, ...]
-
-
-def slices_of(members: tuple[Member, ...]) -> tuple[slice, ...]:
-    ends = np.cumsum([0] + [m.candidate.k for m in members])
-    return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
 
 
 def prior_sigma(members: tuple[Member, ...]) -> np.ndarray:
@@ -31,14 +18,14 @@ def prior_sigma(members: tuple[Member, ...]) -> np.ndarray:
     return np.concatenate([np.zeros(0), *(m.size * m.candidate.typical for m in members)])
 
 
-def coefficients(hypothesis: Hypothesis) -> Coefficients:
-    """Posterior of the coefficients, geometry integrated out."""
+def coefficients(hypothesis: Hypothesis) -> EffectSet:
+    """The effects with the posterior of their coefficients, geometry integrated out."""
     members, p = hypothesis.members, hypothesis.point.projected
     X = np.concatenate([np.zeros((len(p.r0), 0)), *(p.block(m.candidate, m.hyper) for m in members)], axis=1)
     absorbed, sigma = p.Q.T @ X, prior_sigma(members)
     normal = sigma[:, None] * (X.T @ X - absorbed.T @ absorbed) * sigma + np.eye(len(sigma))
     inverse = np.linalg.inv(normal)
-    return Coefficients(sigma * (inverse @ (sigma * (X.T @ p.beyond_geometry()))), sigma[:, None] * inverse * sigma, slices_of(members))
+    return EffectSet(members, sigma * (inverse @ (sigma * (X.T @ p.beyond_geometry()))), sigma[:, None] * inverse * sigma)
 
 
 def solution(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +68,9 @@ def relinearized(linear: LinearProblem, hypothesis: Hypothesis) -> LinearProblem
 def displacements(hypothesis: Hypothesis) -> list[np.ndarray]:
     """(M, R) of each effect, by the mean of its coefficients."""
     linear, found = hypothesis.point.linear, coefficients(hypothesis)
-    return [candidate_columns(linear, m.candidate, m.hyper) @ found.mean[p] for m, p in zip(hypothesis.members, found.slices, strict=True)]
+    return [
+        candidate_columns(linear, m.candidate, m.hyper) @ found.coefficients[p] for m, p in zip(found.members, found.slices(), strict=True)
+    ]
 
 
 def with_discrepancy(linear: LinearProblem, displaced: list[np.ndarray], share: float) -> LinearProblem:

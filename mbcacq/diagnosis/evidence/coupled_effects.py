@@ -13,10 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.coefficients import Coefficients, coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import GivenEffect
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling, Where
@@ -60,7 +61,7 @@ def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, c
         own = coupling.candidates(context, known, complete=True)[0]
         new = together(*(coupling.carrier(context, c, correction, str(number)) for c in carriers), own)
         found = coefficients(new)
-        step, covariance = found.mean[found.slices[-1]], found.covariance[found.slices[-1], found.slices[-1]]
+        step, covariance = found.coefficients[found.slices()[-1]], found.covariance[found.slices()[-1], found.slices()[-1]]
         correction = correction + step
         known = carried(new, coupling, found)
         if np.all(np.abs(step) < OPTIONS.steady * np.sqrt(np.diag(covariance))):
@@ -68,12 +69,12 @@ def _agreeing(candidates: list[Candidate], context: Context, best: Hypothesis, c
     return together(*carriers, coupling.candidates(context, known, covariance, complete=True)[0])
 
 
-def carried(hypothesis: Hypothesis, coupling: EffectCoupling, known: Coefficients | None = None) -> Mapping[Where, float]:
+def carried(hypothesis: Hypothesis, coupling: EffectCoupling, known: EffectSet | None = None) -> Mapping[Where, float]:
     """Location -> coefficient of the effect through which a coupled one shows, to four digits; none below a share of the largest."""
     solved = known or coefficients(hypothesis)
     found = {
-        m.candidate.where: float(solved.mean[p.start])
-        for m, p in zip(hypothesis.members, solved.slices, strict=True)
+        m.candidate.where: float(solved.coefficients[p.start])
+        for m, p in zip(hypothesis.members, solved.slices(), strict=True)
         if m.candidate.name == coupling.through
     }
     least = max(OPTIONS.undecided * max(found.values()), 1e-9)  # a loaded joint gives way: none is that much stiffer than another

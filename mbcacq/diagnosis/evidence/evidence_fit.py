@@ -10,13 +10,14 @@ import numpy as np
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import evidence_of_candidates
 from mbcacq.diagnosis.evidence.coefficients import displacements, relinearized, with_discrepancy
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated, under
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres, log_density_of_outlier
 from mbcacq.diagnosis.evidence.pose_search import PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.variance_components import pack
@@ -92,7 +93,7 @@ def readmitted(problem: DiagnosisProblem) -> np.ndarray:
     scored = evidence_of_candidates(everything.projected, [c for c in problem.candidates if not c.several or c.hyper is None])
     tried = [(plain, log_with_outliers((), start, 0.0))]
     for one in sorted(scored, key=lambda s: -s.log_evidence)[: OPTIONS.beam]:
-        members, log_prior = (Member.of(one),), prior.log_probability(one.candidate, [])
+        members, log_prior = (Member(one.candidate, one.hyper, one.log_mass),), prior.log_probability(one.candidate, [])
         keep = kept_centres(under(everything, members, log_prior))
         tried.append((keep, log_with_outliers(members, everything.restricted(keep), log_prior)))
     return max(tried, key=lambda one: one[1])[0]

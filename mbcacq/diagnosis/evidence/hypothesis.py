@@ -7,19 +7,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
-from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect
 from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.effect_set import Member, slices_of
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN
 
-NO_COLUMNS = np.zeros(0, dtype=int)
 LARGEST_STEP = 1.0  # of a logarithm of the noise in one round
 
 
@@ -65,40 +64,6 @@ class EvidencePoint(Protocol):
 
 
 P = TypeVar("P", bound=EvidencePoint)
-
-
-@dataclass(frozen=True)
-class Member:
-    """An effect of a set, or one that may be, at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical
-    ones; size: the most probable; log_mass: log of the average over the hyper-parameter, relative to this value. columns: (k,) their
-    numbers among those of a motion; none of an effect of poses.
-    """
-
-    candidate: Candidate
-    hyper: float | None
-    log_mass: float = 0.0
-    sizes: tuple[float, ...] = OPTIONS.sizes
-    size: float = 1.0
-    columns: np.ndarray = field(default_factory=lambda: NO_COLUMNS, compare=False)
-
-    @classmethod
-    def of(cls, scored: ScoredEffect) -> Member:
-        return cls(scored.candidate, scored.hyper, scored.log_mass)
-
-    @property
-    def label(self) -> str:
-        """``name:where``; several harmonics of a joint are one effect."""
-        return self.candidate.label
-
-    @property
-    def key(self) -> tuple[str, float]:
-        return self.candidate.key, (self.hyper or 0.0) if len(self.columns) else round(self.hyper or 0.0, 1)
-
-    @property
-    def value(self) -> float:
-        """The hyper-parameter of an effect that has one."""
-        assert self.hyper is not None, f"{self.candidate.name} has no hyper-parameter"
-        return self.hyper
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +125,8 @@ def with_sizes(members: Sequence[Member], A: np.ndarray, a: np.ndarray) -> tuple
     """
     if not members:
         return (), 0.0
-    ends = np.cumsum([0] + [m.candidate.k for m in members])
-    slices = [slice(int(i), int(j)) for i, j in zip(ends[:-1], ends[1:], strict=True)]
     positive = [m.candidate.positive and m.candidate.k == 1 for m in members]
-    total, sizes = log_set_bayes_factor(A, a, slices, [np.array(m.sizes) for m in members], positive)
+    total, sizes = log_set_bayes_factor(A, a, list(slices_of(members)), [np.array(m.sizes) for m in members], positive)
     return tuple(replace(m, size=s) for m, s in zip(members, sizes, strict=True)), total + sum(m.log_mass for m in members)
 
 

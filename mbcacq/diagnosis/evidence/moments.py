@@ -10,10 +10,11 @@ import numpy as np
 
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import covariates
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import BREAKPOINT, FADING, MOMENT, ORDER, Candidate, HyperEstimate, ParameterEstimate, Parameters
 
 FAST = 3.0  # periods over the travel, from which an order is determined whatever the amplitude
@@ -59,7 +60,7 @@ def with_uncertain_fading(hypothesis: Hypothesis, member: Member) -> Candidate:
     probability = likelihood(others, candidate, values)
     std = float(np.sqrt(probability @ (values - found) ** 2))
     there = coefficients(hypothesis)
-    reported = there.mean[there.slices[hypothesis.members.index(member)]]
+    reported = there.coefficients[there.slices()[hypothesis.members.index(member)]]
     away = sizes_with(others, member, values) - reported
     along = (away * probability[:, None]).T @ away
 

@@ -13,9 +13,10 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from mbcacq.diagnosis.evidence.hypothesis import Member, scoring_step
+from mbcacq.diagnosis.evidence.hypothesis import scoring_step
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import Noise

@@ -11,10 +11,11 @@ from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSea
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import GivenEffect
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
@@ -87,8 +88,8 @@ class PoseSearch(EvidenceSearch):
         found, out = coefficients(node), list[Candidate]()
         for coupling in possible:
             there = {
-                m.candidate.where: float(f"{found.mean[p.start]:.2g}")
-                for m, p in zip(node.members, found.slices, strict=True)
+                m.candidate.where: float(f"{found.coefficients[p.start]:.2g}")
+                for m, p in zip(node.members, found.slices(), strict=True)
                 if m.candidate.name == coupling.through
             }
             there |= given_through(self.given, coupling)
@@ -96,7 +97,9 @@ class PoseSearch(EvidenceSearch):
         return out
 
     def weighted(self, scored: ScoredEffect, present: Sequence[Candidate]) -> tuple[float, Member]:
-        return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member.of(scored)
+        return scored.log_evidence + self.prior.log_probability(scored.candidate, present), Member(
+            scored.candidate, scored.hyper, scored.log_mass
+        )
 
     def allowed(self, candidate: Candidate, present: Sequence[Candidate]) -> bool:
         if candidate.several:

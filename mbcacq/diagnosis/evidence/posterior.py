@@ -9,8 +9,8 @@ import numpy as np
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.result import TOGETHER, NotSeparable
 from mbcacq.effects.declaration import EffectCoupling
 
 

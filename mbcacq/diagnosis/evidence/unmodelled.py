@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.nonparametric import gaussian_process, locations
 from mbcacq.diagnosis.nonparametric.bayes_factor import relative_sizes
 from mbcacq.diagnosis.nonparametric.design_blocks import BlockGroup, DesignBlocks, unmodelled_candidate
@@ -15,6 +14,7 @@ from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap, MapEvidence
 from mbcacq.diagnosis.nonparametric.gaussian_process import Process
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
 
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member, SetPrior, estimated
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, SetPrior, estimated
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.problem import DiagnosisProblem
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.untried import UntriedEffect, untried
 

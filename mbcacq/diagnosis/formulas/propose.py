@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import coefficients
-from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.fitted_model import ModelFit
@@ -21,8 +20,8 @@ from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem, thinned, transferred
-from mbcacq.diagnosis.result import EffectFound, Proposal
-from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.result import PoseEffect, Proposal
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import summed
 from mbcacq.diagnosis.validation.folds import split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore, held_out_score
@@ -55,7 +54,7 @@ class Setting:
             best = reported_hypothesis(full.evidence)
             return cls(problem.context, linear, best.point, best.catalogued, full.random)
         small = thinned(problem, linear.keep, unmodelled.OPTIONS.many_poses)
-        others = tuple(Member(c, h) for c, h in transferred(problem, small, full.model).effects)
+        others = transferred(problem, small, full.model.members)
         return cls(small.context, small.linear, NoisePoint(small.linear, problem.prior_noise, pack(full.noise)), others)
 
     @cached_property
@@ -67,9 +66,9 @@ class Setting:
 
     def scores(self, formula: Formula | None = None, random: Sequence[RandomEffect] = ()) -> list[PredictiveScore]:
         """Scores of each part: the parametric effects with others, fitted without the part and evaluated on it."""
-        effects = [(m.candidate, m.hyper) for m in self.others]
+        effects = list(self.others)
         if formula is not None:
-            effects.append((candidate(self.context, formula.placed, formula.sigma / DIAGNOSIS.sizes[-1]), None))
+            effects.append(Member(candidate(self.context, formula.placed, formula.sigma / DIAGNOSIS.sizes[-1]), None))
         model, noise = EffectSet(tuple(effects)), self.point.noise
         return [held_out_score(self.linear, train, test, model, random, noise) for train, test in self.parts]
 
@@ -102,7 +101,7 @@ def refused(proposal: Proposal) -> str:
 
 
 def propose(
-    problem: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound], progress: Callable[[str], None] = lambda text: None
+    problem: DiagnosisProblem, full: ModelFit, effects: Sequence[PoseEffect], progress: Callable[[str], None] = lambda text: None
 ) -> Proposed:
     """At most a few formulas for what the unmodelled effects do together, the most probable first; none where none holds up on data left
     out.
@@ -158,7 +157,7 @@ def proposal_of(here: Setting, formula: Formula, scores: Sequence[PredictiveScor
     )
 
 
-def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
+def located(context: Context, effects: Sequence[PoseEffect]) -> list[Location]:
     """Where the unmodelled effects are, where something acts alike (the joint behind a link too, which it can turn as well), and where else
     the evidence does not exclude them. A ball or a station has no covariates of its own.
     """
@@ -189,7 +188,7 @@ def term_of(context: Context, formula: Formula) -> EffectTerm:
     found, k = coefficients(formula.hypothesis), len(formula.sigma)
     parts = tuple(described(formula.placed))
     each = [c for p in formula.placed for c in p.coefficients]
-    values = found.mean[-k:]
+    values = found.coefficients[-k:]
     alike = [(j, unit) for j, p in enumerate(formula.placed) for _, _, unit in p.coefficients]
     sizes = {one: np.sqrt(np.mean([v**2 for v, other in zip(values, alike, strict=True) if other == one])) for one in alike}
     return EffectTerm(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.findings import Advice, NotSeparable
 from mbcacq.diagnosis.motion.evidence_summary import pairs_not_separable, summarized
 from mbcacq.diagnosis.motion.fit import FitStep, FittedEffect, MotionFit
 from mbcacq.diagnosis.motion.options import NUMBERS
@@ -20,13 +21,13 @@ from mbcacq.diagnosis.motion.result import (
     ChannelFit,
     CheckedChannel,
     ErrorBeforeAfter,
+    FitOfMotion,
     MotionDiagnosis,
     MotionEffect,
     MotionMismatch,
     MotionStep,
     UnmodelledMotionEffect,
 )
-from mbcacq.diagnosis.result import Advice, NotSeparable
 from mbcacq.effects import catalogue
 from mbcacq.effects.motion_effect import MotionSignals
 
@@ -95,8 +96,7 @@ def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_valid
         verdict="cannot_tell" if not_separable or cut_short(fits) else _verdict(fits, effects, channels),
         mismatch=tuple(sorted(mismatch, key=lambda m: -m.share)),
         effects=tuple(sorted(effects, key=lambda e: -e.held_out_gain)),
-        channels=tuple(channels),
-        split=fits[0].split,
+        fit=FitOfMotion.of(channels, fits[0].split),
         not_separable=not_separable,
         advice=(*_advice_on_sets(alike), *_advice(runs, loads)),
         inertial=tuple(b for fit in fits for b in _inertial(fit)),
@@ -149,7 +149,7 @@ def _step(fit: MotionFit, step: FitStep, at: list[int]) -> MotionStep:
 
 def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MotionMismatch:
     at = effect.where[0] if len(effect.joints) == 1 and not catalogue.declaration(effect.name).between_locations else effect.where[-1]
-    return MotionMismatch(at, table.fit.group.name, effect.depends_on, table.share(gain), effect.p_value)
+    return MotionMismatch(at, effect.depends_on, table.share(gain), effect.p_value, table.fit.group.name)
 
 
 def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:

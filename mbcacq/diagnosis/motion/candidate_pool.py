@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.spectrum import periodic_candidates
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
 
 

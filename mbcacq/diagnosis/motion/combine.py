@@ -12,25 +12,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from mbcacq.diagnosis.findings import CURE, READABLE, ComparedEffect, EffectFound, EvidenceSummary, GivenEvidence, Verdict
 from mbcacq.diagnosis.given_effects import StatedParameters
 from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointEvidence, StatedEffect, apart, joint_evidence, not_excluded, paired
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.result import ComparedEffect, Diagnosis, EffectFound, EvidenceSummary, GivenEvidence
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import ParameterEstimate, Parameters, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words
 from mbcacq.errors import ConfigError
-from mbcacq.model.json_text import damage, from_fields, plain
+from mbcacq.model.json_text import EveryKey, Number, fields_as_json, from_document
 from mbcacq.quantities import split_unit
 
 VERDICT_OF_BOTH = {
@@ -65,7 +66,7 @@ class ParameterAgreement:
     parameter: str
     poses: ParameterEstimate
     motion: ParameterEstimate
-    sigmas: float
+    sigmas: Number
     agrees: bool
 
     @property
@@ -99,6 +100,27 @@ class DecidedPair:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class JointVerdict(JointEvidence):
+    """What poses and motion show as one problem, and the verdict on the run."""
+
+    verdict: Verdict
+
+
+@dataclass(frozen=True, kw_only=True)
+class BothInFile(EveryKey):
+    """The keys that the motion between the poses adds to a diagnosis of these. agreement: of what both found; decided: by one where the
+    other cannot tell."""
+
+    left_out = ("given_motion", "motion", "agreement", "decided", "together")
+
+    given_motion: GivenEvidence | None = None
+    motion: MotionDiagnosis | None = None
+    agreement: tuple[ParameterAgreement, ...] | None = None
+    decided: tuple[DecidedPair, ...] | None = None
+    together: JointVerdict | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class PosesAndMotion:
     """What was found in the poses of a run and in the motion between them. given: the evidence of the poses with what the motion is sure of
@@ -112,22 +134,22 @@ class PosesAndMotion:
     @classmethod
     def of_json(cls, content: Mapping[str, Any]) -> PosesAndMotion:
         """From a diagnosis as it is written, with its ``motion``. Raises ConfigError where that is damaged."""
-        given = content.get("given_motion")
-        try:
-            beside = None if given is None else from_fields(GivenEvidence, given)
-        except ValueError as error:
-            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
-        return cls(Diagnosis.from_json(content), MotionDiagnosis.from_json(content["motion"]), beside)
+        beside = from_document(BothInFile, content, READABLE, "the diagnosis", "diagnosis", CURE)
+        if beside.motion is None:
+            raise ConfigError("the diagnosis is of poses alone; diagnose a run that recorded the motion between them")
+        return cls(Diagnosis.from_json(content), beside.motion, beside.given_motion)
 
     def to_json(self) -> dict[str, Any]:
-        """The motion (``motion``), what both found (``agreement``), what one decides that the other cannot (``decided``), and what both
-        show as one problem (``together``)."""
-        return {
-            "motion": self.motion.to_json(),
-            "agreement": plain(self.agreement),
-            "decided": plain(self.decided),
-            "together": {"verdict": self.verdict} | plain(self.together),
-        }
+        """The keys of the document of a diagnosis that a motion adds (``BothInFile``)."""
+        joint = self.together
+        both = BothInFile(
+            given_motion=self.given,
+            motion=self.motion,
+            agreement=tuple(self.agreement),
+            decided=tuple(self.decided),
+            together=JointVerdict(verdict=self.verdict, **{f.name: getattr(joint, f.name) for f in fields(joint)}),
+        )
+        return fields_as_json(both)
 
     @cached_property
     def verdict(self) -> str:

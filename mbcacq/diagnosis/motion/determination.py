@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import Member
+from mbcacq.diagnosis.search.effect_set import Member
 
 BOUND = 1e-6  # relative distance from the first or last value tried within which a hyper-parameter is at that bound
 

@@ -65,7 +65,7 @@ def diagnose_trajectories(
     return replace(
         found,
         suspicions=(*late, *suspicions(recordings.runs), *_other_payload(found, recordings.robot)),
-        plot_data=motion_series(fits, found.channels, trajectories, recordings.runs),
+        plot_data=motion_series(fits, found.fit.channels, trajectories, recordings.runs),
     )
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
-from mbcacq.diagnosis.evidence.coefficients import slices_of
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import not_separable, reported_hypothesis, undecided
+from mbcacq.diagnosis.findings import ComparedEffect, EvidenceSummary, NotSeparable
 from mbcacq.diagnosis.motion.gram_point import GramPoint, cholesky_of
 from mbcacq.diagnosis.output.evidence_summary import compared_effect, summary_of
-from mbcacq.diagnosis.result import ComparedEffect, EvidenceSummary, NotSeparable
+from mbcacq.diagnosis.search.effect_set import slices_of
 
 
 def summarized(sets: RankedSets) -> EvidenceSummary:

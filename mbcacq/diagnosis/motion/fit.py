@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.findings import Alternative, NotSeparable
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
@@ -17,7 +18,6 @@ from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
 from mbcacq.diagnosis.motion.motion_model import MotionModel, SelectedEffect
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.diagnosis.result import Alternative, NotSeparable
 from mbcacq.effects.effect import Parameters, joined_parameters
 from mbcacq.effects.motion_effect import ChannelGroup
 

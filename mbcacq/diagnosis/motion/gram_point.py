@@ -15,10 +15,10 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from mbcacq.diagnosis.evidence.hypothesis import Member
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.normal_store import MISMATCH
 from mbcacq.diagnosis.motion.options import RIDGE
+from mbcacq.diagnosis.search.effect_set import Member
 
 # Signal to noise ratios of a coefficient without a prior of its own: from one that is barely seen to a set point that repeats to the last
 # digit, half a decade apart. A coefficient with a prior has shares of its standard deviation (as for the sizes of poses, equally probable).

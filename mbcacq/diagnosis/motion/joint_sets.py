@@ -20,6 +20,7 @@ import numpy as np
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import ParameterEstimate, Parameters
+from mbcacq.model.json_text import Number
 
 MOST_SETS = 12  # of each evidence: further ones are less probable than the best by far
 SAME_ORDER = 0.5  # periods a turn within which two periodic components are the same
@@ -68,7 +69,7 @@ class JointSet:
     """effects: labels; log_odds: natural logarithm of the posterior probability relative to the most probable joint set's."""
 
     effects: tuple[str, ...]
-    log_odds: float
+    log_odds: Number
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,8 @@ class JointEvidence:
     """
 
     sets: tuple[JointSet, ...]
-    log_e_value: float
-    least_log_e_value: float = LEAST_LOG_E_VALUE
+    log_e_value: Number
+    least_log_e_value: Number = LEAST_LOG_E_VALUE
 
     @property
     def significant(self) -> bool:

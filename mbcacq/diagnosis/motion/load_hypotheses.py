@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
-from mbcacq.diagnosis.evidence.hypothesis import Member
+from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.determination import canonical_correlation
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.noise import covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.diagnosis.result import NotSeparable
+from mbcacq.diagnosis.search.effect_set import Member
 
 ARM = "arm"  # the masses of the links
 SIZES = np.array([0.03, 0.1, 0.3, 1.0])  # of a coefficient's prior sigma, equally probable

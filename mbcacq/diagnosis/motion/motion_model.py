@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mbcacq.diagnosis.evidence.hypothesis import Member
+from mbcacq.diagnosis.findings import Alternative
 from mbcacq.diagnosis.motion.noise import third_difference_noise
 from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.diagnosis.result import Alternative
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 

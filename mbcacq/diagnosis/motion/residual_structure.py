@@ -43,10 +43,17 @@ def residual_structure(
     axis, channel = f"A{fit.group.joints[j] + 1}", fit.group.name
     if best is None or best.share < NUMBERS.least_residual_share:
         segments = NUMBERS.residual_segments
-        return MotionMismatch(axis, channel, "time", weight, float(chdtrc(segments, segments * mean_square / floor**2))), None
+        return MotionMismatch(axis, "time", weight, float(chdtrc(segments, segments * mean_square / floor**2)), channel), None
     share = best.share * weight
-    effect = UnmodelledMotionEffect((axis,), channel, best.covariate, best.p_value, share, ResponseShape(best.x, best.y))
-    return MotionMismatch(axis, channel, best.covariate, share, best.p_value), effect
+    effect = UnmodelledMotionEffect(
+        where=(axis,),
+        depends_on=best.covariate,
+        p_value=best.p_value,
+        held_out_gain=share,
+        channel=channel,
+        shape=ResponseShape(best.x, best.y),
+    )
+    return MotionMismatch(axis, best.covariate, share, best.p_value, channel), effect
 
 
 def _strongest(covariates: dict[str, list[np.ndarray]], used: list[np.ndarray], residual: list[np.ndarray]) -> Dependence | None:

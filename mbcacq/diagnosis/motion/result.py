@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, computed_field
+from pydantic import Discriminator, Field, Tag
 
-from mbcacq.diagnosis.result import FORMAT, READABLE, Advice, Alternative, EvidenceSummary, NotSeparable
-from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.diagnosis.findings import FORMAT, Alternative, EffectFound, EvidenceSummary, Findings, MismatchEntry
+from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.effects.trend import trend
 from mbcacq.errors import ConfigError
 from mbcacq.model.channel_series import MotionSeries
-from mbcacq.model.json_text import EveryKey, InJson, Number, damage, fields_as_json, from_fields
-
-Json = dict[str, Any]
+from mbcacq.model.json_text import EveryKey, Number
 
 
 @dataclass(frozen=True)
-class MotionMismatch:
-    """A dependence of one kind of mismatch. at: joint or channel; share: of that kind's held-out excess over the noise."""
+class MotionMismatch(MismatchEntry):
+    """at: joint or channel; share: of the held-out excess of that kind of mismatch (``channel``)."""
 
-    at: str
     channel: str
-    depends_on: str
-    share: Number
-    p_value: Number
 
 
 @dataclass(frozen=True)
@@ -43,33 +35,6 @@ class MotionStep:
 
 
 @dataclass(frozen=True)
-class MotionEffect:
-    """A parametric effect that was found.
-
-    parameters: by name, with the unit as its suffix. held_out_gain: share of the
-    excess of its kind of mismatch over the noise that it removes on held-out data; held_out_gain_here: of that of its own joints. Together
-    the effects of a joint remove what the table of channels says. notes: what its parameters leave open. trend: as of ``EffectFound``.
-    """
-
-    name: str
-    where: tuple[str, ...]
-    depends_on: str
-    channel: str
-    parameters: Mapping[str, ParameterEstimate]
-    p_value: Number
-    held_out_gain: Number
-    held_out_gain_here: Number
-    alternatives: tuple[Alternative, ...]
-    steps: tuple[MotionStep, ...]
-    notes: tuple[str, ...] = ()
-    trend: str = field(init=False, default="")
-
-    def __post_init__(self) -> None:
-        sizes = {name: estimate.components for name, estimate in self.parameters.items()}
-        object.__setattr__(self, "trend", trend(sizes, self.held_out_gain_here))
-
-
-@dataclass(frozen=True)
 class ResponseShape:
     """Mean ``y`` over bins ``x`` of a covariate, in SI units."""
 
@@ -77,22 +42,47 @@ class ResponseShape:
     y: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class UnmodelledMotionEffect:
-    """Structure in a residual that no effect of the catalogue explains: its ``shape`` over the covariate ``depends_on``. It is
-    named 'unknown'."""
+@dataclass(frozen=True, kw_only=True)
+class EffectInChannel(EffectFound):
+    """An effect in one kind of mismatch (``channel``). p_value: exp(-log Bayes factor). held_out_gain: of the excess of that kind."""
 
-    where: tuple[str, ...]
     channel: str
-    depends_on: str
-    p_value: Number
-    held_out_gain: Number
+
+    @property
+    def at(self) -> str:
+        return f"{super().at} ({self.channel})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionEffect(EffectInChannel):
+    """A parametric effect that was found.
+
+    held_out_gain_here: share of the excess of its own joints that it removes on held-out data. Together the effects of a joint remove what
+    the table of channels says. notes: what its parameters leave open.
+    """
+
+    held_out_gain_here: Number
+    steps: tuple[MotionStep, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def removed(self) -> tuple[float | None, float]:
+        return self.held_out_gain_here, 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnmodelledMotionEffect(EffectInChannel):
+    """Structure in a residual that no effect of the catalogue explains: its ``shape`` over the covariate ``depends_on``."""
+
     shape: ResponseShape
     name: str = field(init=False, default=UNKNOWN)
     parameters: Mapping[str, ParameterEstimate] = field(init=False, default_factory=dict)
     alternatives: tuple[Alternative, ...] = field(init=False, default=())
+    trend: Annotated[str, Field(exclude=True)] = field(init=False, default="")
 
-    trend = ""
+    @property
+    def removed(self) -> tuple[float | None, float]:
+        return None, 0.0
 
 
 @dataclass(frozen=True)
@@ -168,7 +158,8 @@ class MeanChi2:
 
     @classmethod
     def of(cls, errors: Sequence[ErrorBeforeAfter]) -> Self:
-        return cls(float(np.mean([e.before_chi2_dof for e in errors])), float(np.mean([e.after_chi2_dof for e in errors])))
+        each = [e.before_chi2_dof for e in errors], [e.after_chi2_dof for e in errors]
+        return cls(*(float(np.mean(chi2)) if chi2 else np.nan for chi2 in each))
 
 
 @dataclass(frozen=True)
@@ -178,54 +169,48 @@ class HeldOutChi2(MeanChi2):
 
 @dataclass(frozen=True)
 class FitOfMotion:
-    """The fits of all channels, and their means."""
+    """The fits of all channels, and their means. channels: one fit a channel and joint."""
 
     train: MeanChi2
     held_out: HeldOutChi2
     channels: tuple[ChannelFit, ...]
 
+    @classmethod
+    def of(cls, channels: Sequence[ChannelFit], split: str) -> Self:
+        """split: how data were held out, by 'trajectory' or 'time block'."""
+        train, held = (MeanChi2.of([getattr(c, which) for c in channels]) for which in ("train", "held_out"))
+        return cls(train, HeldOutChi2(held.before_chi2_dof, held.after_chi2_dof, split), tuple(channels))
 
-def _effect(content: Any) -> MotionEffect | UnmodelledMotionEffect:
-    return from_fields(UnmodelledMotionEffect if content["name"] == UNKNOWN else MotionEffect, content)
+
+def _kind(effect: Any) -> str:
+    """Which of both an effect is: of a content of JSON, or an object."""
+    name = effect.get("name") if isinstance(effect, Mapping) else getattr(effect, "name", None)
+    return "unmodelled" if name == UNKNOWN else "named"
 
 
-EitherEffect = Annotated[MotionEffect | UnmodelledMotionEffect, InJson(Any, _effect, fields_as_json)]
+EitherEffect = Annotated[Annotated[MotionEffect, Tag("named")] | Annotated[UnmodelledMotionEffect, Tag("unmodelled")], Discriminator(_kind)]
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class MotionDiagnosis(EveryKey):
+class MotionDiagnosis(Findings, EveryKey):
     """What was found in recordings of motion.
 
-    verdict: 'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'. mismatch: by falling share. effects: by falling
-    held-out gain. channels: one fit a channel and joint. split: how data were held out, by 'trajectory' or 'time block'.
-    not_separable: effects asked for that are not told apart, and advice: what to record for that. inertial: of the links and of a tool
-    that was found. suspicions: what in the description of the data looks wrong, in words. evidence: of the sets of effects that were
-    compared, one for each kind of mismatch; empty in older files. checks: what the effects leave of other recordings, where that was asked.
-    plot_data: a ``MotionSeries`` from which pictures are drawn; it is no part of the JSON.
+    mismatch: by falling share. effects: by falling held-out gain. not_separable: effects asked for that are not told apart, and advice:
+    what to record for that. inertial: of the links and of a tool that was found. suspicions: what in the description of the data looks
+    wrong, in words. evidence: of the sets of effects that were compared, one for each kind of mismatch; empty in older files. checks: what
+    the effects leave of other recordings, where that was asked. plot_data: a ``MotionSeries``.
     """
 
     left_out = ("checks",)
-    later = ("not_separable", "advice", "inertial", "suspicions", "evidence", "plot_data")
+    later = ("not_separable", "advice", "inertial", "suspicions", "evidence")
 
-    verdict: str
     mismatch: tuple[MotionMismatch, ...]
     effects: tuple[EitherEffect, ...]
-    channels: Annotated[tuple[ChannelFit, ...], Field(exclude=True)]
-    split: Annotated[str, Field(exclude=True)]
-    not_separable: tuple[NotSeparable, ...] = ()
-    advice: tuple[Advice, ...] = ()
+    fit: FitOfMotion
     inertial: tuple[BodyInertia, ...] = ()
     suspicions: tuple[str, ...] = ()
     evidence: tuple[ChannelEvidence, ...] = ()
     checks: Annotated[tuple[MotionCheck, ...], Field(alias="motion_checks")] = ()
-    plot_data: Annotated[object | None, Field(exclude=True)] = field(default=None, compare=False)
-
-    @computed_field
-    @property
-    def fit(self) -> FitOfMotion:
-        """The fits of all channels, as the JSON has them."""
-        train, held = (MeanChi2.of([getattr(c, which) for c in self.channels]) for which in ("train", "held_out"))
-        return FitOfMotion(train, HeldOutChi2(held.before_chi2_dof, held.after_chi2_dof, self.split), self.channels)
 
     @property
     def series(self) -> MotionSeries:
@@ -239,40 +224,20 @@ class MotionDiagnosis(EveryKey):
         """The parametric effects."""
         return tuple(e for e in self.effects if isinstance(e, MotionEffect))
 
-    def to_json(self) -> Json:
-        """The contract mbcacq-diagnosis/3; what is not finite is null."""
-        return {"format": FORMAT} | fields_as_json(self)
+    @property
+    def held_out(self) -> str:
+        held = self.fit.held_out
+        return f"χ²/dof {held.before_chi2_dof:.2f} before, {held.after_chi2_dof:.2f} after"
 
     @classmethod
-    def from_json(cls, content: Json) -> MotionDiagnosis:
-        """From what ``to_json`` gave. Raises ConfigError for another format, a diagnosis of poses, and a damaged one."""
-        fit = content.get("fit", {})
-        if content.get("format") not in READABLE or "channels" not in fit:
+    def from_json(cls, content: Any) -> Self:
+        """The diagnosis that ``to_json`` wrote. Raises ConfigError for another format, a diagnosis of poses, and a damaged one."""
+        if not is_of_motion(content):
             raise ConfigError(f"this is not the diagnosis of a motion: it needs format {FORMAT} and fit.channels")
-        try:
-            return from_fields(cls, {**content, "channels": fit["channels"], "split": fit["held_out"]["split"]})
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ConfigError(f"the diagnosis is damaged ({damage(error)}); write it again with mbcacq diagnose --out FILE") from error
-
-    def __repr__(self) -> str:
-        lines = [f"MotionDiagnosis: {self.verdict}, {len(self.effects)} effects"]
-        for effect in self.effects:
-            lines.append(f"  {effect.name} at {', '.join(effect.where)} ({effect.channel}): held-out gain {effect.held_out_gain:.1%}")
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        """A table for a notebook."""
-        heads = "".join(f"<th>{head}</th>" for head in ("effect", "where", "channel", "held-out gain", "parameters"))
-        rows = "".join(
-            f"<tr><td>{html.escape(e.name)}</td><td>{html.escape(', '.join(e.where))}</td><td>{html.escape(e.channel)}</td>"
-            f"<td>{e.held_out_gain:.1%}</td><td>{html.escape(_parameters(e))}</td></tr>"
-            for e in self.effects
-        )
-        return f"<p>Verdict: <b>{html.escape(self.verdict)}</b></p><table><tr>{heads}</tr>{rows}</table>"
+        return super().from_json(content)
 
 
-def _parameters(effect: MotionEffect | UnmodelledMotionEffect) -> str:
-    """In words with units, ± U (k = 2); of a trend no figure."""
-    if effect.trend:
-        return f"a trend: {effect.trend}"
-    return "; ".join(parameter_in_words(name, estimate) for name, estimate in effect.parameters.items())
+def is_of_motion(content: Any) -> bool:
+    """Whether the JSON content of a diagnosis is of a motion alone, and not of poses."""
+    fit = content.get("fit") if isinstance(content, Mapping) else None
+    return isinstance(fit, Mapping) and "channels" in fit

@@ -56,8 +56,8 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
     for e in diagnosis.evidence:
         odds, found = e_value_in_words(e.evidence)
         lines.append(f"{CHANNELS[e.channel]}: effects against none {odds}, {found}.")
-    lines += ["", f"On held-out data (by {diagnosis.split}):"]
-    for c in diagnosis.channels:
+    lines += ["", f"On held-out data (by {diagnosis.fit.held_out.split}):"]
+    for c in diagnosis.fit.channels:
         lines.append(f"  {c.at} {CHANNELS[c.channel]}: {_held_out(c)}")
     for check in diagnosis.checks:
         lines += ["", f"Tried on {check.recording or 'the other recording'}, of which nothing was learnt:"]

@@ -33,7 +33,7 @@ class JointModel:
     def __init__(self, linear: LinearProblem, model: EffectSet, random: Sequence[RandomEffect], whiten: CentreWhitening):
         self.linear, self.model, self.random, self.whiten = linear, model, tuple(random), whiten
         self.known, sigma = columns_of(linear, model)
-        first = len(sigma) - sum(c.k for c, _ in model.effects)
+        first = len(sigma) - sum(m.candidate.k for m in model.members)
         self.effects = [slice(first + p.start, first + p.stop) for p in model.slices()]
         self.groups = [slice(len(sigma) + p.start, len(sigma) + p.stop) for p in slices_of(self.random)]
         self.sigma = np.concatenate([sigma, *(g.sigma for g in self.random)])
@@ -116,9 +116,9 @@ class JointModel:
 
 def effect_columns(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:
     """Parametric effects: columns (M, R, k) and prior sigma (k,)."""
-    blocks = [candidate_columns(linear, candidate, hyper) for candidate, hyper in model.effects]
+    blocks = [candidate_columns(linear, m.candidate, m.hyper) for m in model.members]
     nothing = np.zeros((*linear.residual.shape, 0))
-    return np.concatenate([nothing, *blocks], axis=2), np.concatenate([np.zeros(0), *(prior_sigma(c) for c, _ in model.effects)])
+    return np.concatenate([nothing, *blocks], axis=2), np.concatenate([np.zeros(0), *(prior_sigma(m.candidate) for m in model.members)])
 
 
 def columns_of(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:
@@ -135,4 +135,4 @@ def noise_with(linear: LinearProblem, model: EffectSet, start: Noise, prior: Noi
 
 def conditioned_on_effects(projected: CandidateScoring, model: EffectSet) -> CandidateScoring:
     """The problem with the parametric effects projected out."""
-    return projected.conditioned_on([(projected.block(c, h), prior_weight(c)) for c, h in model.effects])
+    return projected.conditioned_on([(projected.block(m.candidate, m.hyper), prior_weight(m.candidate)) for m in model.members])

@@ -12,6 +12,7 @@ import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import EACH_RECORDING
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.meta_analysis import BetweenRecordings
@@ -20,7 +21,7 @@ from mbcacq.estimation.meta_analysis import BetweenRecordings
 def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
     """One entry for each parameter of each effect; none of a single recording."""
     obs = full.geometry_only.linear.obs
-    shared = [(c, h) for c, h in full.model.effects if c.hyper is None or c.hyper.name != "at_pose"]
+    shared = [m for m in full.model.members if m.candidate.hyper is None or m.candidate.hyper.name != "at_pose"]
     if obs.recording is None or not shared:
         return ()
     out = []
@@ -31,9 +32,7 @@ def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
     return tuple(out)
 
 
-def values_of_recordings(
-    full: ModelFit, effects: Sequence[tuple[Candidate, float | None]]
-) -> list[tuple[Candidate, dict[str, np.ndarray], dict[str, np.ndarray]]]:
+def values_of_recordings(full: ModelFit, effects: Sequence[Member]) -> list[tuple[Candidate, dict[str, np.ndarray], dict[str, np.ndarray]]]:
     """For each effect its parameters of one component, values (R,) and standard deviations (R,), all of them fitted together."""
     projected = full.geometry_only
     obs = projected.linear.obs
@@ -41,11 +40,11 @@ def values_of_recordings(
     assert obs.recording is not None, "asked of several recordings only"
     of_row = np.repeat(obs.recording[obs.pose], projected.linear.width)
     blocks, weights = [], []
-    for candidate, hyper in effects:
-        X = projected.block(candidate, hyper)
-        own = candidate.variant == EACH_RECORDING
+    for m in effects:
+        X = projected.block(m.candidate, m.hyper)
+        own = m.candidate.variant == EACH_RECORDING
         blocks += [X] if own else [np.where(of_row[:, None] == r, X, 0.0) for r in range(count)]
-        weights += [prior_weight(candidate)] * (1 if own else count)
+        weights += [prior_weight(m.candidate)] * (1 if own else count)
     X = np.concatenate(blocks, axis=1)
     absorbed = projected.Q.T @ X
     S = X.T @ X - absorbed.T @ absorbed + np.diag(np.concatenate(weights))
@@ -53,13 +52,14 @@ def values_of_recordings(
     covariance = np.linalg.inv(S / np.outer(size, size)) / np.outer(size, size)
     coefficients = covariance @ (X.T @ projected.beyond_geometry())
     out, first = [], 0
-    for candidate, hyper in effects:
+    for m in effects:
+        candidate = m.candidate
         times = 1 if candidate.variant == EACH_RECORDING else count
         reports = []
         for _ in range(times):
             own = slice(first, first + candidate.k)
             first = own.stop
-            reports.append(candidate.parameters(coefficients[own], covariance[own, own], hyper))
+            reports.append(candidate.parameters(coefficients[own], covariance[own, own], m.hyper))
         single = [name for name, p in reports[0].items() if times == 1 or not isinstance(p.value, tuple)]
         values = {name: np.concatenate([np.atleast_1d(r[name].value) for r in reports]) for name in single}
         std = {name: np.concatenate([np.atleast_1d(r[name].std) for r in reports]) for name in single}

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
+from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import TOGETHER, EffectFound, MismatchEntry, NotSeparable
+from mbcacq.diagnosis.result import PoseEffect, PoseMismatch
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -29,10 +30,10 @@ STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at 
 SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 
 
-Ranked = tuple[bool, float, EffectFound]  # whether it stands in front, chi2 that it explains beyond all others, the effect
+Ranked = tuple[bool, float, PoseEffect]  # whether it stands in front, chi2 that it explains beyond all others, the effect
 
 
-def effects_by_contribution(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[EffectFound]:
+def effects_by_contribution(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[PoseEffect]:
     """All effects, named and unmodelled, those first that explain most of what the others cannot. An effect that shows only through another
     one (a wrong payload through elastic joints) stands in front of all others.
     """
@@ -44,17 +45,17 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
     """The effects gathered by name (several joints of one effect make one entry)."""
     model = full.model
     grouped: dict[str, list[int]] = {}
-    for j, (candidate, _) in enumerate(model.effects):
-        name = candidate.name
-        several = candidate.where[0].startswith(ONE_ENTRY) and not catalogue.declaration(name).between_locations
-        grouped.setdefault(name if several else candidate.label, []).append(j)
+    for j, m in enumerate(model.members):
+        name = m.candidate.name
+        several = m.candidate.where[0].startswith(ONE_ENTRY) and not catalogue.declaration(name).between_locations
+        grouped.setdefault(name if several else m.label, []).append(j)
     out = list[Ranked]()
     for members in grouped.values():
-        first = model.effects[members[0]][0]
+        first = model.members[members[0]].candidate
         gain = contributions.of(members)
-        effect = EffectFound(
+        effect = PoseEffect(
             name=first.name,
-            where=tuple(dict.fromkeys(w for j in members for w in model.effects[j][0].where)),
+            where=tuple(dict.fromkeys(w for j in members for w in model.members[j].candidate.where)),
             parameters=merged_parameters(full, members),
             p_value=likelihood_ratio_p(full, members, gain),
             held_out_gain=(removed := gain_left_out(proof, model, members)),
@@ -67,21 +68,22 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
 
 def gain_left_out(proof: CrossValidation, model: EffectSet, members: list[int]) -> float:
     """Share of the held-out excess that an entry removes: of an effect with entries at several locations, the entry at its own."""
-    first = model.effects[members[0]][0]
-    everywhere = sum(c.name == first.name for c, _ in model.effects) == len(members)
+    first = model.members[members[0]].candidate
+    everywhere = sum(m.candidate.name == first.name for m in model.members) == len(members)
     return proof.gain(first.name if everywhere else first.label)
 
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
     """The probability that noise alone gains as much chi2 with as many coefficients as these effects have."""
-    return max(float(chdtrc(sum(full.model.effects[j][0].k for j in members), max(gain, 0.0))), SMALLEST_P)
+    return max(float(chdtrc(sum(full.model.members[j].candidate.k for j in members), max(gain, 0.0))), SMALLEST_P)
 
 
 def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, ParameterEstimate]:
     """Parameters of these effects; a name that occurs several times (several orders at one joint) gets a tuple of values."""
-    each = ((*full.model.effects[j], full.model.slices()[j]) for j in members)
-    out = joined_parameters(c.parameters(full.model.coefficients[p], full.model.covariance[p, p], hyper) for c, hyper, p in each)
-    found = (full.model.effects[j][0] for j in members)
+    model = full.model
+    each = ((model.members[j], model.slices()[j]) for j in members)
+    out = joined_parameters(m.candidate.parameters(model.coefficients[p], model.covariance[p, p], m.hyper) for m, p in each)
+    found = (model.members[j].candidate for j in members)
     for name, joint in dict.fromkeys((c.name, c.where[0]) for c in found if catalogue.declaration(c.name).refines is not None):
         out |= parameters_of_branches(full, name, joint)
     return out
@@ -94,7 +96,8 @@ def parameters_of_branches(full: ModelFit, name: str, at: str) -> Parameters:
     refinement = catalogue.declaration(name).refines
     assert refinement is not None, "only asked of an effect that refines another one"
     model, slices = full.model, full.model.slices()
-    here = [(c.name, hyper, own.start) for (c, hyper), own in zip(model.effects, slices, strict=True) if c.where == (at,)]
+    each = zip(model.members, slices, strict=True)
+    here = [(m.candidate.name, m.hyper, own.start) for m, own in each if m.candidate.where == (at,)]
     last = [row for other, _, row in here if other == refinement.of]
     further = sorted((float(breakpoint), row) for other, breakpoint, row in here if other == name and breakpoint)
     if not last or not further:
@@ -108,15 +111,16 @@ def parameters_of_branches(full: ModelFit, name: str, at: str) -> Parameters:
 def covariance_with_free_breakpoints(full: ModelFit) -> np.ndarray:
     """(k, k) of the coefficients, with the breakpoints of all effects unknown as well (to first order)."""
     model, projected = full.model, full.geometry_only
-    blocks = [projected.block(c, hyper) for c, hyper in model.effects]
-    for (c, at), own in zip(model.effects, model.slices(), strict=True):
+    blocks = [projected.block(m.candidate, m.hyper) for m in model.members]
+    for m, own in zip(model.members, model.slices(), strict=True):
+        c, at = m.candidate, m.hyper
         if c.hyper is not None and c.hyper.kind == BREAKPOINT and at:
             turned = projected.block(c, (1 + STEP) * at) - projected.block(c, (1 - STEP) * at)
             blocks.append(turned @ model.coefficients[own][:, None] / (2 * STEP))
     X, k = np.concatenate(blocks, axis=1), len(model.coefficients)
     absorbed = projected.Q.T @ X
     S = X.T @ X - absorbed.T @ absorbed
-    S[:k, :k] += np.diag(np.concatenate([prior_weight(c) for c, _ in model.effects]))
+    S[:k, :k] += np.diag(np.concatenate([prior_weight(m.candidate) for m in model.members]))
     size = 1 / np.sqrt(np.diag(S))
     return (np.linalg.inv(S * np.outer(size, size) + 1e-12 * np.eye(len(S))) * np.outer(size, size))[:k, :k]
 
@@ -132,7 +136,7 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
     if full.everywhere:
         first = full.cells[0]
         parameters, p_value = _rms_parameters(size, ranked[:12]), _bayes_p(first.log_bayes_factor)
-        effect = EffectFound(
+        effect = PoseEffect(
             name=UNKNOWN,
             where=(first.location,),
             parameters=parameters,
@@ -147,7 +151,7 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
         mine = [key for key in ranked if key[0] == at]
         evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
         gain = proof.gain(f"{UNKNOWN}:{at}")
-        effect = EffectFound(
+        effect = PoseEffect(
             name=UNKNOWN,
             where=(at,),
             parameters=_rms_parameters(size, mine),
@@ -207,12 +211,12 @@ def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[
     return {f"{at}({on}).rms_mm": ParameterEstimate(size[at, on].value, size[at, on].std) for at, on in keys}
 
 
-def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore) -> list[MismatchEntry]:
+def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore) -> list[PoseMismatch]:
     """Where simulation and recording differ: each location and covariate with its share of the excess chi2, largest first."""
     excess = max(before.chi2 - before.dof, full.model.gain, 1e-9)
     together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one location
-    for j, (candidate, _) in enumerate(full.model.effects):
-        together.setdefault((candidate.where[-1], candidate.depends_on), []).append(j)
+    for j, m in enumerate(full.model.members):
+        together.setdefault((m.candidate.where[-1], m.candidate.depends_on), []).append(j)
     entries = []  # location, covariate, gain in chi2, p-value
     for (at, on), members in together.items():
         gain = contributions.of(members)
@@ -220,15 +224,15 @@ def mismatch_table(full: ModelFit, contributions: Contributions, before: Predict
     for cell in full.cells[:1] if full.everywhere else full.cells:
         gain = contributions.of(contributions.groups_at(full, cell.location, cell.depends_on))
         entries.append((cell.location, cell.depends_on, gain, _bayes_p(cell.log_bayes_factor)))
-    largest: dict[tuple[str, str], MismatchEntry] = {}
+    largest: dict[tuple[str, str], PoseMismatch] = {}
     for at, on, gain, p_value in entries:
-        entry = MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), p_value)
+        entry = PoseMismatch(at, on, float(np.clip(gain / excess, 0, 1)), p_value)
         if (at, on) not in largest or largest[at, on].share < entry.share:
             largest[at, on] = entry
     return sorted(largest.values(), key=lambda e: -e.share)
 
 
-def with_significance(effects: Sequence[EffectFound], setup: DiagnosisProblem, full: ModelFit) -> list[EffectFound]:
+def with_significance(effects: Sequence[PoseEffect], setup: DiagnosisProblem, full: ModelFit) -> list[PoseEffect]:
     """The effects with p_local and p_corrected (Sidak, over all candidates and the independent values of their hyper-parameters), or
     with their Bayes factor, corrected for the number of locations.
     """
@@ -271,8 +275,8 @@ def classes(obs: Observations, not_separable: Sequence[NotSeparable]) -> list[tu
 
 
 def with_classes(
-    effects: Sequence[EffectFound], mismatch: Sequence[MismatchEntry], found: Sequence[tuple[str, ...]]
-) -> tuple[list[EffectFound], list[MismatchEntry]]:
+    effects: Sequence[PoseEffect], mismatch: Sequence[PoseMismatch], found: Sequence[tuple[str, ...]]
+) -> tuple[list[PoseEffect], list[PoseMismatch]]:
     """Effects and mismatch with the locations that are equivalent to theirs."""
 
     def others(places: Sequence[str]) -> tuple[str, ...]:

@@ -9,12 +9,13 @@ import numpy as np
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, Member
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
 from mbcacq.diagnosis.evidence.untried_rivals import stands_for_untried
+from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import ParameterEstimate, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
@@ -46,9 +47,10 @@ def shown(sets: RankedSets) -> list[Hypothesis]:
 def effects_of(problem: DiagnosisProblem, fit: EvidenceFit, hypothesis: Hypothesis) -> tuple[ComparedEffect, ...]:
     """The effects of a set with their parameters."""
     found, untried = coefficients(hypothesis), {u.candidate.key for u in stands_for_untried(problem, hypothesis)}
-    each = zip(hypothesis.members, found.slices, strict=True)
+    each = zip(hypothesis.members, found.slices(), strict=True)
     return tuple(
-        compared_effect(fit, hypothesis, m, found.mean[own], found.covariance[own, own], m.candidate.key not in untried) for m, own in each
+        compared_effect(fit, hypothesis, m, found.coefficients[own], found.covariance[own, own], m.candidate.key not in untried)
+        for m, own in each
     )
 
 

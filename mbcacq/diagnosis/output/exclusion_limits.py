@@ -28,6 +28,7 @@ from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import directions, independent_values, largest_ratio, upper_limit
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects import catalogue, steps
 from mbcacq.effects.context import Context
@@ -58,23 +59,21 @@ class BandLimit:
         return SizedEffect(self.candidate, self.hyper, self.coefficients)
 
 
-def limits_of(
-    problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[tuple[Candidate, float | None]]
-) -> list[BandLimit]:
+def limits_of(problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[Member]) -> list[BandLimit]:
     """Limits of every candidate that was not found, by band and parameter. problem: conditioned on what was found."""
     few = of_fewest_coefficients(candidates)
     return [limit for candidate in few for limit in limits_of_candidate(problem, candidate, few, found)]
 
 
 def limits_of_candidate(
-    problem: CandidateScoring, candidate: Candidate, few: Sequence[Candidate], found: Sequence[tuple[Candidate, float | None]]
+    problem: CandidateScoring, candidate: Candidate, few: Sequence[Candidate], found: Sequence[Member]
 ) -> list[BandLimit]:
     """Those of one of the candidates, of which there are few."""
-    there = {(c.name, c.where) for c, _ in found}
-    orders = [h for c, h in found if (c.name, c.where) == (candidate.name, candidate.where) and h is not None]
-    if (candidate.name, candidate.where) in there and not (candidate.periodic and candidate.several):
+    there = {m.candidate.location for m in found}
+    orders = [m.hyper for m in found if m.candidate.location == candidate.location and m.hyper is not None]
+    if candidate.location in there and not (candidate.periodic and candidate.several):
         return []
-    beside = with_confounders(problem, candidate, [c for c in few if (c.name, c.where) not in there])
+    beside = with_confounders(problem, candidate, [c for c in few if c.location not in there])
     return [limit for band in bands(candidate, orders) for limit in limits_of_band(beside, candidate, band)]
 
 
@@ -212,7 +211,7 @@ class LimitedFit:
 
     geometry_only: CandidateScoring
     conditioned: CandidateScoring
-    effects: Sequence[tuple[Candidate, float | None]]
+    effects: Sequence[Member]
     candidates: Sequence[Candidate]
     there: Elsewhere
 
@@ -224,7 +223,7 @@ def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Els
     fit = LimitedFit(
         geometry_only=full.geometry_only,
         conditioned=conditioned_on_everything(full),
-        effects=full.model.effects,
+        effects=full.model.members,
         candidates=of_fewest_coefficients(candidates),
         there=there,
     )
@@ -250,8 +249,8 @@ def limits_of_share(fit: LimitedFit, first: int, step: int) -> list[tuple[int, E
     linear, there = fit.geometry_only.linear, fit.there
     context = Context(linear.obs, there.context.state, linear.prediction)
     compensation = Compensation.of(fit.geometry_only, there)
-    found = {(c.name, c.where) for c, _ in fit.effects}
-    others = [c for c in fit.candidates if (c.name, c.where) not in found]
+    found = {m.candidate.location for m in fit.effects}
+    others = [c for c in fit.candidates if c.location not in found]
     out = list[tuple[int, ExclusionLimit]]()
     for number in range(first, len(fit.candidates), step):
         for limit in limits_of_candidate(fit.conditioned, fit.candidates[number], fit.candidates, fit.effects):

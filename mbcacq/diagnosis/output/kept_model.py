@@ -29,10 +29,10 @@ def kept_model(full: ModelFit) -> EffectModel:
     obs = full.geometry_only.linear.obs
     here = Covariates(obs)
     terms: list[EffectTerm] = []
-    for (candidate, hyper), own in zip(full.model.effects, full.model.slices(), strict=True):
-        if can_be_kept(candidate, hyper):
+    for m, own in zip(full.model.members, full.model.slices(), strict=True):
+        if can_be_kept(m.candidate, m.hyper):
             variance = np.diag(full.model.covariance[own, own])
-            terms.append(term_of(here, candidate, hyper, full.model.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
+            terms.append(term_of(here, m.candidate, m.hyper, full.model.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
     if full.random:
         terms += everywhere(here, terms) if full.everywhere else unmodelled_terms(here, reported_hypothesis(full.evidence))
     return EffectModel(obs.cell.robot, tuple(terms), LearntRecording.of(obs), obs.cell.measurement)
@@ -49,9 +49,9 @@ def everywhere(here: Covariates, named: list[EffectTerm]) -> list[EffectTerm]:
 def unmodelled_terms(here: Covariates, hypothesis: Hypothesis) -> list[EffectTerm]:
     """The unmodelled effects of a hypothesis. Covariates are held at the end of their learnt range, but for angles that repeat."""
     found, out = coefficients_of(hypothesis), list[EffectTerm]()
-    for m, own in zip(hypothesis.members, found.slices, strict=True):
+    for m, own in zip(hypothesis.members, found.slices(), strict=True):
         if m.candidate.name == UNKNOWN and can_be_kept(m.candidate, m.hyper):
-            term = term_of(here, m.candidate, m.hyper, found.mean[own], np.sqrt(np.diag(found.covariance)[own]))
+            term = term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.diag(found.covariance)[own]))
             held = (name for name in sorted(term.covariates) if not is_angle(name) or term.ranges[name].counts_turns)
             out.append(replace(term, sigma=m.size * m.candidate.typical, clamped=tuple(held)))
     return out

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbcacq.diagnosis.result import Advice
+from mbcacq.diagnosis.findings import Advice
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context

@@ -17,7 +17,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import Diagnosis, MismatchEntry
+from mbcacq.diagnosis.result import Diagnosis, PoseMismatch
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.context import Context
@@ -68,9 +68,7 @@ def pictures(diagnosis: Diagnosis) -> dict[str, Any]:
     return plain({"format": FORMAT, "map": map_, "centres": data.centres, "causes": data.causes, "curves": data.curves})
 
 
-def plot_data(
-    setup: DiagnosisProblem, full: ModelFit, mismatch: Sequence[MismatchEntry], before: np.ndarray, after: np.ndarray
-) -> PlotData:
+def plot_data(setup: DiagnosisProblem, full: ModelFit, mismatch: Sequence[PoseMismatch], before: np.ndarray, after: np.ndarray) -> PlotData:
     """The plot data of a fit; before, after: (M, R) mm residuals in the frame of the instrument, of the geometry alone and of the model."""
     context, linear = setup.context, full.geometry_only.linear
     obs = linear.obs
@@ -145,7 +143,8 @@ class DrawnEffect:
 def drawn_effects(full: ModelFit) -> Iterator[DrawnEffect]:
     """Parametric effects, and unmodelled ones by location and covariate."""
     model, rest = full.model, full.random_effects
-    for (candidate, hyper), p in zip(model.effects, model.slices(), strict=True):
+    for m, p in zip(model.members, model.slices(), strict=True):
+        candidate, hyper = m.candidate, m.hyper
         order = hyper if candidate.periodic else None
         found = model.coefficients[p], model.covariance[p, p]
         yield DrawnEffect(

@@ -29,7 +29,7 @@ ENOUGH = 0.5  # share of the effects that a verdict ``none`` excludes at their t
 
 def limited_effects(setup: DiagnosisProblem, full: ModelFit, there: Elsewhere) -> list[SizedEffect]:
     """Every candidate that was not found, at its limit, but for those that the geometry absorbs and that change no length."""
-    found = {(c.name, c.where) for c, _ in full.model.effects}
+    found = {m.candidate.location for m in full.model.members}
     stated = CandidateScoring.of(full.geometry_only.linear, first_noise(setup.linear.obs.cell))
     missed = [c for c in of_fewest_coefficients(setup.candidates) if (c.name, c.where) not in found]
     limited = [coefficient_limit(full.conditioned, c, stated) for c in missed]

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbcacq.diagnosis.findings import Alternative, EffectFound, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
-from mbcacq.diagnosis.result import Alternative, Diagnosis, EffectFound, ExclusionLimit, GeometryAlone, NotSeparable, Proposal
+from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.in_words import effect_in_words, odds_in_words

@@ -1,38 +1,77 @@
-"""A set of parametric effects, each at its hyper-parameter, solved together with the geometry."""
+"""An effect of a set at a value of its hyper-parameter, and the set of them solved together with the geometry."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.effects.effect import Candidate
+
+NO_COLUMNS = np.zeros(0, dtype=int)
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect of a set, or one that may be, at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical
+    ones; size: the most probable; log_mass: log of the average over the hyper-parameter, relative to this value. columns: (k,) their
+    numbers among those of a motion; none of an effect of poses.
+    """
+
+    candidate: Candidate
+    hyper: float | None
+    log_mass: float = 0.0
+    sizes: tuple[float, ...] = OPTIONS.sizes
+    size: float = 1.0
+    columns: np.ndarray = field(default_factory=lambda: NO_COLUMNS, compare=False)
+
+    @property
+    def label(self) -> str:
+        """``name:where``; several harmonics of a joint are one effect."""
+        return self.candidate.label
+
+    @property
+    def key(self) -> tuple[str, float]:
+        return self.candidate.key, (self.hyper or 0.0) if len(self.columns) else round(self.hyper or 0.0, 1)
+
+    @property
+    def value(self) -> float:
+        """The hyper-parameter of an effect that has one."""
+        assert self.hyper is not None, f"{self.candidate.name} has no hyper-parameter"
+        return self.hyper
+
+
+def slices_of(members: Sequence[Member]) -> tuple[slice, ...]:
+    """Which coefficients belong to which effect."""
+    ends = np.cumsum([0] + [m.candidate.k for m in members])
+    return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
 
 
 @dataclass(frozen=True)
 class EffectSet:
-    """Selected effects, with the coefficients of all of them and their covariance. gain: chi2 that all together gain over free geometry
-    alone.
+    """Effects with the coefficients (k,) of all of them and their covariance (k, k), where they were solved. gain: chi2 that all together
+    gain over free geometry alone.
     """
 
-    effects: tuple[tuple[Candidate, float | None], ...]
-    gain: float = 0.0
+    members: tuple[Member, ...]
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros(0))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    gain: float = 0.0
 
-    def slices(self) -> list[slice]:
+    def slices(self) -> tuple[slice, ...]:
         """Which coefficients belong to which effect."""
-        ends = np.cumsum([0] + [c.k for c, _ in self.effects])
-        return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return slices_of(self.members)
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(sorted({c.name for c, _ in self.effects}))
+        return tuple(sorted({m.candidate.name for m in self.members}))
 
     @property
     def located_names(self) -> tuple[str, ...]:
         """'name:location' of the effects that are at several locations."""
-        found = dict.fromkeys((c.name, c.label) for c, _ in self.effects)
+        found = dict.fromkeys((m.candidate.name, m.label) for m in self.members)
         return tuple(located for name, located in found if sum(name == other for other, _ in found) > 1)
 
 

@@ -87,7 +87,7 @@ def evaluated_fold(
     without = {}
     for key in keys:
         effects, groups = all_but(model, () if everywhere else random, key)
-        same = len(effects) == len(model.effects) and (everywhere or len(groups) == len(random))
+        same = len(effects) == len(model.members) and (everywhere or len(groups) == len(random))
         without[key] = whole if same else held.score(effects, groups)
     return FoldResult(held.score((), ()), after, without, whole)
 
@@ -112,5 +112,5 @@ def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
 def all_but(model: EffectSet, random: Sequence[RandomEffect], key: str) -> tuple[list[int], list[int]]:
     """Numbers of the effects and groups of a fold's model without one effect."""
     location = key.removeprefix("unknown:") if key.startswith("unknown:") else None
-    effects = [j for j, (c, _) in enumerate(model.effects) if key not in (c.name, c.label)]
+    effects = [j for j, m in enumerate(model.members) if key not in (m.candidate.name, m.label)]
     return effects, [g for g, group in enumerate(random) if group.location != location]

@@ -76,14 +76,14 @@ class HeldOutPrediction:
         place = np.full(len(joint.sigma), -1)
         place[index] = np.arange(len(index))
         own = [slice(place[p.start], place[p.start] + p.stop - p.start) for p in (joint.effects[j] for j in chosen)]
-        typical = [joint.model.effects[j][0].typical for j in chosen]
+        typical = [joint.model.members[j].candidate.typical for j in chosen]
         posterior = with_estimated_prior(Posterior(joint.sigma[index], self._seen.of_columns(index)), typical, own)
         solution = np.zeros(len(joint.sigma))
         solution[index] = posterior.solution
         left = linear.residual - joint.displacement(solution)
         best = self._scored(posterior, self._others.of_columns(index), left)
         for j in chosen:
-            candidate, hyper = joint.model.effects[j]
+            candidate, hyper = joint.model.members[j].candidate, joint.model.members[j].hyper
             for moment in steps.indistinguishable_moments(candidate, hyper, linear.obs, self.train):
                 changed = candidate_columns(linear, candidate, moment) - joint.known[:, :, joint.effects[j]]
                 others = self._with_change(joint.effects[j], changed).of_columns(index)

@@ -27,7 +27,7 @@ class SharedProducts:
         """models: found without each part; left_out: (P,) bool of each."""
         self.linear, self.left_out = joint.linear, left_out
         every = [(joint.model, joint.random), *models]
-        effects = {(c.key, h): (c, h) for model, _ in every for c, h in model.effects}
+        effects = {(m.candidate.key, m.hyper): m for model, _ in every for m in model.members}
         groups = {id(g.parts): g for _, random in every for g in random}
         together = JointModel(joint.linear, EffectSet(tuple(effects.values())), tuple(groups.values()), joint.whiten)
         self._parts = together.columns.products_of_parts(left_out)
@@ -37,7 +37,7 @@ class SharedProducts:
 
     def of(self, joint: JointModel, parts: Iterable[int]) -> ColumnProducts:
         """The products of the columns of one of the models, over some parts."""
-        own = [*((c.key, h) for c, h in joint.model.effects), *(id(g.parts) for g in joint.random)]
+        own = [*((m.candidate.key, m.hyper) for m in joint.model.members), *(id(g.parts) for g in joint.random)]
         index = np.concatenate([self._geometry, *(np.arange(self._own[key].start, self._own[key].stop) for key in own)])
         return reduce(add, (self._parts[number].of_columns(index) for number in parts))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from mbcacq.calibration.result_file import FORMAT as RESULT_FORMAT
 from mbcacq.calibration.sealed_json import unsealed
-from mbcacq.diagnosis.result import FORMAT as DIAGNOSIS_FORMAT
+from mbcacq.diagnosis.findings import FORMAT as DIAGNOSIS_FORMAT
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.model.json_text import read_json
 from mbcacq.recording.rrd import layout

@@ -1,0 +1,224 @@
+"""What a diagnosis of poses and one of motion have in common: effects with their parameters, mismatch, alternatives, evidence, advice.
+
+Every class here is plain data: it pickles, and its fields are the keys of the JSON object, in their order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from html import escape
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import Field, WithJsonSchema
+
+from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.trend import trend
+from mbcacq.model.json_text import Number, fields_as_json, from_document
+from mbcacq.quantities import percent
+
+FORMAT = "mbcacq-diagnosis/3"
+READABLE = ("mbcacq-diagnosis/1", "mbcacq-diagnosis/2", FORMAT)
+THE_CONTENT, CURE = "this JSON content", "give a diagnosis as mbcacq diagnose --out writes it"
+TOGETHER = " and "  # between effects that stand together on one side of a pair
+MOST_PARAMETERS = 8  # of an effect, in a table of a notebook
+
+Format = Annotated[str, WithJsonSchema({"type": "string", "const": FORMAT})]
+Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_explained", "unexplained", "cannot_tell"]})]
+
+
+@dataclass(frozen=True)
+class MismatchEntry:
+    """A location and covariate at which recording and simulation differ. share: of the excess over the noise, 0 to 1."""
+
+    at: str
+    depends_on: str
+    share: Number
+    p_value: Number
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1. odds:
+    its posterior probability relative to the found effect's; None where that was not computed.
+    """
+
+    later = ("odds",)
+
+    name: str
+    where: tuple[str, ...]
+    held_out_gain: Number
+    odds: float | None = None
+
+    @classmethod
+    def of_label(cls, label: str, odds: float) -> Self:
+        """From ``name:where``; what it would remove is not computed."""
+        name, _, where = label.partition(":")
+        return cls(name, tuple(where.split("+")), 0.0, odds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectFound:
+    """An effect that a diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
+
+    parameters: by name, with the unit as its suffix. held_out_gain: share of the held-out excess over the noise floor that the effect
+    removes, 0 to 1. trend: why it is a trend, of which no figure may be relied on; empty for a finding.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    depends_on: str = ""
+    parameters: Mapping[str, ParameterEstimate]
+    p_value: Number
+    held_out_gain: Number
+    alternatives: tuple[Alternative, ...] = ()
+    trend: str = field(init=False, default="")
+
+    def __post_init__(self) -> None:
+        sizes = {name: estimate.components for name, estimate in self.parameters.items()}
+        object.__setattr__(self, "trend", trend(sizes, *self.removed))
+
+    @property
+    def removed(self) -> tuple[float | None, float]:
+        """Share of the excess that it removes where it acts (None: it is no trend by that), and its standard deviation."""
+        return self.held_out_gain, 0.0
+
+    @property
+    def at(self) -> str:
+        """Its locations in words."""
+        return ", ".join(self.where)
+
+
+@dataclass(frozen=True)
+class NotSeparable:
+    """Two effects, as ``name:where``, that these data cannot tell apart, and the correlation of what they explain. Several that stand
+    together are joined by ' and '. odds: posterior probability of the second relative to the first; None where that was not computed.
+    """
+
+    later = ("odds",)
+
+    effects: tuple[str, ...]
+    correlation: Number
+    odds: float | None = None
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to measure next and why; poses_deg: joint angles, one tuple a pose."""
+
+    reason: str
+    poses_deg: tuple[tuple[Number, ...], ...]
+
+
+@dataclass(frozen=True)
+class ComparedEffect:
+    """One effect of a set that was compared. parameters: its posterior mean with standard deviations, the geometry refitted. tried: False
+    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried. prior: the parameters
+    without the effect, with the standard deviations that they have before the recording; log_prior: natural logarithm of its probability
+    next to the others of the set, before the recording; both are empty in older files.
+    """
+
+    later = ("prior", "log_prior")
+
+    name: str
+    where: tuple[str, ...]
+    parameters: Mapping[str, ParameterEstimate]
+    tried: bool = True
+    prior: Mapping[str, ParameterEstimate] = field(default_factory=dict)
+    log_prior: float | None = None
+
+
+@dataclass(frozen=True)
+class ComparedSet:
+    """A set of effects that was compared. log_odds: natural logarithm of its posterior probability relative to the most probable set's."""
+
+    effects: tuple[ComparedEffect, ...]
+    log_odds: Number
+
+
+@dataclass(frozen=True)
+class EvidenceSummary:
+    """The evidence of a recording: what decides whether there is an effect, and which.
+
+    poses: that took part. log_e_value: natural logarithm of the evidence of all sets with an effect together against none;
+    least_log_e_value: above which there is an effect. Since the e-value of a recording that grows has mean one without any effect, this
+    holds at every look. sets: the most probable first, the empty one among them. untried: a sentence about each set that stands for what
+    was not tried and is not excluded.
+    """
+
+    later = ("untried",)
+
+    poses: int
+    log_e_value: Number
+    least_log_e_value: Number
+    sets: tuple[ComparedSet, ...]
+    untried: tuple[str, ...] = ()
+
+    @property
+    def significant(self) -> bool:
+        """Whether there is an effect."""
+        return self.log_e_value > self.least_log_e_value
+
+
+@dataclass(frozen=True)
+class GivenEvidence:
+    """The evidence of poses with what the motion of the same run is sure of as their prior. given: labels (``name:where``) of the effects
+    that were given, which are in all sets of ``evidence``, with the parameters that the poses alone state of them there.
+    """
+
+    given: tuple[str, ...]
+    evidence: EvidenceSummary
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Findings:
+    """What every diagnosis says.
+
+    verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. advice: what
+    to measure next. plot_data: from which pictures are drawn; it is no part of the JSON object, so None after ``from_json``.
+    """
+
+    what: ClassVar[str] = "diagnosis"  # in the sentence that a document is none
+
+    format: Format = field(init=False, default=FORMAT)
+    verdict: Verdict
+    mismatch: tuple[MismatchEntry, ...]
+    effects: tuple[EffectFound, ...]
+    not_separable: tuple[NotSeparable, ...] = ()
+    advice: tuple[Advice, ...] = ()
+    plot_data: Annotated[object | None, Field(exclude=True)] = field(default=None, compare=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """The JSON object as Python lists, dictionaries and numbers; a number that is not finite becomes None."""
+        return fields_as_json(self)
+
+    @classmethod
+    def from_json(cls, content: Any) -> Self:
+        """The diagnosis that ``to_json`` wrote; a None becomes not-a-number, keys that the format does not have are left out.
+
+        Raises ConfigError where the object has another format or lacks a key.
+        """
+        return from_document(cls, content, READABLE, THE_CONTENT, cls.what, CURE)
+
+    @property
+    def held_out(self) -> str:
+        """The misfit of held-out data before and after, in words."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        found = "; ".join(f"{e.name} at {e.at}" for e in self.effects) or "no effect"
+        return f"<{type(self).__name__} {self.verdict}: {found}; held out: {self.held_out}>"
+
+    def _repr_html_(self) -> str:
+        """A table of the effects for a notebook."""
+        heads = "".join(f"<th>{head}</th>" for head in ("effect", "where", "parameters", "removes"))
+        rows = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in _row(e))}</tr>" for e in self.effects)
+        table = f"<table><tr>{heads}</tr>{rows}</table>" if rows else ""
+        return f"<p><b>{escape(self.verdict)}</b>; held out: {escape(self.held_out)}; ± is U (k = 2)</p>{table}"
+
+
+def _row(effect: EffectFound) -> tuple[str, str, str, str]:
+    """Cells of a table, as HTML; of a trend no figure."""
+    values = [parameter_in_words(*p) for p in list(effect.parameters.items())[:MOST_PARAMETERS]]
+    shown = f"a trend: {escape(effect.trend)}" if effect.trend else "<br>".join(map(escape, values))
+    return escape(effect.name), escape(effect.at), shown, percent(effect.held_out_gain)
