@@ -139,7 +139,8 @@ def _noise_gain(layout: ParameterLayout, links_follow: bool) -> float:
 def made_exact(
     lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions
 ) -> tuple[Solution, Noise, Weights]:
-    """A settled solution with the residual at its estimate, to the end; settled again where that is not as its linear problem promised."""
+    """A settled solution solved to the end with residuals at its estimate; settled again where the problem is less linear than its last
+    steps promised."""
     exact = evaluated(lineariser, solution)
     if exact.normal.decrease(gauss_newton_step(exact.normal, lineariser.layout.gather("scale"), 0.0)) > COARSE:
         exact, weights = robust_solve(lineariser, exact, noise, weights, options, COARSE)
