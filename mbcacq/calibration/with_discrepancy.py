@@ -98,11 +98,12 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
 
 def _some_of(alone: Adjustment) -> LinearProblem:
     """The linear problem at an adjustment, of all poses or, of many, some."""
-    obs, estimate = alone.lineariser.obs, alone.solution.estimate
-    poses = some_poses(obs, MOST_POSES)
-    terms = tuple(t.at_poses(poses, obs.pose) for t in alone.lineariser.options.terms)
-    used = alone.used[poses[obs.pose]]
-    return LinearProblem.of(obs.select(poses), alone.state, used, terms, estimate.coefficients, alone.lineariser.layout)
+    obs, used, terms = alone.lineariser.obs, alone.used, alone.lineariser.options.terms
+    if obs.n_poses > MOST_POSES:
+        poses = some_poses(obs, MOST_POSES)
+        terms = tuple(t.at_poses(poses, obs.pose) for t in terms)
+        obs, used = obs.select(poses), used[poses[obs.pose]]
+    return LinearProblem.of(obs, alone.state, used, terms, alone.solution.estimate.coefficients, alone.lineariser.layout)
 
 
 def _more_probable(one: _Groups, other: _Groups, least: float = LEAST_GAIN) -> _Groups:
@@ -154,6 +155,17 @@ def serial_correlation(adjusted: Adjustment, order: np.ndarray) -> float:
     return float(products.sum() / np.sqrt(np.maximum(np.sum(products**2), 1e-300)))
 
 
+def _twists(problem: LinearProblem, groups: Sequence[EffectTerm], here: Covariates) -> list[np.ndarray]:
+    """(P, u, k) of each group, all of which turn one joint; the functions of all groups of a joint are evaluated together."""
+    found: dict[str, np.ndarray] = {}
+    for joint in {g.parts[0].index for g in groups}:
+        own = [g for g in groups if g.parts[0].index == joint]
+        part = replace(own[0].parts[0], columns=tuple(column for g in own for column in g.parts[0].columns))
+        ends = np.cumsum([g.k for g in own])[:-1]
+        found |= zip((g.key for g in own), np.split(problem.twists_of(evaluated(here, [part])), ends, axis=2), strict=True)
+    return [found[g.key] for g in groups]
+
+
 @dataclass(frozen=True)
 class _Groups:
     """Groups within the linear problem; all move a pose as a whole. twists: (P, u, k) of each; start: of each group by key, rad, where the
@@ -171,8 +183,8 @@ class _Groups:
         """The known groups with further ones. here: of the whole recording, of which the problem may hold a part."""
         if not groups:
             return None
-        there = Covariates(known.problem.obs)
-        built = (known.problem.twists_of(evaluated(there, g.parts)) for g in groups)
+        there = here if known.problem.obs is here.obs else Covariates(known.problem.obs)
+        built = _twists(known.problem, groups, there)
         start = known.start | {g.key: float(g.sigma.max()) for g in groups}
         return replace(known, terms=(*known.terms, *groups), twists=(*known.twists, *built), start=start)
 

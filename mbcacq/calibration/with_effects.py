@@ -219,9 +219,11 @@ def terms_beyond(fitted: CalibratedCell, parametric: EffectModel) -> tuple[Term,
 
 def some_poses(obs: Observations, most: int) -> np.ndarray:
     """(P,) bool of at most so many poses, evenly at random along their order."""
+    if obs.n_poses <= most:
+        return np.ones(obs.n_poses, bool)
     chosen = np.zeros(obs.n_poses, bool)
     rng = np.random.default_rng(0)
-    chosen[[rng.choice(part) for part in np.array_split(np.arange(obs.n_poses), min(most, obs.n_poses))]] = True
+    chosen[[rng.choice(part) for part in np.array_split(np.arange(obs.n_poses), most)]] = True
     return chosen
 
 

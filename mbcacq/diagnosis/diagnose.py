@@ -23,8 +23,8 @@ from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.time_budget import TimeBudget
 from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
-from mbcacq.diagnosis.validation.workers import WorkerPool
 from mbcacq.diagnosis.verdict import conclude, judge
+from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError, ContradictionError
 from mbcacq.estimation.linear_problem import LinearProblem
@@ -99,7 +99,7 @@ def _diagnose(
     def begin_again(linear: LinearProblem, unmodelled: bool) -> RepeatedSearch:
         return RepeatedSearch.begin(replace(problem, linear=linear, budget=budget), folds or usual, pool, unmodelled)
 
-    variations, found = [], searched(problem)
+    variations, found = [], searched(problem, pool)
     if is_long(obs):  # the random effects of the fit take seconds, in which another process repeats the search
         again = begin_again(found.linear, True)
         full = completed(problem, found)

@@ -49,7 +49,7 @@ class LearntRange:
             return cls(((float(np.min(values)), float(np.max(values))),), mean)
         visited = np.sort(values if counts_turns else np.mod(values, 2 * np.pi))
         ends = np.flatnonzero(np.diff(visited) > GAP)
-        begin, end = np.r_[visited[0], visited[ends + 1]], np.r_[visited[ends], visited[-1]]
+        begin, end = visited[np.concatenate([[0], ends + 1])], visited[np.concatenate([ends, [-1]])]
         return cls(tuple((float(a), float(b)) for a, b in zip(begin, end, strict=True)), mean, counts_turns)
 
     @property

@@ -92,7 +92,7 @@ class Adjustment:
 
 def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | None = None, links_follow: bool = False) -> Adjustment:
     """Everything from the start to the settled noise; ``first``, an adjustment of some of the poses, saves most of it. links_follow:
-    ``with_random_links`` comes next, which settles the noise where there are such links."""
+    ``with_random_links`` comes next, which settles noise and estimate where there are such links."""
     weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     if first is None:
         preliminary = fit_hand_eye(obs, options)
@@ -127,17 +127,24 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
             lineariser, solution, noise, weights, options, noise_gain=_noise_gain(layout, links_follow)
         )
         layout = lineariser.layout
-    exact = evaluated(lineariser, solution)
-    if exact.normal.decrease(gauss_newton_step(exact.normal, layout.gather("scale"), 0.0)) > COARSE:
-        # The problem is less linear than its steps promised.
-        exact, weights = robust_solve(lineariser, exact, noise, weights, options, COARSE)
-        exact, noise, weights = settle_noise(lineariser, exact, noise, weights, options)
-    solution = solve(lineariser, exact, noise, weights, tolerance=FINE)
+    if _noise_gain(layout, links_follow) == NOISE_GAIN:
+        solution, noise, weights = made_exact(lineariser, solution, noise, weights, options)
     return Adjustment(lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=preliminary, found=found)
 
 
 def _noise_gain(layout: ParameterLayout, links_follow: bool) -> float:
     return ROUGH_NOISE_GAIN if links_follow and with_common_sizes(layout) is not layout else NOISE_GAIN
+
+
+def made_exact(
+    lineariser: Lineariser, solution: Solution, noise: Noise, weights: Weights, options: CalibrationOptions
+) -> tuple[Solution, Noise, Weights]:
+    """A settled solution with the residual at its estimate, to the end; settled again where that is not as its linear problem promised."""
+    exact = evaluated(lineariser, solution)
+    if exact.normal.decrease(gauss_newton_step(exact.normal, lineariser.layout.gather("scale"), 0.0)) > COARSE:
+        exact, weights = robust_solve(lineariser, exact, noise, weights, options, COARSE)
+        exact, noise, weights = settle_noise(lineariser, exact, noise, weights, options)
+    return solve(lineariser, exact, noise, weights, tolerance=FINE), noise, weights
 
 
 def thin(obs: Observations, size: int) -> Observations:

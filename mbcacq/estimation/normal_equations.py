@@ -75,6 +75,14 @@ class Normal:
         out._set_right_hand_side(b, bs, chi2, prior)
         return out
 
+    def with_prior(self, prior: Prior, before: Prior) -> Normal:
+        """The same with another prior of the parameters in the place of the one before; that of the stations stays."""
+        out = copy(self)
+        out.information = self.information + np.diag(prior.sigma**-2.0 - before.sigma**-2.0)
+        out.gradient = self.gradient + before.offset / before.sigma**2 - prior.offset / prior.sigma**2
+        out.cost = self.cost - before.cost + prior.cost
+        return out
+
     def after(self, step: np.ndarray) -> Normal:
         """The same linear problem after a step (g,) of the parameters and the best stations."""
         out = copy(self)

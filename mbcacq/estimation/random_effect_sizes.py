@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
 from mbcacq.estimation.normal_equations import Normal, Prior, inverse_of_lower
 
@@ -100,8 +99,8 @@ def gain_of_groups(
     if not alive.any():
         return 0.0, by_name
     root = size[alive]
-    factor = cholesky(root[:, None] * S[np.ix_(alive, alive)] * root + np.eye(len(root)), lower=True)
-    explained = solve_triangular(factor, root * b[alive], lower=True)
+    factor = np.linalg.cholesky(root[:, None] * S[np.ix_(alive, alive)] * root + np.eye(len(root)))
+    explained = inverse_of_lower(factor) @ (root * b[alive])
     return float(0.5 * explained @ explained - np.sum(np.log(np.diag(factor)))), by_name
 
 
@@ -144,13 +143,14 @@ def _conditioned(normal: Normal, prior: Prior, groups: Mapping[str, np.ndarray])
     weight[index] = sigma**-2.0
     information = normal.information - np.diag(weight)
     right = normal.gradient + weight * now + information @ now  # for the coefficients themselves, not for their change
-    rest = np.setdiff1d(np.arange(normal.size), index)
+    rest = np.delete(np.arange(normal.size), index)
     S, b = information[np.ix_(index, index)], right[index]
     if len(rest):
         scale = 1 / np.sqrt(np.maximum(np.diag(information)[rest], 1e-300))
-        root = cholesky(scale[:, None] * information[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)), lower=True)
-        taken = solve_triangular(root, scale[:, None] * np.c_[information[np.ix_(rest, index)], right[rest]], lower=True)
-        S, b = S - taken[:, :-1].T @ taken[:, :-1], b - taken[:, :-1].T @ taken[:, -1]
+        factor = np.linalg.cholesky(scale[:, None] * information[np.ix_(rest, rest)] * scale + 1e-12 * np.eye(len(rest)))
+        root = inverse_of_lower(factor) * scale
+        taken = root @ information[np.ix_(rest, index)]
+        S, b = S - taken.T @ taken, b - taken.T @ (root @ right[rest])
     return sigma[:, None] * S * sigma, sigma * b, [slice(int(a), int(z)) for a, z in zip(ends[:-1], ends[1:], strict=True)]
 
 

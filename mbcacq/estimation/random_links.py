@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mbcacq.estimation.adjustment import FINE, Adjustment, settle_variances
+from mbcacq.estimation.adjustment import Adjustment, made_exact, settle_variances
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import with_common_sizes
-from mbcacq.estimation.solver import solve, with_prior_of
+from mbcacq.estimation.solver import with_prior_of
 
 
 def with_random_links(fitted: Adjustment, options: CalibrationOptions) -> Adjustment:
@@ -37,5 +37,5 @@ def with_random_links(fitted: Adjustment, options: CalibrationOptions) -> Adjust
     lineariser = fitted.lineariser.with_layout(layout)
     free = with_prior_of(lineariser, fitted.solution)
     lineariser, solution, noise, weights = settle_variances(lineariser, free, fitted.noise, fitted.weights, options, sizes_first=True)
-    solution = solve(lineariser, solution, noise, weights, tolerance=FINE)
+    solution, noise, weights = made_exact(lineariser, solution, noise, weights, options)
     return replace(fitted, lineariser=lineariser, solution=solution, noise=noise, weights=weights)

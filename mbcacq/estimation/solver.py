@@ -127,10 +127,10 @@ def reweighted_poses(lineariser: Lineariser, at: Solution, noise: Noise, weights
 
 
 def with_prior_of(lineariser: Lineariser, at: Solution) -> Solution:
-    """The system at the same estimate, with the prior of the lineariser's layout."""
-    at = evaluated(lineariser, at)
+    """The system with the prior of the lineariser's layout, at the estimate where the residual was evaluated."""
+    at = at if at.step is None else at.step.start
     prior = prior_rows(lineariser.obs.cell, lineariser.layout, at.estimate, lineariser.rows.stations)
-    return replace(at, prior=prior, normal=Normal(lineariser.rows, at.poses.normal_equations(), prior))
+    return replace(at, prior=prior, normal=at.normal.with_prior(prior, at.prior))
 
 
 def stepped(lineariser: Lineariser, at: Solution, step: np.ndarray) -> Solution:

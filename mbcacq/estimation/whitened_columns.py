@@ -58,7 +58,6 @@ class WhitenedColumns:
         self.written[:, -1] = whiten(linear.residual)
         if self._wide:
             self._units = whiten(np.stack([linear.unit(p.place, p.index, p.component) for p in self._wide], axis=2))
-            self._by_pose = whiten.pose_products(self._units, self.written)
             self._among = whiten.pose_products(self._units, self._units)
 
     def _write(self, linear: LinearProblem, parts: Sequence[Part], out: np.ndarray) -> None:
@@ -78,35 +77,37 @@ class WhitenedColumns:
         out = copy(self)
         out.written = self.written.copy()
         out.written[:, own] += change
-        if self._wide:
-            out._by_pose = self._by_pose.copy()
-            out._by_pose[:, :, own] += self._whiten.pose_products(self._units, change)
         return out
 
     def products(self, poses: np.ndarray | None = None) -> ColumnProducts:
         """The products over the centres of these poses, (P,) bool, or over all."""
-        chosen: slice | np.ndarray = slice(None) if poses is None else poses
-        written = self.written if poses is None else self.written[np.repeat(poses[self._obs.pose], self._width)]
-        N = written.shape[1]
-        total = np.empty((N + sum(p.basis.shape[1] for p in self._wide),) * 2)
-        total[:N, :N] = written.T @ written
-        if self._wide:
-            self._add_wide(total, N, chosen)
-        last, index = N - 1, self.index
-        return ColumnProducts(total[np.ix_(index, index)], total[last, index], float(total[last, last]))
+        return self.products_of_parts([np.ones(self._obs.n_poses, bool) if poses is None else poses])[0]
 
-    def _add_wide(self, total: np.ndarray, N: int, chosen: slice | np.ndarray) -> None:
-        functions = [p.basis[chosen] for p in self._wide]
-        ends = N + np.cumsum([0] + [F.shape[1] for F in functions])
-        by_pose, among = self._by_pose[chosen], self._among[chosen]
-        for i, F in enumerate(functions):
+    def products_of_parts(self, parts: Sequence[np.ndarray]) -> list[ColumnProducts]:
+        """The same over each of some parts of the poses, (P,) bool."""
+        N = self.written.shape[1]
+        totals = [np.empty((N + sum(p.basis.shape[1] for p in self._wide),) * 2) for _ in parts]
+        for total, part in zip(totals, parts, strict=True):
+            written = self.written if part.all() else self.written[np.repeat(part[self._obs.pose], self._width)]
+            total[:N, :N] = written.T @ written
+        self._add_wide(totals, parts)
+        last, index = N - 1, self.index
+        return [ColumnProducts(total[np.ix_(index, index)], total[last, index], float(total[last, last])) for total in totals]
+
+    def _add_wide(self, totals: Sequence[np.ndarray], parts: Sequence[np.ndarray]) -> None:
+        N = self.written.shape[1]
+        ends = N + np.cumsum([0] + [p.basis.shape[1] for p in self._wide])
+        for i, wide in enumerate(self._wide):
             own = slice(ends[i], ends[i + 1])
-            total[own, :N] = F.T @ by_pose[:, i]
-            total[:N, own] = total[own, :N].T
-            for j, other in enumerate(functions[: i + 1]):
-                there = slice(ends[j], ends[j + 1])
-                total[own, there] = F.T @ (among[:, i, j, None] * other)
-                total[there, own] = total[own, there].T
+            by_pose = self._whiten.pose_products(self._units[:, i, None], self.written)[:, 0]
+            for total, part in zip(totals, parts, strict=True):
+                F = wide.basis[part]
+                total[own, :N] = F.T @ by_pose[part]
+                total[:N, own] = total[own, :N].T
+                for j, other in enumerate(self._wide[: i + 1]):
+                    there = slice(ends[j], ends[j + 1])
+                    total[own, there] = F.T @ (self._among[part, i, j, None] * other.basis[part])
+                    total[there, own] = total[own, there].T
 
 
 def _places(given: int, groups: Sequence[Sequence[Part]]) -> np.ndarray:

@@ -52,7 +52,7 @@ def evaluate_fleet(
 
     Raises ConfigError for recordings that cannot be found, ConnectError where the scheduler does not answer; never for a broken recording.
     """
-    from mbcacq.diagnosis.validation.workers import cores
+    from mbcacq.diagnosis.workers import cores
     from mbcacq.report import fleet_page
 
     task = task or FleetTask()

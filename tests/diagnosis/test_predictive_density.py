@@ -9,6 +9,7 @@ from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.validation import predictive_score
 from mbcacq.diagnosis.validation.effect_sizes import with_estimated_prior
+from mbcacq.diagnosis.validation.shared_products import SharedProducts
 from mbcacq.estimation.posterior import Posterior
 from mbcacq.estimation.whitened_columns import ColumnProducts
 
@@ -46,6 +47,24 @@ def test_an_effect_that_is_there_predicts_stations_left_out(plan):
     )
     assert known.chi2 < plain.chi2 - 10
     assert known.square < plain.square
+
+
+def test_scores_by_shared_products_are_those_of_each_model_by_itself(plan):
+    setup = model_fit.prepare(simulated.observe(plan, 141, [("joint_compliance", ("A2",), [2e-6], None)]))
+    linear, station = setup.linear, setup.linear.obs.station
+    elastic, other = (
+        EffectSet((Member(next(c for c in setup.candidates if c.label == f"joint_compliance:{at}"), None),)) for at in ("A2", "A3")
+    )
+    left_out, models = [station % 2 == k for k in (0, 1)], [(elastic, ()), (NO_EFFECTS, ())]
+    fit = JointModel(linear, other, (), linear.whitener(setup.noise))
+    products = SharedProducts(fit, models, left_out)
+
+    for number, (model, random) in enumerate(models):
+        test = left_out[number][linear.obs.pose]
+        alone = predictive_score.held_out_score(linear, linear.keep & ~test, linear.keep & test, model, random, setup.noise)
+        shared = products.held_out(number, model, random, setup.noise).score()
+        assert (shared.square, shared.chi2, shared.dof) == pytest.approx((alone.square, alone.chi2, alone.dof), rel=1e-9)
+    assert fit.posterior.solution == pytest.approx(JointModel(linear, other, (), fit.whiten).posterior.solution, rel=1e-6)
 
 
 def test_poorly_determined_coefficients_stay_near_zero(plan):

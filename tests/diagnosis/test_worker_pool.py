@@ -4,15 +4,20 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from types import SimpleNamespace
 
 import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.evidence.evidence_fit import compared
+from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
+from mbcacq.diagnosis.output.next_measurements import elsewhere
 from mbcacq.diagnosis.validation import cross_validation
-from mbcacq.diagnosis.validation.workers import WorkerPool
+from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation.variance_components import pack
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +85,22 @@ def test_how_many_answers_there_are_is_said_after_each_of_this_process(pool):
     assert counts == [2, 4, 5]  # three calls of this process; the other one is about as far
 
 
+def test_another_process_begins_before_answers_are_asked_for(pool, tmp_path):
+    answers = pool.begin(lambda path: path.touch(), [tmp_path / "own", tmp_path / "other"])
+    while not (tmp_path / "other").exists():
+        time.sleep(0.01)
+    assert not (tmp_path / "own").exists()
+    answers()
+    assert (tmp_path / "own").exists()
+
+
+def test_what_nobody_asks_for_is_not_waited_for(tmp_path):
+    with WorkerPool(2) as pool:
+        pool.beside(lambda path: path.touch() or threading.Event().wait(), tmp_path / "begun")
+        while not (tmp_path / "begun").exists():
+            time.sleep(0.01)
+
+
 def test_what_calls_share_a_worker_has_once(pool):
     home, shared = os.getpid(), []
     counts = pool.map(lambda k, one: None if os.getpid() == home else one.append(k) or len(one), range(6), [shared] * 6)
@@ -90,12 +111,36 @@ def refuse(k):
     raise CalibrationError("the recording does not determine the cell")
 
 
-def test_two_workers_give_the_same_cross_validation_as_one(plan, pool):
+@pytest.fixture(scope="module")
+def fitted(plan):
+    """A recording with an elastic joint, and its fit."""
     setup = model_fit.prepare(simulated.observe(plan, 160, [("joint_compliance", ("A2",), [2.5e-6], None)]))
-    full = model_fit.fit_model(setup)
+    return setup, model_fit.fit_model(setup)
+
+
+def test_two_workers_give_the_same_cross_validation_as_one(fitted, pool):
+    setup, full = fitted
 
     one = cross_validation.cross_validate(setup, full, 4)
     two = cross_validation.cross_validate(setup, full, 4, pool)
 
     assert one.after.chi2_dof < 0.7 * one.before.chi2_dof
     assert two == one
+
+
+def test_two_workers_compare_the_same_sets_as_one(plan, pool):
+    effects = [("joint_compliance", (at,), [2.5e-6], None) for at in ("A2", "A3")]
+    setup = model_fit.prepare(simulated.observe(plan, 161, effects))
+    one, two = (compared(setup, setup.linear, pack(setup.noise), alternatives=True, staged=True, pool=p) for p in (None, pool))
+
+    assert len(one.best.members) > 1
+    assert {h.key: h.log_posterior for h in two.hypotheses} == pytest.approx({h.key: h.log_posterior for h in one.hypotheses}, rel=1e-9)
+
+
+def test_two_workers_state_the_same_limits_as_one(fitted, pool):
+    setup, full = fitted
+    there = elsewhere(setup.context)
+    one, two = (exclusion_limits(full, setup.candidates[::3], there, p)() for p in (None, pool))
+
+    assert [(e.name, e.where, e.parameter, e.holds_for) for e in two] == [(e.name, e.where, e.parameter, e.holds_for) for e in one]
+    assert [e.value for e in two] == pytest.approx([e.value for e in one], rel=1e-6)

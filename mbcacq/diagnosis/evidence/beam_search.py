@@ -190,14 +190,18 @@ class EvidenceSearch:
         for rest in without_each(best.members):
             if self.out_of_time():
                 break
-            node = self.looked_at(rest, best)
-            self.known.setdefault(node.key, node)
-            for log, member in self.extensions(node, self.candidates)[: OPTIONS.estimated]:
-                members = (*rest, member)
-                if key_of(members) not in self.known and self.may_matter(node.log_posterior + log, best):
-                    other = self.looked_at(members, best)
-                    near = other.log_posterior > best.log_posterior - OPTIONS.reach
-                    self.known[other.key] = estimated(members, best.point, other.log_prior) if near else other
+            self.exchanged(rest, best)
+
+    def exchanged(self, rest: tuple[Member, ...], best: Hypothesis) -> None:
+        """The set without an effect, and the most probable ones with another in its place."""
+        node = self.looked_at(rest, best)
+        self.known.setdefault(node.key, node)
+        for log, member in self.extensions(node, self.candidates)[: OPTIONS.estimated]:
+            members = (*rest, member)
+            if key_of(members) not in self.known and self.may_matter(node.log_posterior + log, best):
+                other = self.looked_at(members, best)
+                near = other.log_posterior > best.log_posterior - OPTIONS.reach
+                self.known[other.key] = estimated(members, best.point, other.log_prior) if near else other
 
     def may_matter(self, log_posterior: float, best: Hypothesis) -> bool:
         """Whether a set of this log posterior, as far as it is known, is looked at."""

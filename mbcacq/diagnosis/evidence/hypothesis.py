@@ -77,6 +77,10 @@ class Hypothesis(Generic[P]):
     log_evidence: float
     log_prior: float = 0.0
 
+    def __reduce__(self) -> tuple:
+        """Without what is computed again where it is asked for."""
+        return Hypothesis, (self.members, self.point, self.log_evidence, self.log_prior)
+
     @property
     def log_posterior(self) -> float:
         return self.log_evidence + self.log_prior

@@ -31,6 +31,10 @@ class NoisePoint:
     prior: NoisePrior
     theta: np.ndarray
 
+    def __reduce__(self) -> tuple:
+        """Without what is computed again where it is asked for."""
+        return NoisePoint, (self.linear, self.prior, self.theta)
+
     @cached_property
     def noise(self) -> Noise:
         """Without what is held."""

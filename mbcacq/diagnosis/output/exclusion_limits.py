@@ -29,7 +29,7 @@ from mbcacq.diagnosis.output.upper_limit import directions, independent_values, 
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.validation.workers import WorkerPool
+from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects import catalogue, steps
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import MOMENT, Candidate

@@ -14,7 +14,7 @@ from mbcacq.diagnosis.problem import DiagnosisProblem, is_long
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.diagnosis.validation.shared_products import SharedProducts
-from mbcacq.diagnosis.validation.workers import WorkerPool
+from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.estimation.linear_problem import LinearProblem
 
 Model = tuple[EffectSet, tuple[RandomEffect, ...]]

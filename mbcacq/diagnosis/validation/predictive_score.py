@@ -66,8 +66,7 @@ class HeldOutPrediction:
         self.linear, self.train, self.test, self.noise = linear, train, test, noise
         self.joint = JointModel(linear, model, random, linear.restricted(train | test).whitener(noise))
         self._poses = np.bincount(linear.obs.pose, train, linear.obs.n_poses) > 0
-        each = (self._poses, ~self._poses)
-        self._seen, self._others = products(self.joint) if products else (self.joint.columns.products(poses) for poses in each)
+        self._seen, self._others = products(self.joint) if products else self.joint.columns.products_of_parts([self._poses, ~self._poses])
 
     def score(self, effects: Iterable[int] | None = None, groups: Iterable[int] | None = None) -> PredictiveScore:
         """With geometry and these effects and groups alone, by their numbers, or with all of them."""

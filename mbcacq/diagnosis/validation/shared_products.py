@@ -30,7 +30,7 @@ class SharedProducts:
         effects = {(m.candidate.key, m.hyper): m for model, _ in every for m in model.members}
         groups = {id(g.parts): g for _, random in every for g in random}
         together = JointModel(joint.linear, EffectSet(tuple(effects.values())), tuple(groups.values()), joint.whiten)
-        self._parts = [together.columns.products(part) for part in left_out]
+        self._parts = together.columns.products_of_parts(left_out)
         self._geometry = together.geometry
         self._own = dict(zip((*effects, *groups), (*together.effects, *together.groups), strict=True))
         joint.products = self.of(joint, range(len(left_out)))

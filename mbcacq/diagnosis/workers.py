@@ -10,6 +10,7 @@ import importlib
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
@@ -50,6 +51,7 @@ class WorkerPool:
             from loky import ProcessPoolExecutor
 
             self._pool = ProcessPoolExecutor(self._others, initializer=_begun, env=ENVIRONMENT)
+            self._calls: list[Future[Any]] = []
             for _ in range(self._others):
                 self._pool.submit(importlib.import_module, "mbcacq.diagnosis.validation.folds")  # what they will need
 
@@ -85,7 +87,10 @@ class WorkerPool:
         """A function that returns the answer to one call, which another process makes while this one goes on; without another, it is made
         when its answer is asked for.
         """
-        return self._pool.submit(function, *arguments).result if self._others else partial(function, *arguments)
+        if not self._others:
+            return partial(function, *arguments)
+        self._calls.append(self._pool.submit(function, *arguments))
+        return self._calls[-1].result
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -94,6 +99,7 @@ class WorkerPool:
         if self._others:
             from loky.process_executor import BrokenProcessPool
 
-            self._pool.shutdown(wait=True, kill_workers=True)  # what nobody asked the answer of is not waited for
+            unfinished = any(not one.done() for one in self._calls)  # nobody asked for the answer
+            self._pool.shutdown(wait=True, kill_workers=kind is not None or unfinished)
             if kind and issubclass(kind, BrokenProcessPool):
                 raise CalibrationError("a process of the diagnosis was killed (memory?): run it again with --workers 1") from None
