@@ -30,9 +30,9 @@ TRIED = 5  # effects of the most evidence that are compared, each with the colou
 
 
 @dataclass(frozen=True, kw_only=True)
-class Worth:
-    """What a selected effect is worth. p_value: one over its Bayes factor in its set. before, after: held-out mean square (J,) without it
-    and with it. alternatives: what else could stand in its place."""
+class Judged:
+    """What the last comparison says of a selected effect. p_value: one over its Bayes factor in its set. before, after: held-out mean
+    square (J,) without it and with it. alternatives: what else could stand in its place."""
 
     p_value: float = 1.0
     before: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -41,7 +41,7 @@ class Worth:
 
 
 class EffectSelection:
-    """Selects effects for a model. start: (J,) held-out mean square of the model's base alone. sets: what was compared last. worth: of each
+    """Selects effects for a model. start: (J,) held-out mean square of the model's base alone. sets: what was compared last. judged: each
     form of an effect that was selected, empty where a part is held out."""
 
     def __init__(self, model: MotionModel, candidates: list[Candidate] | None = None, budget: TimeBudget = UNLIMITED) -> None:
@@ -50,7 +50,7 @@ class EffectSelection:
         self.model = model
         self.pool = CandidatePool(model, catalogue.motion_candidates(model.group, model.runs) if candidates is None else candidates)
         self._left_out: set[tuple] = set()
-        self.worth: dict[tuple, Worth] = {}
+        self.judged: dict[tuple, Judged] = {}
         chosen = model.chosen()
         self.start = model.held_out_mean_square(chosen, model.fold_normals(model.weights(chosen)))
         self.sets: RankedSets | None = None
@@ -169,7 +169,7 @@ class EffectSelection:
             member = forms[effect.candidate.form]
             rest = tuple(m for m in reported.members if m is not member)
             lost = reported.log_evidence - estimated(rest, reported.point, 0.0).log_evidence
-            self.worth[effect.candidate.form] = Worth(
+            self.judged[effect.candidate.form] = Judged(
                 p_value=float(np.exp(-max(lost, 0.0))),
                 before=self._mean_square_without(effect, weights, normals),
                 after=after,

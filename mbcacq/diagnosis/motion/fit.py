@@ -11,7 +11,7 @@ from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.findings import Alternative, NotSeparable
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.determination import at_bound
-from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Worth
+from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Judged
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
@@ -97,7 +97,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     found = bodies(model, chosen)
     result = MotionFit(
         group=model.group,
-        effects=_effects(model, selection.worth, x, spread),
+        effects=_effects(model, selection.judged, x, spread),
         residual_before=residual_before,
         residual_after=_residuals(model, chosen, x),
         used=[[use[:, j] for use in model.group.use] for j in joints],
@@ -155,7 +155,7 @@ def _links(model: MotionModel, x: np.ndarray) -> ByRun:
     return [[group.base[run][:, j, :-n] @ inertial for run in range(len(model.runs))] for j in range(J)]
 
 
-def _effects(model: MotionModel, worth: Mapping[tuple, Worth], x: np.ndarray, spread: np.ndarray) -> list[FittedEffect]:
+def _effects(model: MotionModel, judged: Mapping[tuple, Judged], x: np.ndarray, spread: np.ndarray) -> list[FittedEffect]:
     chosen = model.chosen()
     position = {int(c): i for i, c in enumerate(chosen)}
     continuous = continuous_effects(model)
@@ -164,13 +164,13 @@ def _effects(model: MotionModel, worth: Mapping[tuple, Worth], x: np.ndarray, sp
         hyper = [len(chosen) + k for k, e in enumerate(continuous) if e is effect]
         hyper_std = float(np.sqrt(max(spread[hyper[0], hyper[0]], 0.0))) if hyper else 0.0
         at = [position[int(i)] for i in effect.columns]
-        fitted = _fitted(model, effect, worth.get(effect.candidate.form, Worth()), x[at], spread[np.ix_(at, at)], hyper_std)
+        fitted = _fitted(model, effect, judged.get(effect.candidate.form, Judged()), x[at], spread[np.ix_(at, at)], hyper_std)
         known = out.get(effect.candidate.location)
         out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)
     return list(out.values())
 
 
-def _fitted(model: MotionModel, effect: Member, worth: Worth, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
+def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
     candidate = effect.candidate
     parameters = dict(candidate.parameters(c, v, effect.hyper, hyper_std))
     notes = []
@@ -182,10 +182,10 @@ def _fitted(model: MotionModel, effect: Member, worth: Worth, c: np.ndarray, v: 
     return FittedEffect(
         candidate=candidate,
         parameters=parameters,
-        p_value=worth.p_value,
-        gain=worth.before - worth.after,
-        steps=[FitStep(list(parameters), worth.before, worth.after)],
-        alternatives=worth.alternatives,
+        p_value=judged.p_value,
+        gain=judged.before - judged.after,
+        steps=[FitStep(list(parameters), judged.before, judged.after)],
+        alternatives=judged.alternatives,
         contributions=_delayed(model, effect, c) if candidate.rows.channel_delay else _contribution(model, effect, c),
         notes=notes,
     )
