@@ -112,7 +112,7 @@ def joint_evidence(evidences: Sequence[EvidenceSets]) -> JointEvidence:
         if any(len({label in s for s, k in zip(sets, known, strict=True) if label in k}) > 1 for label in shared):
             continue
         log = sum(one.log_odds[i] for one, i in zip(evidences, picks, strict=True))
-        log += sum(log_of_one([s[label] for s in sets if label in s]) for label in shared - given)
+        log += sum(log_of_one([s[label] for s in sets if label in s]) for label in sorted(shared - given))
         labels = frozenset(label for s in sets for label in s)
         found[labels] = float(np.logaddexp(found.get(labels, -np.inf), log))
     best = max(found.values(), default=0.0)
