@@ -9,7 +9,7 @@ import pytest
 GNU = sys.platform.startswith("linux") and hasattr(ctypes.CDLL(None), "gnu_get_libc_version")
 
 # Page faults of arrays of 80 MB that are written and given back: as usual, while freed memory is kept, and afterwards. In a process of its
-# own, since a diagnosis from the command line keeps freed memory for as long as its process lasts.
+# own, since what tests did before in this one decides how much free memory it has.
 IN_ITS_OWN_PROCESS = """
 import resource
 import numpy as np
