@@ -24,7 +24,7 @@ Model = tuple[EffectSet, tuple[RandomEffect, ...]]
 class RepeatedSearch:
     """The search without each part of the poses, begun in other processes. problem: linearised at the fit of all data; left_out: (P,) bool
     of each part, of one or several kinds (``how``). models: returns what was found without each, when all of it is there; it gets a
-    function that is told how many there are.
+    function that is called with how many there are.
     """
 
     problem: DiagnosisProblem
