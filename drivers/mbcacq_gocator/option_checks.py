@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from mbcacq.devices import ConfigError, is_host
@@ -40,6 +40,30 @@ def host(value: Any) -> str:
     return "" if not value.strip() or is_host(value.strip()) else "a host name or an IP address, such as 192.168.1.10"
 
 
+@dataclass(frozen=True, kw_only=True)
+class SensorOptions:
+    """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. allow_aligned: accept
+    points that are not in the sensor's own coordinates. timeout_s: longest wait for a scan. reply_limit_s: caps the protocol's own time
+    limit of every request. grace_s: added to all of them, for a sensor that a busy computer plays. retries: attempts after a dropped
+    connection.
+    """
+
+    address: str = ""
+    serial: int | None = None
+    job: str = ""
+    exposure_us: float | None = None
+    temperature_warning_C: float | None = None
+    temperature_stop_C: float | None = None
+    allow_aligned: bool = False
+    restore: bool = True
+    timeout_s: float = 10.0
+    connect_timeout_s: float = 3.0
+    reply_limit_s: float | None = None
+    grace_s: float = 0.0
+    retries: int = 2
+    broadcast: str = "255.255.255.255"
+
+
 WHOLE = int
 PORT = number(1, 65535, WHOLE)
 CELSIUS = number(-50, 150)
@@ -63,7 +87,7 @@ SHARED: Mapping[str, Check] = {
 }
 
 
-def check(name: str, options: type, given: Mapping[str, Any], own: Mapping[str, Check]) -> None:
+def check(name: str, options: type[SensorOptions], given: Mapping[str, Any], own: Mapping[str, Check]) -> None:
     """Raises ConfigError naming the option that is wrong. own: the checks that the sensors do not share."""
     defaults, checks = {f.name: f.default for f in fields(options)}, {**SHARED, **own}
     if unknown := sorted(set(given) - set(defaults)):
