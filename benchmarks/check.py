@@ -175,7 +175,7 @@ def first(bench: Bench, cells: int, seconds: float) -> None:
         residual = residuals_of(check, again, fit_stations(check, again))
         day = np.concatenate([residual[key] for key in check.keys])[None]
         process = EProcess(check.rows, [r.columns for r in check.changes], np.array([r.weight for r in check.changes]))
-        verdict = verdict_by(Evidence(process, check.changes, day, np.ones(day.shape[1], bool)), check, OPTIONS)
+        verdict = verdict_by(Evidence(process, check.changes, day, np.ones(day.shape[1], bool)), check)
         found[str(number)] = verdict.log_e_calibration
         keep("first", found)
     print(len(found), "cells, largest log E since the calibration", max(found.values()))
@@ -243,7 +243,7 @@ def rest_of_the_year() -> list[int]:
 def names(bench: Bench, days: np.ndarray) -> list[str]:
     """The suspects a week after the alarm."""
     keep = np.ones(days.shape[1], bool)
-    verdict = verdict_by(Evidence(bench.process, bench.check.changes, days, keep), bench.check, OPTIONS)
+    verdict = verdict_by(Evidence(bench.process, bench.check.changes, days, keep), bench.check)
     return [f"{s.name} ({s.explains:.2f})" if s.explains < 0.995 else s.name for s in verdict.suspects[:3]]
 
 
