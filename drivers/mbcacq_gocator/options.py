@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
-from mbcacq.devices import ConfigError
-from mbcacq_gocator.option_checks import PORT, SensorOptions, check, flag, one_of, text
+from mbcacq.devices import ConfigError, is_host
+from mbcacq_gocator.sensor_options import SensorOptions
 
 MODES = ("snapshot", "trigger")
 BRACKETS = ("merge", "best")
 _MAX_BRACKET, _MAX_PASSWORD = 16, 63
-CHECKS = {
-    "health_port": PORT,
-    "job": text("the name of a job stored on the sensor"),
-    "job_file": text("the path of a job file"),
-    "replace_job": flag,
-    "mode": one_of(MODES),
-    "bracket": one_of(BRACKETS),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +36,31 @@ class GocatorOptions(SensorOptions):
     @classmethod
     def read(cls, name: str, given: Mapping[str, Any]) -> GocatorOptions:
         """Raises ConfigError naming the option that is wrong."""
-        check(name, cls, given, CHECKS)
+        known = [f.name for f in fields(cls)]
+        unknown = sorted(set(given) - set(known))
+        if unknown:
+            raise ConfigError(f"scanner '{name}': unknown option '{unknown[0]}' (known: {', '.join(known)})")
+        for key in ("address", "job", "job_file", "broadcast"):
+            _text(name, given, key)
+        if not given.get("address", "").strip() and given.get("serial") is None:
+            raise ConfigError(
+                f"scanner '{name}': the option address is missing; give the Gocator's IP address "
+                "(192.168.1.10 as delivered), or its serial number to have it looked for"
+            )
+        for key in ("control_port", "health_port", "data_port", "discovery_port"):
+            _number(name, given, key, int, 1, 65535)
+        for key in ("exposure_us", "timeout_s", "connect_timeout_s", "reply_limit_s"):
+            _number(name, given, key, (int, float), 1e-3, 1e7)
+        for key in ("temperature_warning_C", "temperature_stop_C"):
+            _number(name, given, key, (int, float), -50, 150)
+        _number(name, given, "grace_s", (int, float), 0, 1e4)
+        _number(name, given, "retries", int, 0, 10)
+        _number(name, given, "serial", int, 1, 2**32 - 1)
+        _one_of(name, given, "mode", MODES)
+        _one_of(name, given, "bracket", BRACKETS)
+        for key in ("replace_job", "allow_aligned", "restore"):
+            if not isinstance(given.get(key, False), bool):
+                raise ConfigError(f"scanner '{name}': {key} must be true or false, not {given[key]!r}")
         exposures = _exposures(name, given.get("exposures_us", ()))
         if exposures and given.get("exposure_us") is not None:
             raise ConfigError(f"scanner '{name}': give either exposure_us or exposures_us, not both")
@@ -65,6 +81,19 @@ def _password(name: str, given: Any) -> str:
     return found
 
 
+def _text(name: str, given: Mapping[str, Any], key: str) -> None:
+    if not isinstance(given.get(key, ""), str):
+        kind = {"job": "the name of a job stored on the sensor", "job_file": "the path of a job file"}.get(key, "an address")
+        raise ConfigError(f"scanner '{name}': {key} must be {kind}, not {given[key]!r}")
+    if key in ("address", "broadcast") and given.get(key, "").strip() and not is_host(given[key].strip()):
+        raise ConfigError(f"scanner '{name}': option {key} must be a host name or an IP address, such as 192.168.1.10, not {given[key]!r}")
+
+
+def _one_of(name: str, given: Mapping[str, Any], key: str, choices: tuple[str, ...]) -> None:
+    if given.get(key, choices[0]) not in choices:
+        raise ConfigError(f"scanner '{name}': {key} must be one of {', '.join(choices)}, not {given[key]!r}")
+
+
 def _exposures(name: str, value: Any) -> tuple[float, ...]:
     right = (
         isinstance(value, list | tuple)
@@ -74,3 +103,14 @@ def _exposures(name: str, value: Any) -> tuple[float, ...]:
     if not right or len(set(value)) != len(value):
         raise ConfigError(f"scanner '{name}': exposures_us must be a list of up to {_MAX_BRACKET} different exposures in us, not {value!r}")
     return tuple(map(float, value))
+
+
+_MAY_BE_EMPTY = ("exposure_us", "reply_limit_s", "serial", "temperature_warning_C", "temperature_stop_C")
+
+
+def _number(name: str, given: Mapping[str, Any], key: str, kind: Any, low: float, high: float) -> None:
+    value = given.get(key)
+    if value is not None and (isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high):
+        raise ConfigError(f"scanner '{name}': {key} must be a number from {low:g} to {high:g}, not {value!r}")
+    if value is None and key in given and key not in _MAY_BE_EMPTY:
+        raise ConfigError(f"scanner '{name}': {key} must not be empty")
