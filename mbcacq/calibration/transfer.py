@@ -14,6 +14,7 @@ from scipy.special import chdtri
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.drawn_anew import CentreResiduals, differing_terms, drawn_anew
 from mbcacq.calibration.maximum_likelihood import calibrate
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
@@ -85,7 +86,10 @@ class NormalisedError:
 class Transfer(AsJson):
     """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
     recording itself leaves, the best that geometry alone can do there; None where it cannot be had. normalised_error: None with known
-    places, since a result does not hold how the errors of its arm and of its places go together. warnings: sentences.
+    places, since a result does not hold how the errors of its arm and of its places go together. drawn_anew: of parts of the recording
+    that are left out, where the other parts teach what the recording learnt from could not (what differs between recordings, and
+    unmodelled effects beyond where they were learnt), arm and effects as learnt; None with known places, and where there is no such thing.
+    warnings: sentences.
     """
 
     place: str
@@ -98,6 +102,7 @@ class Transfer(AsJson):
     normalised_error: NormalisedError | None
     warnings: tuple[str, ...] = ()
     recording: str = ""
+    drawn_anew: TransferFigures | None = None
 
     @property
     def text(self) -> str:
@@ -111,6 +116,11 @@ class Transfer(AsJson):
             f"  {e.name} at {', '.join(e.where)}: without it {micrometres(e.without_mm)} ({e.gain:+.0%} of the geometry's mean square)"
             for e in self.effects
         ]
+        if self.drawn_anew:
+            out.append(
+                f"  with what the recording learnt from could not teach drawn anew here: {micrometres(self.drawn_anew.rms_mm)} on parts of "
+                "the recording left out of that"
+            )
         if n := self.normalised_error:
             usual = " ({:.2f} to {:.2f} where it is true)".format(*n.usual) if n.usual else ""
             rest = f"{n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3"
@@ -172,6 +182,7 @@ def check_transfer(
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
         warnings=(*left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording=recording,
+        drawn_anew=tried.drawn_anew(best, model, used),
     )
 
 
@@ -238,12 +249,17 @@ class _Trial:
     def figures(self, fitted: CalibratedCell, used: np.ndarray) -> TransferFigures:
         """The figures of the centres used (M,). With known places nothing was fitted, so that no degree of freedom is lost."""
         fit, rank = fitted.fit, fitted.fit.rank if self.place == "fitted" else 0
-        distance = np.linalg.norm(fit.residual[used, :3], axis=1)
         lineariser = Lineariser(fit.observations, fitted.layout, fit.options)
         weights = Weights(used.astype(float), np.ones(fit.observations.n_poses))
         whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
-        chi2 = float(np.sum(whitened**2) / max(whitened.size - rank, 1))
-        return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
+        return _figures(CentreResiduals(fit.residual[used, :3], whitened), rank)
+
+    def drawn_anew(self, placed: CalibratedCell, model: EffectModel, used: np.ndarray) -> TransferFigures | None:
+        """The figures of parts left out, where the others teach what was not to be learnt; None with known places, which are not fitted."""
+        if self.place == "known" or not model:
+            return None
+        predicted = drawn_anew(placed, model, self.cell.noise, used)
+        return None if predicted is None else _figures(predicted, 0)
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
         """The recording's own geometric calibration; None with known places, to which a geometry fitted there is no comparison."""
@@ -254,6 +270,12 @@ class _Trial:
         except CalibrationError:
             return None
         return self.figures(own, used)
+
+
+def _figures(of: CentreResiduals, rank: int) -> TransferFigures:
+    distance = np.linalg.norm(of.residual, axis=1)
+    chi2 = float(np.sum(of.whitened**2) / max(of.whitened.size - rank, 1))
+    return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
 
 
 def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: EffectModel, used: np.ndarray) -> NormalisedError:
@@ -269,7 +291,7 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     some = obs.select(keep)
     terms = model.at(some) if model else ()
     # What differs between recordings has another draw in the other one: a random effect, beside what was learnt.
-    differing = tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(some))
+    differing = differing_terms(model, some)
     options = CalibrationOptions(terms=(*terms, *differing), balls=False, phases=_all_phases(some))
     layout = parameters.build(some, options)
     for name in cell.layout.names:

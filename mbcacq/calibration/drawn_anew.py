@@ -1,0 +1,105 @@
+"""What a recording cannot teach about another one, fitted to a part of that other one and judged by the rest of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbcacq.calibration.calibrated_cell import CalibratedCell
+from mbcacq.calibration.with_effects import some_poses
+from mbcacq.effects.effect_model import EffectModel
+from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.one_thread import one_thread
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.parameters import Estimate, build
+from mbcacq.estimation.solver import Weights, solve, system
+from mbcacq.estimation.terms import Term
+from mbcacq.model.observations import Observations
+
+PARTS = 5  # of each station, along the order of its poses, as many as the blocks that a calibration is judged by
+MOST_POSES = 3000  # by which it is fitted and judged: as many as unmodelled effects are learnt from
+
+
+@dataclass(frozen=True)
+class CentreResiduals:
+    """Centres less what is predicted for them. residual: (m, 3) mm; whitened: (m, 3), of unit variance under the noise that was learnt
+    where the prediction is true."""
+
+    residual: np.ndarray
+    whitened: np.ndarray
+
+
+def differing_terms(model: EffectModel, obs: Observations) -> tuple[Term, ...]:
+    """What differs between recordings, or was not learnt where a recording is, as random effects beside what was learnt."""
+    return tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(obs))
+
+
+def drawn_anew(placed: CalibratedCell, model: EffectModel, noise: Noise, used: np.ndarray) -> CentreResiduals | None:
+    """Predictions of parts of a recording, where the other parts teach what the recording learnt from could not.
+
+    Arm and effects stay as they were learnt. Fitted to four of five parts are base, tool and stations, and, at the sizes that were learnt,
+    random effects: of what differs between recordings (drift, what movements leave behind), and of unmodelled effects beyond where they
+    were learnt. The fifth part is predicted. What is left is what was learnt wrongly, and noise.
+
+    Parameters
+    ----------
+    placed : CalibratedCell
+        The arm with its effects on the recording, whose base, tool and stations are fitted.
+    model : EffectModel
+        The effects that were learnt.
+    noise : Noise
+        That was learnt.
+    used : np.ndarray
+        (M,) bool, the centres that are judged.
+
+    Returns
+    -------
+    CentreResiduals or None
+        Of the centres that are judged; None where the recording differs in nothing that the model leaves out.
+    """
+    keep = some_poses(placed.fit.observations, MOST_POSES)
+    used = used[keep[placed.fit.observations.pose]]
+    obs = placed.fit.observations.select(keep)
+    terms = differing_terms(model, obs)
+    if not terms:
+        return None
+    learnt = tuple((t.at_poses(keep, placed.fit.observations.pose), c) for t, c in placed.fit.options.displaced)
+    options = replace(placed.fit.options, displaced=learnt, terms=terms)
+    residual, whitened = (np.zeros((obs.n_centres, 3)) for _ in range(2))
+    with one_thread():
+        lineariser = Lineariser(obs, build(obs, options), options)
+        start = Estimate(placed.state, tuple(np.zeros(t.size) for t in terms))
+        for part in _parts(obs):
+            left_out = part[obs.pose]
+            fitted = solve(lineariser, start, noise, _weights(obs, used & ~left_out)).estimate
+            residual[left_out], whitened[left_out] = (
+                one[left_out] for one in _predicted(obs, options, fitted, noise, _weights(obs, used & left_out))
+            )
+    return CentreResiduals(residual[used], whitened[used])
+
+
+def _predicted(
+    obs: Observations, options: CalibrationOptions, fitted: Estimate, noise: Noise, weights: Weights
+) -> tuple[np.ndarray, np.ndarray]:
+    """(M, 3) residuals by a fitted cell, and the same whitened."""
+    displaced = (*options.displaced, *zip(options.terms, fitted.coefficients, strict=True))
+    plain = replace(options, displaced=displaced, terms=())
+    at = system(Lineariser(obs, build(obs, plain), plain), Estimate(fitted.state), noise, weights)
+    return at.linear.residual[:, :3], at.whitened_residual[:, :3]
+
+
+def _weights(obs: Observations, centres: np.ndarray) -> Weights:
+    return Weights(centres.astype(float), np.ones(obs.n_poses))
+
+
+def _parts(obs: Observations) -> Sequence[np.ndarray]:
+    """(P,) masks of the poses of each part, a stretch of the recording at each of its stations: none is without a station's poses."""
+    order = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(obs.time_s, kind="stable")
+    parts = np.zeros((PARTS, obs.n_poses), bool)
+    for station in np.unique(obs.station):
+        here = order[obs.station[order] == station]
+        for part, poses in zip(parts, np.array_split(here, PARTS), strict=True):
+            part[poses] = True
+    return [part for part in parts if part.any()]
