@@ -81,6 +81,11 @@ class NormalisedError:
         low, high = self.expected_rms * np.sqrt(chdtri(self.degrees_of_freedom, [0.975, 0.025]) / self.degrees_of_freedom)
         return float(low), float(high)
 
+    @property
+    def in_words(self) -> str:
+        usual = " ({:.2f} to {:.2f} where it is true)".format(*self.usual) if self.usual else ""
+        return f"{self.rms:.2f} rms{usual}, {self.quantile_95:.2f} at 95 %, {self.share_below_3:.1%} below 3"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer(AsJson):
@@ -112,19 +117,17 @@ class Transfer(AsJson):
             f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', micrometres)}.",
             f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
-        out += [
-            f"  {e.name} at {', '.join(e.where)}: without it {micrometres(e.without_mm)} ({e.gain:+.0%} of the geometry's mean square)"
-            for e in self.effects
-        ]
         if self.drawn_anew:
             out.append(
                 f"  with what the recording learnt from could not teach drawn anew here: {micrometres(self.drawn_anew.rms_mm)} on parts of "
                 "the recording left out of that"
             )
-        if n := self.normalised_error:
-            usual = " ({:.2f} to {:.2f} where it is true)".format(*n.usual) if n.usual else ""
-            rest = f"{n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3"
-            out.append(f"  error over stated uncertainty: {n.rms:.2f} rms{usual}, {rest}")
+        out += [
+            f"  {e.name} at {', '.join(e.where)}: without it {micrometres(e.without_mm)} ({e.gain:+.0%} of the geometry's mean square)"
+            for e in self.effects
+        ]
+        if self.normalised_error:
+            out.append(f"  error over stated uncertainty: {self.normalised_error.in_words}")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
     def _compared(self, figure: str, shown: Callable[[float], str]) -> str:
