@@ -38,11 +38,11 @@ def learnt(obs: Observations) -> tuple[mbcacq.CalibratedCell, mbcacq.CalibratedC
 def tried(cell: mbcacq.CalibratedCell, alone: mbcacq.CalibratedCell, other: Observations, name: str) -> str:
     """The figures on a recording, as one row."""
     found = check_transfer(replace(other, pose_id=other.pose_id + 10**6), cell, alone.state.chain)
-    own, anew = (of.rms_mm if of else float("nan") for of in (found.own_geometry, found.drawn_anew))
-    error = found.normalised_error
+    own = found.own_geometry.rms_mm if found.own_geometry else float("nan")
+    error, left = found.normalised_error, found.parts_left_out
     row = (
-        f"| {name} | {own:.3f} | {found.geometry_alone.rms_mm:.3f} | {found.with_effects.rms_mm:.3f} | {anew:.3f} | {error.rms:.2f} | "
-        f"{error.share_below_3:.1%} | {joints(cell)} |"
+        f"| {name} | {own:.3f} | {found.geometry_alone.rms_mm:.3f} | {found.with_effects.rms_mm:.3f} | "
+        f"{left.as_learnt.rms_mm:.3f} -> {left.drawn_anew.rms_mm:.3f} | {error.rms:.2f} | {error.share_below_3:.1%} | {joints(cell)} |"
     )
     print(row, flush=True)
     return row
@@ -81,7 +81,7 @@ def ur10(data: Path, poses: int) -> list[str]:
 
 
 HEADER = (
-    "| learnt -> checked | geometry fitted there mm | learnt geometry mm | with effects mm | unknown part drawn anew mm | "
+    "| learnt -> checked | geometry fitted there mm | learnt geometry mm | with effects mm | parts left out: as learnt -> drawn anew mm | "
     "error over uncertainty, rms | below 3 | one pattern in |"
 )
 

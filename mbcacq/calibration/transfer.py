@@ -14,8 +14,8 @@ from scipy.special import chdtri
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
-from mbcacq.calibration.drawn_anew import CentreResiduals, differing_terms, drawn_anew
 from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.parts_left_out import CentreResiduals, differing_terms, parts_left_out
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
@@ -45,6 +45,18 @@ class TransferFigures:
     rms_mm: Number
     median_mm: Number
     chi2_dof: Number
+
+
+@dataclass(frozen=True)
+class PartsLeftOut:
+    """Parts of the recording, each predicted by the others, arm and effects as learnt.
+
+    as_learnt: base, tool and stations are fitted to the others. drawn_anew: so are random effects, of what differs between recordings and
+    of unmodelled effects beyond where they were learnt.
+    """
+
+    as_learnt: TransferFigures
+    drawn_anew: TransferFigures
 
 
 @dataclass(frozen=True)
@@ -91,10 +103,8 @@ class NormalisedError:
 class Transfer(AsJson):
     """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
     recording itself leaves, the best that geometry alone can do there; None where it cannot be had. normalised_error: None with known
-    places, since a result does not hold how the errors of its arm and of its places go together. drawn_anew: of parts of the recording
-    that are left out, where the other parts teach what the recording learnt from could not (what differs between recordings, and
-    unmodelled effects beyond where they were learnt), arm and effects as learnt; None with known places, and where there is no such thing.
-    warnings: sentences.
+    places, since a result does not hold how the errors of its arm and of its places go together. parts_left_out: None with known places,
+    and where the recording learnt from left nothing open. warnings: sentences.
     """
 
     place: str
@@ -107,7 +117,7 @@ class Transfer(AsJson):
     normalised_error: NormalisedError | None
     warnings: tuple[str, ...] = ()
     recording: str = ""
-    drawn_anew: TransferFigures | None = None
+    parts_left_out: PartsLeftOut | None = None
 
     @property
     def text(self) -> str:
@@ -117,10 +127,10 @@ class Transfer(AsJson):
             f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', micrometres)}.",
             f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
-        if self.drawn_anew:
+        if left := self.parts_left_out:
             out.append(
-                f"  with what the recording learnt from could not teach drawn anew here: {micrometres(self.drawn_anew.rms_mm)} on parts of "
-                "the recording left out of that"
+                f"  on parts left out of the fit: {micrometres(left.as_learnt.rms_mm)} with base, tool and stations of the other parts; "
+                f"{micrometres(left.drawn_anew.rms_mm)} where these also teach what the recording learnt from could not"
             )
         out += [
             f"  {e.name} at {', '.join(e.where)}: without it {micrometres(e.without_mm)} ({e.gain:+.0%} of the geometry's mean square)"
@@ -185,7 +195,7 @@ def check_transfer(
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
         warnings=(*left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording=recording,
-        drawn_anew=tried.drawn_anew(best, model, used),
+        parts_left_out=tried.parts_left_out(best, model, used),
     )
 
 
@@ -257,12 +267,10 @@ class _Trial:
         whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
         return _figures(CentreResiduals(fit.residual[used, :3], whitened), rank)
 
-    def drawn_anew(self, placed: CalibratedCell, model: EffectModel, used: np.ndarray) -> TransferFigures | None:
-        """The figures of parts left out, where the others teach what was not to be learnt; None with known places, which are not fitted."""
-        if self.place == "known" or not model:
-            return None
-        predicted = drawn_anew(placed, model, self.cell.noise, used)
-        return None if predicted is None else _figures(predicted, 0)
+    def parts_left_out(self, placed: CalibratedCell, model: EffectModel, used: np.ndarray) -> PartsLeftOut | None:
+        """The figures of parts predicted by the others; None with known places, which are not fitted."""
+        predicted = parts_left_out(placed, model, self.cell.noise, used) if self.place == "fitted" and model else None
+        return None if predicted is None else PartsLeftOut(*(_figures(one, 0) for one in predicted))
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
         """The recording's own geometric calibration; None with known places, to which a geometry fitted there is no comparison."""

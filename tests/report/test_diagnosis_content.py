@@ -63,15 +63,18 @@ def test_a_trial_on_another_recording_is_a_table():
         "warnings": ["q1 leaves the range"],
         "recording": "autumn",
     }
-    (shown,) = diagnosis_content({**diagnosis(), "checks": [{**trial, "drawn_anew": left(0.1, 4.2)}]}, None).trials
+    (shown,) = diagnosis_content(
+        {**diagnosis(), "checks": [{**trial, "parts_left_out": {"as_learnt": left(0.25, 9.9), "drawn_anew": left(0.1, 4.2)}}]}, None
+    ).trials
     assert shown.recording == "autumn"
     assert [row[0] for row in shown.rows] == [
         "the learnt geometry alone",
         "with its effects",
-        "unknown part drawn anew, on parts left out",
+        "with effects, parts left out of the fit",
+        "and what was not to be learnt drawn anew",
         "without joint compliance at A2",
     ]
-    assert [row[1] for row in shown.rows] == ["900.0 µm", "200.0 µm", "100.0 µm", "300.0 µm"]
+    assert [row[1] for row in shown.rows] == ["900.0 µm", "200.0 µm", "250.0 µm", "100.0 µm", "300.0 µm"]
     assert shown.notes[1:] == ["Error over stated uncertainty: 1.30 rms, 2.40 at 95 %, 99.2% below 3.", "q1 leaves the range."]
     (earlier,) = diagnosis_content({**diagnosis(), "checks": [trial]}, None).trials  # as programs wrote it that drew nothing anew
     assert len(earlier.rows) == 3

@@ -66,9 +66,10 @@ def trial_content(tried: Transfer) -> TrialContent:
     figures = {
         "the learnt geometry alone": tried.geometry_alone,
         "with its effects": tried.with_effects,
-        "unknown part drawn anew, on parts left out": tried.drawn_anew,
         "a geometry fitted there": tried.own_geometry,
     }
+    if left := tried.parts_left_out:
+        figures |= {"with effects, parts left out of the fit": left.as_learnt, "and what was not to be learnt drawn anew": left.drawn_anew}
     rows = [(label, micrometres(of.rms_mm), micrometres(of.median_mm), fixed(of.chi2_dof, 2)) for label, of in figures.items() if of]
     rows += [(f"without {_effect_name(e.name)} at {', '.join(e.where)}", micrometres(e.without_mm), "", "") for e in tried.effects]
     notes = [f"{tried.poses} poses, {placed}."]

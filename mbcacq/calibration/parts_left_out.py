@@ -1,4 +1,4 @@
-"""What a recording cannot teach about another one, fitted to a part of that other one and judged by the rest of it."""
+"""Parts of a recording, predicted by an arm that was learnt elsewhere and by the other parts."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.with_effects import some_poses
 from mbcacq.effects.effect_model import EffectModel
+from mbcacq.errors import CalibrationError
+from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
@@ -36,12 +38,15 @@ def differing_terms(model: EffectModel, obs: Observations) -> tuple[Term, ...]:
     return tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(obs))
 
 
-def drawn_anew(placed: CalibratedCell, model: EffectModel, noise: Noise, used: np.ndarray) -> CentreResiduals | None:
-    """Predictions of parts of a recording, where the other parts teach what the recording learnt from could not.
+def parts_left_out(
+    placed: CalibratedCell, model: EffectModel, noise: Noise, used: np.ndarray
+) -> tuple[CentreResiduals, CentreResiduals] | None:
+    """Predictions of parts of a recording by its other parts: without and with what the recording learnt from could not teach.
 
-    Arm and effects stay as they were learnt. Fitted to four of five parts are base, tool and stations, and, at the sizes that were learnt,
-    random effects: of what differs between recordings (drift, what movements leave behind), and of unmodelled effects beyond where they
-    were learnt. The fifth part is predicted. What is left is what was learnt wrongly, and noise.
+    Arm and effects stay as they were learnt. Base, tool and stations are fitted to four of five parts; the second time, at the sizes that
+    were learnt, random effects are fitted with them: what differs between recordings (drift, what movements leave behind), and unmodelled
+    effects beyond where they were learnt. The fifth part is predicted. What the second prediction leaves is what was learnt wrongly, and
+    noise.
 
     Parameters
     ----------
@@ -56,8 +61,9 @@ def drawn_anew(placed: CalibratedCell, model: EffectModel, noise: Noise, used: n
 
     Returns
     -------
-    CentreResiduals or None
-        Of the centres that are judged; None where the recording differs in nothing that the model leaves out.
+    tuple of CentreResiduals, or None
+        As learnt, and drawn anew, of the centres that are judged; None where the model leaves out nothing in this recording, or where the
+        parts do not determine base, tool and stations.
     """
     keep = some_poses(placed.fit.observations, MOST_POSES)
     used = used[keep[placed.fit.observations.pose]]
@@ -66,28 +72,36 @@ def drawn_anew(placed: CalibratedCell, model: EffectModel, noise: Noise, used: n
     if not terms:
         return None
     learnt = tuple((t.at_poses(keep, placed.fit.observations.pose), c) for t, c in placed.fit.options.displaced)
-    options = replace(placed.fit.options, displaced=learnt, terms=terms)
+    options = replace(placed.fit.options, displaced=learnt)
+    parts = [part[obs.pose] for part in _parts(obs)]
+    try:
+        with one_thread():
+            as_learnt, drawn_anew = (_left_out(obs, replace(options, terms=t), placed.state, noise, used, parts) for t in ((), terms))
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    return as_learnt, drawn_anew
+
+
+def _left_out(
+    obs: Observations, options: CalibrationOptions, state: CellState, noise: Noise, used: np.ndarray, parts: Sequence[np.ndarray]
+) -> CentreResiduals:
+    """What is left at the centres used (M,), each part (M,) predicted by a fit to the others."""
+    lineariser = Lineariser(obs, build(obs, options), options)
+    start = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
     residual, whitened = (np.zeros((obs.n_centres, 3)) for _ in range(2))
-    with one_thread():
-        lineariser = Lineariser(obs, build(obs, options), options)
-        start = Estimate(placed.state, tuple(np.zeros(t.size) for t in terms))
-        for part in _parts(obs):
-            left_out = part[obs.pose]
-            fitted = solve(lineariser, start, noise, _weights(obs, used & ~left_out)).estimate
-            residual[left_out], whitened[left_out] = (
-                one[left_out] for one in _predicted(obs, options, fitted, noise, _weights(obs, used & left_out))
-            )
+    for part in parts:
+        fitted = solve(lineariser, start, noise, _weights(obs, used & ~part)).estimate
+        predicted = _predicted(obs, options, fitted, noise, _weights(obs, used & part))
+        residual[part], whitened[part] = predicted.residual[part], predicted.whitened[part]
     return CentreResiduals(residual[used], whitened[used])
 
 
-def _predicted(
-    obs: Observations, options: CalibrationOptions, fitted: Estimate, noise: Noise, weights: Weights
-) -> tuple[np.ndarray, np.ndarray]:
-    """(M, 3) residuals by a fitted cell, and the same whitened."""
+def _predicted(obs: Observations, options: CalibrationOptions, fitted: Estimate, noise: Noise, weights: Weights) -> CentreResiduals:
+    """The residuals of all centres by a fitted cell."""
     displaced = (*options.displaced, *zip(options.terms, fitted.coefficients, strict=True))
     plain = replace(options, displaced=displaced, terms=())
     at = system(Lineariser(obs, build(obs, plain), plain), Estimate(fitted.state), noise, weights)
-    return at.linear.residual[:, :3], at.whitened_residual[:, :3]
+    return CentreResiduals(at.linear.residual[:, :3], at.whitened_residual[:, :3])
 
 
 def _weights(obs: Observations, centres: np.ndarray) -> Weights:
