@@ -29,7 +29,7 @@ from mbcacq_fakes.cell.controller import (
 from mbcacq_fakes.cell.faults import CellFaults
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, POSITIONERS, SCANNERS, scanner_address
 from mbcacq_fakes.protocols.krc.arm_state import MOST_AXES, ArmState
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 from mbcacq_fakes.world import options as fake_options
 from mbcacq_fakes.world.description import CellFacts, from_cell
 from mbcacq_fakes.world.frame import ScannerFrame

@@ -12,7 +12,7 @@ import threading
 import tty
 from typing import Self
 
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 
 POLL_S = 0.05
 

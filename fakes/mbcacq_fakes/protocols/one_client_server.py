@@ -7,7 +7,7 @@ import threading
 from abc import abstractmethod
 from typing import Self
 
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 
 
 class OneClientServer(Started):

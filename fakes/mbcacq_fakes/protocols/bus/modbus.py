@@ -19,7 +19,7 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 
 SIZE = 1024  # registers, and bits, served of each table
 _TABLE = {1: "coil", 5: "coil", 15: "coil", 2: "discrete", 4: "input"}  # by function code; all others are holding registers

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 
 POLL_S = 0.05
 LONGEST = 4096

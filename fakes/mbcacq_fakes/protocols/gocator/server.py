@@ -13,7 +13,7 @@ from mbcacq_fakes.protocols.gocator.health import health_messages, publish_healt
 from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
 from mbcacq_fakes.protocols.gocator.state import SensorState
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 
 _JOIN_S = 5.0
 

@@ -22,7 +22,7 @@ from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
 from mbcacq_fakes.protocols.gopxl.faults import FAULTS
 from mbcacq_fakes.protocols.gopxl.resources import Resources
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 from mbcacq_fakes.world.frame import ScannerFrame
 
 Source = Callable[[float], ScannerFrame]

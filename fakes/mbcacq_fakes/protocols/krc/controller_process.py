@@ -8,7 +8,7 @@ import sys
 from abc import abstractmethod
 from typing import Any, Self
 
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 
 ENDS_IN_S = 5.0
 

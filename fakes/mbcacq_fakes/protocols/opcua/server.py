@@ -17,7 +17,7 @@ from asyncua.ua.status_codes import StatusCodes
 
 from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.opcua.address_space import ArmNodes, build, served
-from mbcacq_fakes.started import Started
+from mbcacq_fakes.protocols.started import Started
 
 TICK_S = 0.02
 CLOCK_START_S = 1000.0
