@@ -9,8 +9,8 @@ import time
 
 from mbcacq.devices import ConnectError, DeviceTimeout, IdentityError, ProtocolError
 from mbcacq_gocator import commands, wire
-from mbcacq_gocator.channel import Channel
 from mbcacq_gocator.commands import GocatorCommand
+from mbcacq_gocator.request_connection import RequestConnection
 from mbcacq_gocator.status import OK, SensorRefused, meaning
 
 PROTOCOL_MAJOR = 101
@@ -23,7 +23,7 @@ _OLD_PROBE_REPLY = 40
 _FIRST_STEP = 64 * 1024
 
 
-class ControlChannel(Channel):
+class ControlChannel(RequestConnection):
     """Requests to one sensor. Safe to use from several threads; they take turns.
 
     After a reply that did not come or made no sense the channel is closed: a late reply could otherwise be taken for the next one.

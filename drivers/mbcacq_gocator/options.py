@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from mbcacq.devices import ConfigError, is_host
-from mbcacq_gocator.sensor_options import SensorOptions
+from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 MODES = ("snapshot", "trigger")
 BRACKETS = ("merge", "best")
@@ -16,10 +16,10 @@ _MAX_BRACKET, _MAX_PASSWORD = 16, 63
 
 
 @dataclass(frozen=True, kw_only=True)
-class GocatorOptions(SensorOptions):
+class GocatorOptions(SnapshotOptions):
     """job_file: a file to store on the sensor as ``job`` (default: its own name) first. exposures_us: all of them at every capture, made
     into one scan as ``bracket`` says. password: of the sensor's administrator, where its security is on; "$NAME" takes that environment
-    variable, so that no plan need hold it. The others: see SensorOptions.
+    variable, so that no plan need hold it. The others: see SnapshotOptions.
     """
 
     control_port: int = 3190

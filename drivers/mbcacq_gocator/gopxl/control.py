@@ -10,8 +10,8 @@ from typing import Any
 
 from mbcacq.devices import ConnectError, DeviceTimeout, ProtocolError
 from mbcacq_gocator import wire
-from mbcacq_gocator.channel import Channel
 from mbcacq_gocator.gopxl import frames
+from mbcacq_gocator.request_connection import RequestConnection
 from mbcacq_gocator.status import OK, SensorRefused, meaning
 
 REPLY_S, STATE_S, JOB_S = 5.0, 15.0, 20.0  # limits of the vendor's own client: resources, start and stop, jobs
@@ -19,7 +19,7 @@ NOT_FOUND = -999
 MAX_BETWEEN = 10_000  # notifications before a reply
 
 
-class GoPxLControl(Channel):
+class GoPxLControl(RequestConnection):
     """Requests carry no number: a reply belongs to the oldest request. So there is one request at a time, and after anything
     that leaves a reply outstanding the connection is closed.
     """

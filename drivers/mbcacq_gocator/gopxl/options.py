@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from mbcacq.devices import ConfigError, is_host
-from mbcacq_gocator.sensor_options import SensorOptions
+from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 _TEXTS = ("address", "job", "source", "broadcast")
 _FLAGS = ("uniform", "right_handed", "allow_aligned", "restore")
@@ -24,9 +24,9 @@ _NUMBERS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class GoPxLOptions(SensorOptions):
+class GoPxLOptions(SnapshotOptions):
     """data_port: 0 takes the one that the sensor names. source: id of the data source, '' for the scanner's own surface. uniform: a height
-    map instead of a point cloud. right_handed: turn x of the sensor's left-handed frame round. The others: see SensorOptions.
+    map instead of a point cloud. right_handed: turn x of the sensor's left-handed frame round. The others: see SnapshotOptions.
     """
 
     control_port: int = 3600

@@ -7,7 +7,7 @@ import socket
 from mbcacq_gocator import wire
 
 
-class Channel:
+class RequestConnection:
     """One TCP connection, which is closed after a reply that did not come or made no sense: a late one could be taken for the next."""
 
     def __init__(self, address: str, port: int, connect_timeout_s: float, reply_limit_s: float | None, grace_s: float) -> None:
