@@ -22,13 +22,13 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) == signal.SIG_I
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-gc.disable()  # until all tests are collected: nothing of them is garbage
-
-
 def pytest_configure(config: pytest.Config) -> None:
     """In a fresh checkout each process of the whole suite would compile all tests. Each begins at another folder and finds what others compiled."""
     worker = getattr(config, "workerinput", None)
-    if worker and config.args == config.getini("testpaths"):
+    if worker is None:
+        return
+    gc.disable()  # until all tests are collected: nothing of them is garbage
+    if config.args == config.getini("testpaths"):
         entries = sorted(str(path) for path in Path(__file__).parent.iterdir() if path.is_dir() or path.match("test_*.py"))
         first = int(worker["workerid"].removeprefix("gw")) * len(entries) // worker["workercount"]
         config.args = [*entries[first:], *entries[:first]]
