@@ -9,7 +9,7 @@ import simulated
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.evidence.evidence_fit import compared
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
-from mbcacq.diagnosis.output.effects_table import parameters_of_branches
+from mbcacq.diagnosis.output.effects_table import merged_parameters, parameters_of_branches
 from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.estimation.forward_model import Displacements
 from mbcacq.estimation.variance_components import pack
@@ -37,13 +37,7 @@ def gearbox(breakpoints, stiffness):
 @pytest.mark.parametrize("branches", [2, 3])
 def test_as_many_branches_are_found_as_the_gearbox_has(plan, branches):
     stiffness = STIFFNESS[-branches:]
-    observed = simulated.observe(plan, 140, [gearbox(BREAKPOINTS[-(branches - 1) :], stiffness)])
-
-    problem = model_fit.prepare(observed)
-    gears = [c for c in problem.candidates if c.name in ("joint_compliance", "lost_motion", "backlash", "hysteresis")]
-    problem = replace(problem, candidates=gears)
-    fit = compared(problem, problem.linear.restricted(np.ones(len(observed.xyz), dtype=bool)), pack(problem.noise), staged=True)
-    found = model_of(problem, fit, reported_hypothesis(fit), fit.linear)
+    found = diagnosed(simulated.observe(plan, 140, [gearbox(BREAKPOINTS[-(branches - 1) :], stiffness)]))
     stated = parameters_of_branches(found, "lost_motion", "A3")
 
     assert set(found.model.names) == {"joint_compliance", "lost_motion"}
@@ -53,3 +47,22 @@ def test_as_many_branches_are_found_as_the_gearbox_has(plan, branches):
         each = stated[f"A3.K{k + 1}_Nm_per_rad"]
         assert abs(each.value - true) < 4 * each.std
         assert each.std < 0.15 * true
+
+
+def diagnosed(observed):
+    """What the compliances of a gearbox explain of a recording."""
+    problem = model_fit.prepare(observed)
+    gears = [c for c in problem.candidates if c.name in ("joint_compliance", "lost_motion", "backlash", "hysteresis")]
+    problem = replace(problem, candidates=gears)
+    fit = compared(problem, problem.linear.restricted(np.ones(len(observed.xyz), dtype=bool)), pack(problem.noise), staged=True)
+    return model_of(problem, fit, reported_hypothesis(fit), fit.linear)
+
+
+@pytest.mark.parametrize("weaker", [1.0, 0.2])
+def test_the_torque_at_which_a_gearbox_stiffens_is_as_uncertain_as_it_is_wrong(plan, weaker):
+    """Also where it is known more sharply than any grid of torques is fine."""
+    found = diagnosed(simulated.observe(plan, 140, [gearbox(BREAKPOINTS[1:], weaker * STIFFNESS[-2:])]))
+    members = [j for j, m in enumerate(found.model.members) if m.candidate.name == "lost_motion"]
+    breakpoint = merged_parameters(found, members)["A3.breakpoint_Nm"]
+    assert abs(breakpoint.value - BREAKPOINTS[1]) < 4 * breakpoint.std
+    assert breakpoint.std < 0.1 * BREAKPOINTS[1]

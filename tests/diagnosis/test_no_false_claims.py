@@ -75,6 +75,17 @@ def test_a_place_is_left_out_where_there_are_two(plan, places, left_out):
         assert len(set(fold)) == places
 
 
+@pytest.mark.parametrize(("places", "left_out"), [(1, "block"), (2, "station")])
+def test_no_recording_of_several_is_left_out_whole(plan, places, left_out):
+    linear = model_fit.prepare([simulated.observe(plan.select(plan.station < places), seed) for seed in (1, 2)]).linear
+
+    fold, what = split(linear, 4)
+
+    assert what == left_out
+    for left in range(4):
+        assert set(linear.obs.recording[fold != left]) == {0, 1}
+
+
 @pytest.mark.parametrize(("places", "said"), [(1, True), (2, False)])
 def test_with_one_place_no_other_is_proven(plan, places, said):
     problem = model_fit.prepare(plan.select(plan.station < places))

@@ -21,6 +21,9 @@ FAST = 3.0  # periods over the travel, from which an order is determined whateve
 LOWEST_ORDER = 1.0  # an error of a joint repeats after a turn at the latest
 SLOWER = 5.0  # times the longest time constant that is sought: what fades more slowly is a straight line in any recording
 
+BREAKPOINT_REACH = float(np.log(3.0))  # of the logarithm of a torque: a third to three times what was found
+SHARPEST = 1e-4  # of the same: below, no model of a gearbox is as exact as that
+
 
 def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate:
     """The candidate of a member, which reports its moment, torque or time constant with the standard deviation over all others."""
@@ -32,7 +35,7 @@ def with_moment_uncertainty(hypothesis: Hypothesis, member: Member) -> Candidate
         between = 1 / np.sqrt(12)  # it happened anywhere between two poses
         std = float(np.hypot(between, spread(hypothesis, member, candidate.hyper.values)))
     elif kind == BREAKPOINT:
-        std = spread(hypothesis, member, member.hyper * np.geomspace(1 / 3, 3, OPTIONS.fine))
+        std = spread_of_breakpoint(hypothesis, member)
     elif kind == FADING:
         return with_uncertain_fading(hypothesis, member)
     elif kind == ORDER:
@@ -124,6 +127,18 @@ def spread(hypothesis: Hypothesis, member: Member, values: np.ndarray) -> float:
     assert member.hyper is not None, "only asked of effects with a hyper-parameter"
     probability = likelihood(with_others(hypothesis, member), member.candidate, values)
     return float(np.sqrt(probability @ (values - member.hyper) ** 2))
+
+
+def spread_of_breakpoint(hypothesis: Hypothesis, member: Member) -> float:
+    """The same of torques about the member's, over a range that narrows until the values in it resolve how sharply it is known."""
+    assert member.hyper is not None, "only asked of effects with a hyper-parameter"
+    reach = BREAKPOINT_REACH
+    while True:
+        std = spread(hypothesis, member, member.hyper * np.exp(np.linspace(-reach, reach, OPTIONS.fine)))
+        step = member.hyper * 2 * reach / (OPTIONS.fine - 1)
+        if std >= step or reach < SHARPEST:
+            return max(std, step if reach < SHARPEST else 0.0)
+        reach /= 4.0  # four steps on either side, within which what is sharper lies
 
 
 def likelihood(others: CandidateScoring, candidate: Candidate, values: np.ndarray) -> np.ndarray:
