@@ -62,7 +62,7 @@ def peer(lineariser: Lineariser, begin: Estimate, weights: Weights, sparse: bool
         return at.whitening(rows.pad(r)[..., None]).reshape(-1)
 
     first = np.zeros(g + 6 * s)
-    scale = np.concatenate([layout.gather("scale") * 0.01, np.tile([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3], s)])
+    scale = np.concatenate([layout.scale * 0.01, np.tile([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3], s)])
     if not sparse:
         return 2 * float(least_squares(residual, first, x_scale=scale, method="lm").cost)
     pattern = lil_matrix((len(residual(first)), g + 6 * s), dtype=int)

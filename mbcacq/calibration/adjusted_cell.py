@@ -28,7 +28,7 @@ def adjusted_cell(options: CalibrationOptions, adjustment: Adjustment) -> Calibr
     """
     lineariser, solution, weights = adjustment.lineariser, adjustment.solution, adjustment.weights
     obs, layout, normal = lineariser.obs, lineariser.layout, solution.normal
-    scale = layout.gather("scale")
+    scale = layout.scale
     C = scale[:, None] * positive_inverse(scale[:, None] * normal.information * scale) * scale
     station_covariance = np.zeros((len(obs.cell.stations), 6, 6))
     station_covariance[lineariser.rows.stations] = normal.station_covariance(C)

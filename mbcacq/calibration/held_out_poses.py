@@ -9,7 +9,7 @@ from mbcacq.calibration.verification import points_in_base
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.initial_guess import place_stations
+from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.solver import Weights, solve
@@ -71,8 +71,7 @@ def prediction_error(obs: Observations, cell: CellState | CalibratedCell) -> np.
 def about_best_station(obs: Observations, cell: CellState | CalibratedCell) -> tuple[np.ndarray, int]:
     """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
     state, options = _as_it_is(obs, cell)
-    placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
-    start = CellState(state.chain, state.T_flange_scanner, placed, state.balls)
+    start = with_all_stations(obs, state)
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
     noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
     solution = solve(lineariser, parameters.Estimate(start), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))

@@ -125,7 +125,7 @@ def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
     options = replace(whole.fit.options, terms=tuple(built))
     layout = _as_held(build(obs, options), whole)
     at = system(Lineariser(obs, layout, options), Estimate(whole.state, tuple(start)), whole.noise, whole.fit.weights)
-    scale = layout.gather("scale")
+    scale = layout.scale
     H = scale[:, None] * at.normal.information * scale
     covariance = scale[:, None] * np.linalg.inv(H + 1e-14 * np.diag(H).max() * np.eye(len(H))) * scale
     step = covariance @ at.normal.gradient

@@ -126,7 +126,7 @@ def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmo
     position = {name: j for j, name in enumerate(layout.names)}
     index = {joint_of(t): np.array([position[name] for name in t.names]) for t in own}
     sigma = {joint_of(t): size.get(t.key, OPTIONS.least_before_last * t.sigma) for t in own}
-    weight = layout.gather("sigma") ** -2.0
+    weight = layout.sigma**-2.0
     information = normal.information.copy()
     for columns in index.values():
         information[columns, columns] -= weight[columns]
@@ -320,7 +320,7 @@ class _Stage:
         scale = group_scales(information, right, first, self.groups, self.scale, smallest)
         scale = scale if last else np.maximum(scale, smallest)
         prior = np.concatenate([g.sigma * s for g, s in zip(self.groups, scale, strict=True)])
-        size = np.concatenate([layout.gather("scale")[:first], prior])
+        size = np.concatenate([layout.scale[:first], prior])
         solved = size * np.linalg.solve(
             size[:, None] * information * size + np.diag(np.r_[np.zeros(first), np.ones(len(prior))]), size * right
         )

@@ -49,7 +49,7 @@ class DesignProblem:
         every[:, :, :g] = rows[:, :, :g]
         columns = g + 6 * place[:, None] + np.arange(6)
         every[np.arange(len(rows))[:, None, None], np.arange(rows.shape[1])[None, :, None], columns[:, None, :]] = rows[:, :, g:]
-        vague = np.concatenate([self.layout.gather("scale"), np.tile((options or DesignOptions()).station_sigmas, len(used))])
+        vague = np.concatenate([self.layout.scale, np.tile((options or DesignOptions()).station_sigmas, len(used))])
         known = every[: len(kept)].reshape(-1, every.shape[2])
         self.base = np.diag(1 / vague**2) + known.T @ known
         self.blocks = every[len(kept) :]

@@ -120,7 +120,7 @@ def _arm_parameters(calibration: CalibratedCell) -> list[str]:
 def _weakest(calibration: CalibratedCell, count: int = 3) -> tuple[tuple[str, float, str], ...]:
     """The least well determined parameters: those of the largest standard deviation in units of a plausible size."""
     std = np.sqrt(np.diag(calibration.covariance))
-    share = std / calibration.layout.gather("scale")
+    share = std / calibration.layout.scale
     unit = [u for b in calibration.layout.blocks for u, free in zip(b.units, b.free, strict=True) if free]
     identified = set(_arm_parameters(calibration))
     order = [i for i in np.argsort(-share) if calibration.names[i] in identified]

@@ -142,7 +142,7 @@ def made_exact(
     """A settled solution solved to the end with residuals at its estimate; settled again where the problem is less linear than its last
     steps promised."""
     exact = evaluated(lineariser, solution)
-    if exact.normal.decrease(gauss_newton_step(exact.normal, lineariser.layout.gather("scale"), 0.0)) > COARSE:
+    if exact.normal.decrease(gauss_newton_step(exact.normal, lineariser.layout.scale, 0.0)) > COARSE:
         exact, weights = robust_solve(lineariser, exact, noise, weights, options, COARSE)
         exact, noise, weights = settle_noise(lineariser, exact, noise, weights, options)
     return solve(lineariser, exact, noise, weights, tolerance=FINE), noise, weights

@@ -47,8 +47,8 @@ def hold_undetermined(
 ) -> tuple[ParameterLayout, list[Undetermined]]:
     """Hold one parameter after another until the reduced information (g, g) determines the rest."""
     found: list[Undetermined] = []
-    scale, names = layout.gather("scale"), np.array(layout.names)
-    arm = np.flatnonzero(~np.isfinite(layout.gather("sigma")))
+    scale, names = layout.scale, np.array(layout.names)
+    arm = np.flatnonzero(~np.isfinite(layout.sigma))
     H = scale[:, None] * information * scale
     reference = None
     kept = np.arange(len(names))
@@ -76,7 +76,7 @@ def hold_undetermined(
 
 def determines(layout: ParameterLayout, information: np.ndarray) -> bool:
     """Whether the reduced information (g, g) determines every direction; as its smallest eigenvalue says, but cheaper."""
-    scale = layout.gather("scale")
+    scale = layout.scale
     try:
         np.linalg.cholesky(scale[:, None] * information * scale - np.eye(len(scale)) / LIMIT**2)
     except np.linalg.LinAlgError:

@@ -192,7 +192,7 @@ class LinearProblem:
     @property
     def sigma(self) -> np.ndarray:
         """(g,) prior sigma of the free parameters: of a certificate, else the size that such an error may plausibly have."""
-        sigma, scale = self.layout.gather("sigma"), self.layout.gather("scale")
+        sigma, scale = self.layout.sigma, self.layout.scale
         return np.where(np.isfinite(sigma), sigma, scale)
 
     @property

@@ -172,7 +172,7 @@ class Lineariser:
         turn = np.zeros((self.rows.n_poses, self.rows.width, 3))
         if self.layout.blocks[2].free.any():
             # A measured orientation does not depend on a reflector's place.
-            turn[:, :3] = forward_model.ball_rotation(self.obs, prediction)[self.rows.order]
+            turn[:, :3] = prediction.ball_rotation[self.rows.order]
         return turn
 
     def _in_slots(self, number: np.ndarray, none: int) -> np.ndarray:
@@ -194,7 +194,7 @@ class Lineariser:
 def _shifts(obs: Observations, prediction: forward_model.Prediction, width: int) -> np.ndarray:
     """(M, R, 3 K): derivative of each centre's rows by the shift of each of the K balls."""
     out = np.zeros((obs.n_centres, width, len(obs.cell.ball_ids), 3))
-    out[np.arange(obs.n_centres), :3, obs.ball] = forward_model.ball_jacobian(obs, prediction)
+    out[np.arange(obs.n_centres), :3, obs.ball] = prediction.ball_rotation[obs.pose]
     return out.reshape(obs.n_centres, width, -1)
 
 

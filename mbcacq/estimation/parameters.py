@@ -77,15 +77,15 @@ class ParameterLayout:
     def size(self) -> int:
         return sum(int(b.free.sum()) for b in self.blocks)
 
-    def gather(self, attribute: str) -> np.ndarray:
-        """(g,) 'sigma' or 'scale' of the free parameters."""
-        if attribute not in self._gathered:
-            self._gathered[attribute] = np.concatenate([getattr(b, attribute)[b.free] for b in self.blocks])
-        return self._gathered[attribute]
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """(g,) of the free parameters."""
+        return np.concatenate([b.sigma[b.free] for b in self.blocks])
 
     @cached_property
-    def _gathered(self) -> dict[str, np.ndarray]:
-        return {}
+    def scale(self) -> np.ndarray:
+        """(g,) of the free parameters."""
+        return np.concatenate([b.scale[b.free] for b in self.blocks])
 
     @cached_property
     def sized(self) -> dict[str, np.ndarray]:

@@ -211,7 +211,7 @@ def solve(
     else:
         now = system(lineariser, start, noise, weights)
     for iteration in range(1, limit + 1):
-        step = gauss_newton_step(now.normal, layout.gather("scale"), damping)
+        step = gauss_newton_step(now.normal, layout.scale, damping)
         promised = now.normal.decrease(step)
         if promised < tolerance or share < SMALLEST_SHARE:
             break
@@ -263,7 +263,7 @@ def prior_rows(cell: Cell, layout: ParameterLayout, estimate: Estimate, stations
         station = cell.stations[s]
         if station.T_base_station is not None:
             information[j], twist[j] = known_placement(cell, s, station.T_base_station, estimate.state.T_base_station[s])
-    return Prior(layout.gather("sigma"), offset, information, twist)
+    return Prior(layout.sigma, offset, information, twist)
 
 
 def known_placement(cell: Cell, s: int, given: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

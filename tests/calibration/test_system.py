@@ -101,7 +101,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
     r = now.X[..., -1].reshape(-1)
     H = A.T @ A + np.diag(np.concatenate([1 / now.prior.sigma**2, np.zeros(6 * stations)]))
     expected = np.linalg.solve(H, A.T @ r - np.concatenate([now.prior.offset / now.prior.sigma**2, np.zeros(6 * stations)]))
-    step = gauss_newton_step(now.normal, layout.gather("scale"), 0.0)
+    step = gauss_newton_step(now.normal, layout.scale, 0.0)
     np.testing.assert_allclose(step, expected[:g], rtol=1e-5, atol=1e-10)
     np.testing.assert_allclose(now.normal.station_step(step).reshape(-1), expected[g:], rtol=1e-5, atol=1e-9)
     C = np.linalg.inv(H)
@@ -213,7 +213,7 @@ def test_twists_of_the_poses_give_the_normal_equations_of_the_whitened_rows(kind
 def test_blocks_of_poses_give_what_all_poses_at_once_give(kind, part, monkeypatch):
     def of_blocks():
         lineariser, at, _ = weighted_system(kind, np.random.default_rng(10), more=2)
-        step = gauss_newton_step(at.normal, lineariser.layout.gather("scale"), 1e-3)
+        step = gauss_newton_step(at.normal, lineariser.layout.scale, 1e-3)
         moved = stepped(lineariser, at, step)
         sizes = np.sqrt(np.diag(at.normal.information))
         scores = variance_components.reml_score_and_information(at.system, at.noise)
@@ -243,7 +243,7 @@ def test_noise_scores_are_those_of_the_dense_covariance(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(kind):
     lineariser, at, _ = weighted_system(kind, np.random.default_rng(6))
-    step = 1e-3 * gauss_newton_step(at.normal, lineariser.layout.gather("scale"), 1e-3)
+    step = 1e-3 * gauss_newton_step(at.normal, lineariser.layout.scale, 1e-3)
     there = stepped(lineariser, at, step)
     again = Normal(lineariser.rows, there.poses.normal_equations(), there.prior)
     size = np.sqrt(np.diag(again.information))
@@ -260,7 +260,7 @@ def test_noise_scores_are_derivatives_of_the_log_posterior(kind):
 
     def fitted(theta):
         there = reweighted(lineariser, at, variance_components.unpack(theta), at.weights)
-        return stepped(lineariser, there, gauss_newton_step(there.normal, lineariser.layout.gather("scale"), 0.0)).system
+        return stepped(lineariser, there, gauss_newton_step(there.normal, lineariser.layout.scale, 0.0)).system
 
     def log_posterior(theta):
         return variance_components.log_restricted_posterior(fitted(theta), variance_components.unpack(theta), prior)
@@ -280,7 +280,7 @@ def test_the_adjusted_noise_is_where_its_log_posterior_is_largest():
     def log_posterior(theta):
         noise = variance_components.unpack(theta)
         there = reweighted(found.lineariser, found.solution, noise, found.weights)
-        step = gauss_newton_step(there.normal, found.lineariser.layout.gather("scale"), 0.0)
+        step = gauss_newton_step(there.normal, found.lineariser.layout.scale, 0.0)
         return variance_components.log_restricted_posterior(stepped(found.lineariser, there, step).system, noise, prior)
 
     here = log_posterior(theta)
@@ -290,7 +290,7 @@ def test_the_adjusted_noise_is_where_its_log_posterior_is_largest():
 def test_columns_are_kept_while_nothing_turns_and_made_anew_otherwise():
     lineariser, begin, _ = weighted_system("scanner", np.random.default_rng(9), kinematics=False)
     at = system(lineariser, solve(lineariser, begin, begin.noise, begin.weights).estimate, begin.noise, begin.weights)
-    step = lineariser.layout.gather("scale")
+    step = lineariser.layout.scale
     near, far = stepped(lineariser, at, 1e-6 * step), stepped(lineariser, at, 0.02 * step)
     for there, kept in ((near, True), (far, False)):
         again = evaluated(lineariser, there)

@@ -85,7 +85,7 @@ def identify(
         refuse_one_station(obs)
     found = distance_constraint.identify(first.chain, first.T_flange_scanner, obs, at, free, measured)
     if found.unobservable.shape[1] and options.refuse:
-        scale = layout.gather("scale")
+        scale = layout.scale
         basis = np.linalg.qr(found.unobservable / scale[:, None])[0]
         reference = scale[:, None] * identifiability.workspace_information(obs, first, layout) * scale
         effect, vector = np.linalg.eigh(basis.T @ reference @ basis)
