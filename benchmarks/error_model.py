@@ -30,9 +30,10 @@ from mbcacq.errors import CalibrationError, MbcacqError
 from mbcacq.estimation import forward_model, parameters
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import Weights, solve
+from mbcacq.estimation.solver import solve, system
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 from mbcacq.plan import expand, load
@@ -318,8 +319,8 @@ def least_squares(obs):
     for name, why in first.layout.held.items():
         layout = layout if name in layout.held else layout.hold(name, why)
     noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-9), 1e-3)
-    ones = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
-    return solve(Lineariser(obs, layout, options), Estimate(first.state), noise, ones).estimate.state
+    ones = Weights.full(obs)
+    return solve(system(Lineariser(obs, layout, options), Estimate(first.state), noise, ones)).estimate.state
 
 
 METHODS = {

@@ -10,7 +10,8 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import ObservationFit, Rejected
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.solver import Solution, Weights
+from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.solver import Solution
 from mbcacq.model.observations import Observations
 
 CORRELATED = 0.95

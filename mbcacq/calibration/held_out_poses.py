@@ -12,7 +12,8 @@ from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.solver import Weights, solve
+from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.solver import solve, system
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
@@ -64,7 +65,7 @@ def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
 def prediction_error(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
     state, options = _as_it_is(obs, cell)
-    _, residual = Lineariser(obs, parameters.build(obs, options), options).residual(parameters.Estimate(state))
+    residual = Lineariser(obs, parameters.build(obs, options), options).evaluate(parameters.Estimate(state)).residual
     return np.linalg.norm(residual[:, :3], axis=1)
 
 
@@ -74,7 +75,7 @@ def about_best_station(obs: Observations, cell: CellState | CalibratedCell) -> t
     start = with_all_stations(obs, state)
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
     noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
-    solution = solve(lineariser, parameters.Estimate(start), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))
+    solution = solve(system(lineariser, parameters.Estimate(start), noise, Weights.full(obs)))
     return np.linalg.norm(solution.linear.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
 
 

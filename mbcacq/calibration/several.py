@@ -25,10 +25,11 @@ from mbcacq.estimation.adjustment import Adjustment, adjust
 from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import HAND_EYE, Estimate, ParameterLayout, build
 from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.several_recordings import JointProblem, joint_problem
-from mbcacq.estimation.solver import Weights, system
+from mbcacq.estimation.solver import system
 from mbcacq.estimation.terms import PER_POSE, Term
 from mbcacq.model.json_text import Number, fields_as_json
 from mbcacq.model.observations import Observations
@@ -105,7 +106,7 @@ def _fitted(problem: JointProblem, options: CalibrationOptions) -> CalibratedCel
     obs = problem.observations
     options = replace(options, start=problem.start)
     fitted = adjust(obs, options, links_follow=options.kinematics)
-    fitted = with_random_links(fitted, options) if options.kinematics else fitted
+    fitted = with_random_links(fitted) if options.kinematics else fitted
     result = adjusted_cell(options, fitted)
     return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
 

@@ -18,16 +18,18 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
-from mbcacq.estimation.adjustment import Adjustment, most_probable_noise
+from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.noise import noise_prior
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
-from mbcacq.estimation.solver import Solution, Weights, reweighted, system
+from mbcacq.estimation.solver import Solution, system
 from mbcacq.estimation.terms import Term
-from mbcacq.estimation.variance_components import noise_prior
+from mbcacq.estimation.variance_components import most_probable_noise
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.observations import Observations
 
@@ -185,7 +187,8 @@ def sized_groups(
     turns = OPTIONS.turns if start is None else OPTIONS.turns_again
     for turn in range(turns):
         stage = stage.sized(at, last=turn == turns - 1)
-        at, noise = most_probable_noise(stage.reweighted, stage.system(noise), noise, prior, OPTIONS.noise_steps)
+        at = most_probable_noise(stage.reweighted, stage.system(noise), prior, OPTIONS.noise_steps)
+        noise = at.noise
     return stage, noise
 
 
@@ -198,12 +201,7 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
     at = stage.system(noise)
     chosen = replace(stage.options, terms=stage.terms)
     adjusted = Adjustment(
-        lineariser=stage.lineariser,
-        solution=at,
-        noise=noise,
-        weights=fitted.fit.weights,
-        preliminary=fitted.preliminary,
-        found=list(fitted.fit.undetermined),
+        solution=at, noise=noise, weights=fitted.fit.weights, preliminary=fitted.preliminary, found=list(fitted.fit.undetermined)
     )
     result = adjusted_cell(chosen, adjusted)
     groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
@@ -302,7 +300,7 @@ class _Stage:
 
     def reweighted(self, at: Solution, noise: Noise) -> Solution:
         """The normal equations at the same estimate under another noise."""
-        return reweighted(self.lineariser, at, noise, self.weights)
+        return at.reweighted(noise, self.weights)
 
     def sized(self, at: Solution, last: bool) -> _Stage:
         """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem.

@@ -74,7 +74,7 @@ def pose_information(obs: Observations, state: CellState, layout: ParameterLayou
     """(P, 6, g + 6): whitened rows of each pose, in the order of ``obs``, by arm and hand-eye and by its own station, brought down to the
     six that a rigid view can have."""
     lineariser = Lineariser(obs, layout, CalibrationOptions(balls=False, refuse=False))
-    linear = lineariser(parameters.Estimate(state))
+    linear = lineariser.at(lineariser.evaluate(parameters.Estimate(state)))
     weights = np.ones(obs.n_centres), np.ones(obs.n_poses)
     X = Whitening(lineariser.rows, linear.J, noise, *weights)(linear.X)[..., :-1]
     value, vector = np.linalg.eigh(np.swapaxes(X, 1, 2) @ X)

@@ -19,9 +19,10 @@ from mbcacq.estimation import parameters as blocks
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import Weights, system
+from mbcacq.estimation.solver import system
 from mbcacq.model.json_text import AsJson, keyed
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
@@ -91,17 +92,14 @@ def predicted_calibration(
     options = options or CalibrationOptions(refuse=False)
     obs = select_phases(observations, options)
     state = planned_state(loaded)
-    weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    weights = Weights.full(obs)
     layout, estimate = blocks.build(obs, options).resized(blocks.ORDINARY_LINKS), Estimate(state)
     first = system(Lineariser(obs, layout, options), estimate, noise, weights)
     layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
     if options.kinematics and options.random_links:
         layout = blocks.with_common_sizes(layout, blocks.usual_sizes(obs.cell))
-    lineariser = Lineariser(obs, layout, options)
-    solution = system(lineariser, estimate, noise, weights)
-    return adjusted_cell(
-        options, Adjustment(lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=state, found=found)
-    )
+    solution = system(Lineariser(obs, layout, options), estimate, noise, weights)
+    return adjusted_cell(options, Adjustment(solution=solution, noise=noise, weights=weights, preliminary=state, found=found))
 
 
 def _calibration_share(calibration: CalibratedCell, observations: Observations) -> list[float]:

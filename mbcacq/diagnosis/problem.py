@@ -23,11 +23,11 @@ from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.noise import NoisePrior, noise_prior
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.several_recordings import adjust_together
 from mbcacq.estimation.terms import Part
-from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
 
 EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording

@@ -10,15 +10,28 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.estimation import forward_model, terms
+from mbcacq.estimation.noise import stated_weights
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.pose_columns import WIDE, PoseColumns, WideColumns
-from mbcacq.estimation.variance_components import first_noise
+from mbcacq.estimation.prior import Prior, prior_rows
 from mbcacq.estimation.whitening import PoseRows
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The recording at one estimate. residual: (M, R); rows: (P, B R) the same as the poses have it, with the covariances that measurements
+    state taken out; prior: what is known beforehand."""
+
+    estimate: Estimate
+    prediction: forward_model.Prediction
+    residual: np.ndarray
+    rows: np.ndarray
+    prior: Prior
 
 
 @dataclass(frozen=True)
@@ -43,19 +56,27 @@ class Lineariser:
     """Evaluates residuals and columns of one recording; keeps what does not depend on the estimate."""
 
     def __init__(self, observations: Observations, layout: ParameterLayout, options: CalibrationOptions):
-        self.obs, self.layout, self.options = observations, layout, options
-        width = 3 if observations.rotation is None else 6
-        self.rows = PoseRows(observations, width)
+        self.obs, self.options = observations, options
+        self.rows = PoseRows(observations, 3 if observations.rotation is None else 6)
+        self.own_weight = stated_weights(observations)
+        self._set(layout)
+
+    def with_layout(self, layout: ParameterLayout) -> Lineariser:
+        """The same recording with other parameters free, or other priors of the same."""
+        out = copy(self)
+        out._set(layout)
+        return out
+
+    def _set(self, layout: ParameterLayout) -> None:
+        self.layout = layout
         free = layout.blocks[2].free.reshape(-1, 3)
         whole = free.all(axis=1)
-        # A ball of which some coordinates are held has no common pattern: then all columns are written out.
-        self.free_balls = int(whole.sum()) if np.array_equal(whole, free.any(axis=1)) else 0
+        # A ball of which some coordinates are held has no common pattern, nor have the balls of a pose whose measurements state covariances
+        # of their own: then all columns are written out.
+        alike = self.own_weight is None and np.array_equal(whole, free.any(axis=1))
+        self.free_balls = int(whole.sum()) if alike else 0
         number = np.where(whole, np.cumsum(whole) - 1, self.free_balls) if self.free_balls else np.zeros(len(free), int)
         self.ball = self._in_slots(number, self.free_balls)
-        self.own_weight = stated_weights(observations)
-        if self.own_weight is not None:  # then the balls of a pose have no common pattern either
-            self.free_balls = 0
-            self.ball = self._in_slots(np.zeros(len(free), int), 0)
 
     def weighted(self, rows: np.ndarray) -> np.ndarray:
         """Rows (M, R) or (M, R, k) with the covariances that the measurements state taken out; as they are where none does."""
@@ -67,28 +88,21 @@ class Lineariser:
         """The inverse of ``weighted``, of rows (M, R)."""
         return rows if self.own_weight is None else np.linalg.solve(self.own_weight, rows[..., None])[..., 0]
 
-    def with_layout(self, layout: ParameterLayout) -> Lineariser:
-        """The same recording with other priors of the same free parameters."""
-        out = copy(self)
-        out.layout = layout
-        return out
-
-    def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
-        """Prediction and residual (M, R) at an estimate."""
+    def evaluate(self, estimate: Estimate) -> Evaluation:
+        """Prediction and residual at an estimate, and its distance from what is known beforehand."""
         moved = None
         if self.options.terms or self.options.displaced:
             known = self.options.displaced
             every = (*self.options.terms, *(term for term, _ in known))
             moved = terms.accumulate(self.obs, every, (*estimate.coefficients, *(values for _, values in known)))
         prediction = forward_model.predict(self.obs, estimate.state, moved)
-        return prediction, forward_model.residual(self.obs, prediction)
+        residual = forward_model.residual(self.obs, prediction)
+        prior = prior_rows(self.obs.cell, self.layout, estimate, self.rows.stations)
+        return Evaluation(estimate, prediction, residual, self.rows.pad(self.weighted(residual)), prior)
 
-    def __call__(self, estimate: Estimate) -> Linearization:
-        prediction, residual = self.residual(estimate)
-        return self.at(estimate.state.chain, prediction, residual)
-
-    def at(self, chain: Chain, prediction: forward_model.Prediction, residual: np.ndarray) -> Linearization:
-        """The columns at a prediction by an arm ``chain``, next to any residual (M, R)."""
+    def at(self, there: Evaluation) -> Linearization:
+        """The columns there."""
+        chain, prediction = there.estimate.state.chain, there.prediction
         rows, f = self.rows, int(self.layout.blocks[0].free.sum() + self.layout.blocks[1].free.sum())
         moved, of_station, jointly = (np.empty((rows.n_poses, 6, k)) for k in (f, 6, chain.n))
         for block in rows.blocks:
@@ -110,16 +124,9 @@ class Lineariser:
         own = OwnColumns(self._turn(prediction), self.ball, self.free_balls, other)
         return Linearization(
             prediction,
-            residual,
+            there.residual,
             PoseColumns(
-                basis=basis,
-                twists=moved,
-                station=of_station,
-                joints=jointly,
-                own=own,
-                residual=rows.pad(self.weighted(residual)),
-                by_rows=by_rows,
-                wide=wide,
+                basis=basis, twists=moved, station=of_station, joints=jointly, own=own, residual=there.rows, by_rows=by_rows, wide=wide
             ),
         )
 
@@ -196,17 +203,3 @@ def _shifts(obs: Observations, prediction: forward_model.Prediction, width: int)
     out = np.zeros((obs.n_centres, width, len(obs.cell.ball_ids), 3))
     out[np.arange(obs.n_centres), :3, obs.ball] = prediction.ball_rotation[obs.pose]
     return out.reshape(obs.n_centres, width, -1)
-
-
-def stated_weights(obs: Observations) -> np.ndarray | None:
-    """(M, R, R) that give rows with the stated covariances the noise that is stated of the instrument as a whole; None where none are.
-
-    The inverse square root of each correlation matrix, so that every row stays as near to its own axis as it can.
-    """
-    if obs.covariance is None:
-        return None
-    sigma = np.sqrt(np.einsum("mii->mi", obs.covariance))
-    value, vector = np.linalg.eigh(obs.covariance / sigma[:, :, None] / sigma[:, None, :])
-    root = (vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2)
-    noise = first_noise(obs.cell).row_sigma(sigma.shape[1])
-    return noise[:, None] * root / sigma[:, None, :]
