@@ -20,10 +20,10 @@ from mbcacq.calibration import CalibrationOptions, Noise, calibrate
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict
 from mbcacq.estimation.initial_guess import start
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.solver import solve, system
+from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
@@ -166,7 +166,7 @@ def calibration(given: argparse.Namespace) -> None:
         whole = best(lambda obs=obs: calibrate(obs), repeats)
         options = CalibrationOptions(balls=False)
         lineariser = Lineariser(obs, parameters.build(obs, options), options)
-        begin, weights = Estimate(start(obs)), Weights.full(obs)
+        begin, weights = Estimate(start(obs)), lineariser.everything
         alone = best(lambda a=lineariser, b=begin, w=weights: solve(system(a, b, NOISE, w)), repeats)
         other = ratio = "-"
         if not given.no_peer and poses <= PEER_POSES:

@@ -18,7 +18,6 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import Adjustment, thin
 from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.solver import solve
 from mbcacq.model.json_text import AsJson, Vector
 from mbcacq.model.observations import Observations
@@ -113,7 +112,7 @@ def plain_least_squares(alone: Adjustment) -> Adjustment:
         to them, and its uncertainties take this into account. The joints repeat as the data sheet has it, for predictions.
     """
     obs = alone.lineariser.obs
-    every = Weights.full(obs)
+    every = alone.lineariser.everything
     still, sheet = np.full(obs.cell.robot.n, 1e-9), first_noise(obs.cell).joint
     solution, noise = alone.solution, Noise(np.ones(3), still, 1e-3)
     for _ in range(2):

@@ -10,10 +10,9 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.outliers import Weights
-from mbcacq.estimation.solver import solve, system
+from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
@@ -75,7 +74,7 @@ def about_best_station(obs: Observations, cell: CellState | CalibratedCell) -> t
     start = with_all_stations(obs, state)
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
     noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
-    solution = solve(system(lineariser, parameters.Estimate(start), noise, Weights.full(obs)))
+    solution = solve(system(lineariser, parameters.Estimate(start), noise, lineariser.everything))
     return np.linalg.norm(solution.linear.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
 
 

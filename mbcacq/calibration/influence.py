@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
+from mbcacq.estimation.linearization import Solution
 from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.outliers import chi2_quantile
-from mbcacq.estimation.solver import Solution, solve
+from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import Cell
 
 

@@ -21,12 +21,11 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import AsJson, Number
 from mbcacq.model.observations import Observations
@@ -222,7 +221,7 @@ class _Trial:
         start = CellState(chain, cell.T_flange_scanner, placed, cell.ball_centres.copy())
         options = replace(options, hold=hold)
         lineariser = Lineariser(known, parameters.build(known, options), options)
-        every = Weights.full(known)
+        every = lineariser.everything
         at = system(lineariser, Estimate(start), self.cell.noise, every)
         distance = np.linalg.norm(at.linear.residual[:, :3], axis=1)
         weights = replace(every, centre=(distance <= GROSS * np.median(distance)).astype(float))

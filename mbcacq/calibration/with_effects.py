@@ -19,15 +19,13 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment
-from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.noise import noise_prior
+from mbcacq.estimation.linearization import Lineariser, Solution, system
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
-from mbcacq.estimation.solver import Solution, system
 from mbcacq.estimation.terms import Term
 from mbcacq.estimation.variance_components import most_probable_noise
 from mbcacq.geometry.chain import PARAMETERS
@@ -180,14 +178,13 @@ def sized_groups(
     parametric effects free; groups that the data do not ask for are dropped.
     """
     obs = fitted.fit.observations
-    prior = noise_prior(obs.cell, options.noise)
     stage = _Stage.first(fitted, options, parametric, unmodelled, some_poses(obs, OPTIONS.most_poses))
     noise = start or fitted.noise
     at = stage.system(noise)
     turns = OPTIONS.turns if start is None else OPTIONS.turns_again
     for turn in range(turns):
         stage = stage.sized(at, last=turn == turns - 1)
-        at = most_probable_noise(stage.reweighted, stage.system(noise), prior, OPTIONS.noise_steps)
+        at = most_probable_noise(stage.reweighted, stage.system(noise), OPTIONS.noise_steps)
         noise = at.noise
     return stage, noise
 
@@ -323,9 +320,7 @@ class _Stage:
             size[:, None] * information * size + np.diag(np.r_[np.zeros(first), np.ones(len(prior))]), size * right
         )
         step = solved - now
-        stations = np.zeros((len(self.estimate.state.T_base_station), 6))
-        stations[self.lineariser.rows.stations] = normal.station_step(step)
-        moved = self.estimate.moved(layout, step, stations)
+        moved = self.estimate.moved(layout, step, normal.station_step(step), self.lineariser.rows.stations)
         alive = np.r_[np.ones(len(self.named), bool), scale > 0]
         kept = Estimate(moved.state, tuple(c for c, keep in zip(moved.coefficients, alive, strict=True) if keep))
         return replace(

@@ -18,11 +18,9 @@ from mbcacq.estimation import identifiability
 from mbcacq.estimation import parameters as blocks
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.identifiability import Undetermined
-from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import system
 from mbcacq.model.json_text import AsJson, keyed
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
@@ -92,13 +90,14 @@ def predicted_calibration(
     options = options or CalibrationOptions(refuse=False)
     obs = select_phases(observations, options)
     state = planned_state(loaded)
-    weights = Weights.full(obs)
     layout, estimate = blocks.build(obs, options).resized(blocks.ORDINARY_LINKS), Estimate(state)
-    first = system(Lineariser(obs, layout, options), estimate, noise, weights)
+    lineariser = Lineariser(obs, layout, options)
+    weights = lineariser.everything
+    first = system(lineariser, estimate, noise, weights)
     layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
     if options.kinematics and options.random_links:
         layout = blocks.with_common_sizes(layout, blocks.usual_sizes(obs.cell))
-    solution = system(Lineariser(obs, layout, options), estimate, noise, weights)
+    solution = system(lineariser.with_layout(layout), estimate, noise, weights)
     return adjusted_cell(options, Adjustment(solution=solution, noise=noise, weights=weights, preliminary=state, found=found))
 
 

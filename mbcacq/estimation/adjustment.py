@@ -15,16 +15,14 @@ from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined, hold_undetermined, refuse_undetermined
 from mbcacq.estimation.initial_guess import start, with_all_stations
-from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.noise import first_noise
+from mbcacq.estimation.linearization import Lineariser, Solution, system
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
-from mbcacq.estimation.parameters import Estimate, ParameterLayout, with_common_sizes
-from mbcacq.estimation.solver import COARSE, Solution, gauss_newton_step, robust_solve, solve, system
-from mbcacq.estimation.variance_components import NOISE_GAIN, settle_noise, settle_variances
+from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.solver import COARSE, robust_solve, solve
+from mbcacq.estimation.variance_components import NOISE_GAIN, made_exact, settle_variances
 from mbcacq.model.observations import Observations
 
-FINE = 1e-7  # tolerance of chi square of what is published
 # Gain of the log posterior below which the noise is settled, where it is settled once more, with random links: within two standard
 # deviations, of which the last step leaves little.
 ROUGH_NOISE_GAIN = 2.0
@@ -42,7 +40,10 @@ def adjust_recording(obs: Observations, options: CalibrationOptions, links_follo
 
     Raises ContradictionError where the data contradict the cell or, with ``options.refuse``, leave it undetermined.
     """
-    first = adjust(thin(obs, THIN), options) if obs.n_poses > 2 * THIN and not (options.terms or options.displaced) else None
+    first = None
+    if obs.n_poses > 2 * THIN and not (options.terms or options.displaced):
+        some = thin(obs, THIN)
+        first = adjust(some, options)
     return adjust(obs, options, first, links_follow)
 
 
@@ -73,7 +74,7 @@ class Adjustment:
     def stated_chi2(self) -> float:
         """Chi square under the noise that scanner and data sheet state, or a guess of their class, with the prior rows."""
         at = self.solution.evaluated()
-        *_, chi2 = at.poses_under(first_noise(self.lineariser.obs.cell), self.weights).right_hand_side()
+        *_, chi2 = at.poses_under(self.lineariser.first_noise, self.weights).right_hand_side()
         return chi2 + at.prior.cost
 
 
@@ -82,34 +83,42 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
     ``with_random_links`` comes next, which settles noise and estimate where there are such links."""
     if first is None:
         preliminary = state = fit_hand_eye(obs, options)
-        noise = first_noise(obs.cell)
     else:
         preliminary, state = (with_all_stations(obs, one) for one in (first.preliminary, first.state))
-        noise = first_noise(obs.cell) if any(t.sized for t in options.terms) else first.noise  # random effects may explain part of it
+    # What random effects explain is in the noise of an adjustment without them.
+    noise = None if first is None or any(t.sized for t in options.terms) else first.noise
     begin = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
     at, found = determined(obs, options, begin, noise)
-    noise_gain = _noise_gain(at.lineariser.layout, links_follow and options.random_links)
-    solution = settle_variances(robust_solve(at, COARSE), noise_gain=noise_gain)
+    noise_gain = _noise_gain(at.lineariser, links_follow)
+    solution = robust_solve(at, COARSE)
+    solution = settle_variances(solution, noise_gain=noise_gain)
     # Noise larger than expected may leave more undetermined than the first look showed.
     lineariser, more = with_undetermined_held(solution)
     if more:
-        begin = _back_to_nominal(solution.estimate, lineariser.layout, obs)
-        noise_gain = _noise_gain(lineariser.layout, links_follow and options.random_links)
-        solution = solve(system(lineariser, begin, solution.noise, solution.weights), tolerance=COARSE)
+        # Held kinematic parameters return to their nominal values.
+        state, nominal = solution.estimate.state, obs.cell.robot.chain
+        free = lineariser.layout.blocks[0].free.reshape(nominal.n, -1)
+        chain = nominal.with_errors(np.where(free, state.chain.rows - nominal.rows, 0.0))
+        begin = replace(solution.estimate, state=replace(state, chain=chain))
+        noise_gain = _noise_gain(lineariser, links_follow)
+        at = system(lineariser, begin, solution.noise, solution.weights)
+        solution = solve(at, tolerance=COARSE)
         solution = settle_variances(solution, noise_gain=noise_gain)
     solution = made_exact(solution) if noise_gain == NOISE_GAIN else solution
     held = [*found, *more]
     return Adjustment(solution=solution, noise=solution.noise, weights=solution.weights, preliminary=preliminary, found=held)
 
 
-def determined(obs: Observations, options: CalibrationOptions, start: Estimate, noise: Noise) -> tuple[Solution, list[Undetermined]]:
-    """The system at a start, with what the data leave undetermined held.
+def determined(obs: Observations, options: CalibrationOptions, start: Estimate, noise: Noise | None) -> tuple[Solution, list[Undetermined]]:
+    """The system at a start, with what the data leave undetermined held; under the stated noise if none is given.
 
     Raises CalibrationError where that would matter elsewhere in the workspace, unless ``options.refuse`` is off.
     """
-    at = system(Lineariser(obs, parameters.build(obs, options), options), start, noise, Weights.full(obs))
+    layout = parameters.build(obs, options)
+    lineariser = Lineariser(obs, layout, options)
+    at = system(lineariser, start, lineariser.first_noise if noise is None else noise, lineariser.everything)
     lineariser, found = with_undetermined_held(at)
-    return (system(lineariser, start, noise, at.weights) if found else at), found
+    return (system(lineariser, start, at.noise, at.weights) if found else at), found
 
 
 def with_undetermined_held(at: Solution) -> tuple[Lineariser, list[Undetermined]]:
@@ -120,17 +129,9 @@ def with_undetermined_held(at: Solution) -> tuple[Lineariser, list[Undetermined]
     return (lineariser.with_layout(layout) if found else lineariser), found
 
 
-def _noise_gain(layout: ParameterLayout, links_follow: bool) -> float:
-    return ROUGH_NOISE_GAIN if links_follow and with_common_sizes(layout) is not layout else NOISE_GAIN
-
-
-def made_exact(solution: Solution) -> Solution:
-    """A settled solution solved to the end with residuals at its estimate; settled again where the problem is less linear than its last
-    steps promised."""
-    exact = solution.evaluated()
-    if exact.normal.decrease(gauss_newton_step(exact.normal, exact.lineariser.layout.scale, 0.0)) > COARSE:
-        exact = settle_noise(robust_solve(exact, COARSE))
-    return solve(exact, tolerance=FINE)
+def _noise_gain(lineariser: Lineariser, links_follow: bool) -> float:
+    rough = links_follow and lineariser.options.random_links and lineariser.layout.link_kinds
+    return ROUGH_NOISE_GAIN if rough else NOISE_GAIN
 
 
 def thin(obs: Observations, size: int) -> Observations:
@@ -150,11 +151,12 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
     """Hand-eye and stations with the arm as it is nominally, robustly; also the start of everything else."""
     if options.start is not None:
         return options.start
+    begin = Estimate(start(obs))
     held = replace(options, kinematics=False, discrepancy=False, balls=False, hold=(), release=(), terms=())
     # Kinematic errors are the noise here; their size matters little, as long as it does not make structure of half the poses.
     lever = obs.cell.robot.chain.lever
     noise, worse = (Noise(np.full(3, 0.02 * k), k * 4e-4 * lever.max() / lever, 5e-4 * k) for k in (1.0, WORSE_ARM))
-    at, _ = determined(obs, held, Estimate(start(obs)), noise)
+    at, _ = determined(obs, held, begin, noise)
     try:
         solution = robust_solve(at, 1.0, COARSE_ROTATION)
     except ContradictionError:
@@ -167,11 +169,3 @@ def fit_hand_eye(obs: Observations, options: CalibrationOptions) -> CellState:
             "check the robot model (signs, units), the certificate, and that joint angles and scans belong together"
         )
     return solution.estimate.state
-
-
-def _back_to_nominal(estimate: Estimate, layout: ParameterLayout, obs: Observations) -> Estimate:
-    """Held kinematic parameters return to their nominal values."""
-    nominal = obs.cell.robot.chain
-    errors = estimate.state.chain.rows - nominal.rows
-    errors[~layout.blocks[0].free.reshape(errors.shape)] = 0.0
-    return replace(estimate, state=replace(estimate.state, chain=nominal.with_errors(errors)))

@@ -76,8 +76,8 @@ def between(noise: Noise, other: Noise) -> Noise:
     return unpack((pack(noise) + pack(other)) / 2)
 
 
-def stated_weights(obs: Observations) -> np.ndarray | None:
-    """(M, R, R) that give rows with the stated covariances the noise that is stated of the instrument as a whole; None where none are.
+def stated_weights(obs: Observations, noise: Noise) -> np.ndarray | None:
+    """(M, R, R) that give rows with the stated covariances the noise of the instrument as a whole; None where none are stated.
 
     The inverse square root of each correlation matrix, so that every row stays as near to its own axis as it can.
     """
@@ -86,5 +86,4 @@ def stated_weights(obs: Observations) -> np.ndarray | None:
     sigma = np.sqrt(np.einsum("mii->mi", obs.covariance))
     value, vector = np.linalg.eigh(obs.covariance / sigma[:, :, None] / sigma[:, None, :])
     root = (vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2)
-    noise = first_noise(obs.cell).row_sigma(sigma.shape[1])
-    return noise[:, None] * root / sigma[:, None, :]
+    return noise.row_sigma(sigma.shape[1])[:, None] * root / sigma[:, None, :]

@@ -78,6 +78,14 @@ class Normal:
         out.information = self.information + np.diag(weight)
         return out
 
+    def gauss_newton_step(self, scale: np.ndarray, damping: float = 0.0) -> np.ndarray:
+        """(g,) of the parameters: Gauss-Newton without ``damping``, Levenberg-Marquardt with it (relative to each parameter's own
+        information). scale: (g,) plausible sizes."""
+        H = scale[:, None] * self.information * scale
+        diagonal, on = np.diag(H).copy(), np.arange(len(H))
+        H[on, on] += damping * diagonal + 1e-14 * diagonal.max(initial=0.0)
+        return scale * np.linalg.solve(H, scale * self.gradient)
+
     def decrease(self, step: np.ndarray) -> float:
         """Decrease of the cost that the linear system predicts for this step and the best stations."""
         return float(2 * step @ self.gradient - step @ self.information @ step + np.sum(self.station_b**2))

@@ -11,7 +11,6 @@ import numpy as np
 
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.pose_information import PoseInformation
-from mbcacq.model.observations import Observations
 
 # Median and 1e-7 tail of chi square for 3..7 degrees of freedom are interpolated by Wilson and Hilferty's cube root.
 TAIL = 5.2
@@ -29,11 +28,6 @@ class Weights:
 
     centre: np.ndarray
     pose: np.ndarray
-
-    @classmethod
-    def full(cls, obs: Observations) -> Weights:
-        """Everything takes part."""
-        return cls(np.ones(obs.n_centres), np.ones(obs.n_poses))
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mbcacq.estimation.adjustment import Adjustment, made_exact
+from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.parameters import with_common_sizes
-from mbcacq.estimation.variance_components import settle_variances
+from mbcacq.estimation.variance_components import made_exact, settle_variances
 
 
 def with_random_links(fitted: Adjustment) -> Adjustment:
@@ -28,9 +28,9 @@ def with_random_links(fitted: Adjustment) -> Adjustment:
     Adjustment
         The same where the links are to be free, have a prior of their own, or too few of them are free.
     """
-    before = fitted.lineariser.layout
-    layout = with_common_sizes(before) if fitted.lineariser.options.random_links else before
-    if layout is before:
+    layout = fitted.lineariser.layout
+    if not (fitted.lineariser.options.random_links and layout.link_kinds):
         return fitted
-    solution = made_exact(settle_variances(fitted.solution.with_priors(layout), sizes_first=True))
+    solution = settle_variances(fitted.solution.with_priors(with_common_sizes(layout)), sizes_first=True)
+    solution = made_exact(solution)
     return replace(fitted, solution=solution, noise=solution.noise, weights=solution.weights)

@@ -8,12 +8,12 @@ from mbcacq.calibration import CalibrationOptions, Noise
 from mbcacq.estimation import noise as noise_model
 from mbcacq.estimation import parameters, variance_components, whitening
 from mbcacq.estimation.adjustment import adjust_recording
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.normal_equations import Normal
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.pose_block import NormalBlocks
-from mbcacq.estimation.solver import gauss_newton_step, solve, system
+from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import Part, term
 from mbcacq.estimation.variance_components import NOISE_GAIN, most_probable_noise
 
@@ -94,7 +94,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     noise = Noise(np.array([0.01, 0.02, 0.03]), np.full(obs.cell.robot.n, 1e-5), 1e-4)
-    now = system(lineariser, Estimate(cell.truth), noise, Weights.full(obs))
+    now = system(lineariser, Estimate(cell.truth), noise, lineariser.everything)
     g, stations = layout.size, len(lineariser.rows.stations)
     dense = np.zeros((now.X.shape[0], now.X.shape[1], g + 6 * stations))
     dense[..., :g] = now.X[..., :g]
@@ -105,7 +105,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
     r = now.X[..., -1].reshape(-1)
     H = A.T @ A + np.diag(np.concatenate([1 / now.prior.sigma**2, np.zeros(6 * stations)]))
     expected = np.linalg.solve(H, A.T @ r - np.concatenate([now.prior.offset / now.prior.sigma**2, np.zeros(6 * stations)]))
-    step = gauss_newton_step(now.normal, layout.scale, 0.0)
+    step = now.normal.gauss_newton_step(layout.scale, 0.0)
     np.testing.assert_allclose(step, expected[:g], rtol=1e-5, atol=1e-10)
     np.testing.assert_allclose(now.normal.station_step(step).reshape(-1), expected[g:], rtol=1e-5, atol=1e-9)
     C = np.linalg.inv(H)
@@ -208,7 +208,7 @@ def test_twists_of_the_poses_give_the_normal_equations_of_the_whitened_rows(kind
     np.testing.assert_allclose(normal.information / np.outer(size, size), rows.information / np.outer(size, size), rtol=0, atol=1e-9)
     np.testing.assert_allclose(normal.gradient / size, rows.gradient / size, rtol=0, atol=1e-9 * np.sqrt(rows.cost))
     np.testing.assert_allclose(normal.cost, rows.cost, rtol=1e-12)
-    step = gauss_newton_step(normal, np.ones(normal.size), 1e-3)
+    step = normal.gauss_newton_step(np.ones(normal.size), 1e-3)
     np.testing.assert_allclose(normal.station_step(step), rows.station_step(step), rtol=1e-6, atol=1e-9)
 
 
@@ -217,7 +217,7 @@ def test_twists_of_the_poses_give_the_normal_equations_of_the_whitened_rows(kind
 def test_blocks_of_poses_give_what_all_poses_at_once_give(kind, part, monkeypatch):
     def of_blocks():
         lineariser, at, _ = weighted_system(kind, np.random.default_rng(10), more=2)
-        step = gauss_newton_step(at.normal, lineariser.layout.scale, 1e-3)
+        step = at.normal.gauss_newton_step(lineariser.layout.scale, 1e-3)
         moved = at.stepped(step)
         sizes = np.sqrt(np.diag(at.normal.information))
         scores = variance_components.reml_score_and_information(at.system, at.noise)
@@ -247,7 +247,7 @@ def test_noise_scores_are_those_of_the_dense_covariance(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(kind):
     lineariser, at, _ = weighted_system(kind, np.random.default_rng(6))
-    step = 1e-3 * gauss_newton_step(at.normal, lineariser.layout.scale, 1e-3)
+    step = 1e-3 * at.normal.gauss_newton_step(lineariser.layout.scale, 1e-3)
     there = at.stepped(step)
     again = Normal(lineariser.rows, there.poses.normal_equations(), there.prior)
     size = np.sqrt(np.diag(again.information))
@@ -264,7 +264,7 @@ def test_noise_scores_are_derivatives_of_the_log_posterior(kind):
 
     def fitted(theta):
         there = at.reweighted(noise_model.unpack(theta), at.weights)
-        return there.stepped(gauss_newton_step(there.normal, lineariser.layout.scale, 0.0)).system
+        return there.stepped(there.normal.gauss_newton_step(lineariser.layout.scale, 0.0)).system
 
     def log_posterior(theta):
         return variance_components.log_restricted_posterior(fitted(theta), noise_model.unpack(theta), prior)
@@ -284,7 +284,7 @@ def test_the_adjusted_noise_is_where_its_log_posterior_is_largest():
     def log_posterior(theta):
         noise = noise_model.unpack(theta)
         there = found.solution.reweighted(noise, found.weights)
-        step = gauss_newton_step(there.normal, found.lineariser.layout.scale, 0.0)
+        step = there.normal.gauss_newton_step(found.lineariser.layout.scale, 0.0)
         return variance_components.log_restricted_posterior(there.stepped(step).system, noise, prior)
 
     here = log_posterior(theta)
@@ -318,7 +318,7 @@ def test_noise_that_was_taken_far_too_large_comes_down_without_swinging():
     at = system(found.lineariser, found.solution.estimate, large, found.weights)
     reached = [variance_components.log_restricted_posterior(at.system, at.noise, prior)]
     for _ in range(10):
-        at = most_probable_noise(refit, at, prior, 1)
+        at = most_probable_noise(refit, at, 1)
         reached.append(variance_components.log_restricted_posterior(at.system, at.noise, prior))
     assert np.all(np.diff(reached) > -NOISE_GAIN)
     assert reached[-1] - reached[-2] < NOISE_GAIN
