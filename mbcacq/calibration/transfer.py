@@ -15,6 +15,7 @@ from scipy.special import chdtri
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.maximum_likelihood import calibrate
+from mbcacq.calibration.parts_left_out import CentreResiduals, differing_terms, parts_left_out
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
@@ -44,6 +45,18 @@ class TransferFigures:
     rms_mm: Number
     median_mm: Number
     chi2_dof: Number
+
+
+@dataclass(frozen=True)
+class PartsLeftOut:
+    """Parts of the recording, each predicted by the others, arm and effects as learnt.
+
+    as_learnt: base, tool and stations are fitted to the others. drawn_anew: so are random effects, of what differs between recordings and
+    of unmodelled effects beyond where they were learnt.
+    """
+
+    as_learnt: TransferFigures
+    drawn_anew: TransferFigures
 
 
 @dataclass(frozen=True)
@@ -80,12 +93,18 @@ class NormalisedError:
         low, high = self.expected_rms * np.sqrt(chdtri(self.degrees_of_freedom, [0.975, 0.025]) / self.degrees_of_freedom)
         return float(low), float(high)
 
+    @property
+    def in_words(self) -> str:
+        usual = " ({:.2f} to {:.2f} where it is true)".format(*self.usual) if self.usual else ""
+        return f"{self.rms:.2f} rms{usual}, {self.quantile_95:.2f} at 95 %, {self.share_below_3:.1%} below 3"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer(AsJson):
     """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
     recording itself leaves, the best that geometry alone can do there; None where it cannot be had. normalised_error: None with known
-    places, since a result does not hold how the errors of its arm and of its places go together. warnings: sentences.
+    places, since a result does not hold how the errors of its arm and of its places go together. parts_left_out: None with known places,
+    and where the recording learnt from left nothing open. warnings: sentences.
     """
 
     place: str
@@ -98,6 +117,7 @@ class Transfer(AsJson):
     normalised_error: NormalisedError | None
     warnings: tuple[str, ...] = ()
     recording: str = ""
+    parts_left_out: PartsLeftOut | None = None
 
     @property
     def text(self) -> str:
@@ -107,14 +127,17 @@ class Transfer(AsJson):
             f"On {self.recording or 'the other recording'} ({self.poses} poses, {how}): {self._compared('rms_mm', micrometres)}.",
             f"  χ² per degree of freedom, under the noise that was learnt: {self._compared('chi2_dof', lambda value: fixed(value, 2))}",
         ]
+        if left := self.parts_left_out:
+            out.append(
+                f"  on parts left out of the fit: {micrometres(left.as_learnt.rms_mm)} with base, tool and stations of the other parts; "
+                f"{micrometres(left.drawn_anew.rms_mm)} where these also teach what the recording learnt from could not"
+            )
         out += [
             f"  {e.name} at {', '.join(e.where)}: without it {micrometres(e.without_mm)} ({e.gain:+.0%} of the geometry's mean square)"
             for e in self.effects
         ]
-        if n := self.normalised_error:
-            usual = " ({:.2f} to {:.2f} where it is true)".format(*n.usual) if n.usual else ""
-            rest = f"{n.quantile_95:.2f} at 95 %, {n.share_below_3:.1%} below 3"
-            out.append(f"  error over stated uncertainty: {n.rms:.2f} rms{usual}, {rest}")
+        if self.normalised_error:
+            out.append(f"  error over stated uncertainty: {self.normalised_error.in_words}")
         return "\n".join([*out, *(f"  Note: {w}." for w in self.warnings)])
 
     def _compared(self, figure: str, shown: Callable[[float], str]) -> str:
@@ -172,6 +195,7 @@ def check_transfer(
         normalised_error=normalised_error(best, cell, model, used) if place == "fitted" else None,
         warnings=(*left_out, *(str(d) for d in departures), *model.absent(observations)),
         recording=recording,
+        parts_left_out=tried.parts_left_out(best, model, used),
     )
 
 
@@ -236,12 +260,15 @@ class _Trial:
     def figures(self, fitted: CalibratedCell, used: np.ndarray) -> TransferFigures:
         """The figures of the centres used (M,). With known places nothing was fitted, so that no degree of freedom is lost."""
         fit, rank = fitted.fit, fitted.fit.rank if self.place == "fitted" else 0
-        distance = np.linalg.norm(fit.residual[used, :3], axis=1)
         lineariser = Lineariser(fit.observations, fitted.layout, fit.options)
         weights = Weights(used.astype(float), np.ones(fit.observations.n_poses))
         whitened = system(lineariser, Estimate(fitted.state), self.cell.noise, weights).whitened_residual[used]
-        chi2 = float(np.sum(whitened**2) / max(whitened.size - rank, 1))
-        return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
+        return _figures(CentreResiduals(fit.residual[used, :3], whitened), rank)
+
+    def parts_left_out(self, placed: CalibratedCell, model: EffectModel, used: np.ndarray) -> PartsLeftOut | None:
+        """The figures of parts predicted by the others; None with known places, which are not fitted."""
+        predicted = parts_left_out(placed, model, self.cell.noise, used) if self.place == "fitted" and model else None
+        return None if predicted is None else PartsLeftOut(*(_figures(one, 0) for one in predicted))
 
     def own_geometry(self, used: np.ndarray) -> TransferFigures | None:
         """The recording's own geometric calibration; None with known places, to which a geometry fitted there is no comparison."""
@@ -252,6 +279,12 @@ class _Trial:
         except CalibrationError:
             return None
         return self.figures(own, used)
+
+
+def _figures(of: CentreResiduals, rank: int) -> TransferFigures:
+    distance = np.linalg.norm(of.residual, axis=1)
+    chi2 = float(np.sum(of.whitened**2) / max(of.whitened.size - rank, 1))
+    return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
 
 
 def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: EffectModel, used: np.ndarray) -> NormalisedError:
@@ -267,7 +300,7 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     some = obs.select(keep)
     terms = model.at(some) if model else ()
     # What differs between recordings has another draw in the other one: a random effect, beside what was learnt.
-    differing = tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(some))
+    differing = differing_terms(model, some)
     options = CalibrationOptions(terms=(*terms, *differing), balls=False, phases=_all_phases(some))
     layout = parameters.build(some, options)
     for name in cell.layout.names:

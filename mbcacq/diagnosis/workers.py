@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import importlib
 import multiprocessing
+import pickle
 import signal
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from functools import partial
 from typing import Any
+
+import cloudpickle
 
 from mbcacq.diagnosis.memory import keep_freed_memory
 from mbcacq.errors import CalibrationError
@@ -32,6 +35,11 @@ def _begun() -> None:
     """What another process does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_freed_memory()
+
+
+def _unpacked(call: bytes) -> Any:
+    function, arguments = pickle.loads(call)
+    return function(*arguments)
 
 
 class WorkerPool:
@@ -89,7 +97,8 @@ class WorkerPool:
         """
         if not self._others:
             return partial(function, *arguments)
-        self._calls.append(self._pool.submit(function, *arguments))
+        # Packed here, not by loky's own thread: this one goes on meanwhile, and computes what the arguments keep for later.
+        self._calls.append(self._pool.submit(_unpacked, cloudpickle.dumps((function, arguments))))
         return self._calls[-1].result
 
     def __enter__(self) -> WorkerPool:

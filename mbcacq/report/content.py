@@ -182,12 +182,24 @@ class EffectContent:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrialContent:
+    """What was found, tried on a recording of which nothing was learnt. heads of a table; rows: texts; words: how many columns at the left
+    are words; notes: sentences."""
+
+    recording: str
+    heads: list[str]
+    rows: list[tuple[str, ...]]
+    words: int = 1
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
 class DiagnosisContent:
     """A diagnosis in words and units.
 
     mismatch: (location, covariate, share of the excess over noise). validation: (data, 3D rms before, after) with a row for the data fitted
     and one for the held-out data; noise_floor: what is expected from noise alone. evidence_map: (locations, covariates, strengths (a, c),
-    NaN where nothing was tested). curves, covariates, centres: as in the file of pictures.
+    NaN where nothing was tested). curves, covariates, centres: as in the file of pictures. trials: on other recordings.
     """
 
     level: str
@@ -197,6 +209,7 @@ class DiagnosisContent:
     mismatch: list[tuple[str, str, str]] = field(default_factory=list)
     validation: list[tuple[str, str, str]] = field(default_factory=list)
     noise_floor: str = ""
+    trials: list[TrialContent] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     evidence_map: tuple[list[str], list[str], np.ndarray] | None = None
     curves: list[Mapping[str, Any]] = field(default_factory=list)
@@ -231,7 +244,7 @@ class MotionKind:
 @dataclass(frozen=True, kw_only=True)
 class MotionContent:
     """A diagnosis of motion in words and units. mismatch: (joint, kind of channel, covariate, share); small: number of further ones of
-    small share; split: how data were held out; checks: (recording, rows of joint, kind of channel, rms before, after, unit).
+    small share; split: how data were held out; trials: on other recordings.
     contradictions, both: what it and the poses of the same run say differently, and together (heading, lines).
     """
 
@@ -244,7 +257,7 @@ class MotionContent:
     mismatch: list[tuple[str, str, str, str]]
     small: int
     kinds: list[MotionKind]
-    checks: list[tuple[str, list[tuple[str, str, str, str, str]]]]
+    trials: list[TrialContent]
     remarks: list[str]
     contradictions: list[str]
     both: list[tuple[str, list[str]]]

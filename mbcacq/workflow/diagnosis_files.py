@@ -61,5 +61,5 @@ def cards_of(content: dict[str, Any]) -> str:
 
     try:
         return diagnosis_cards(diagnosis_content(content, None))
-    except (KeyError, TypeError):
+    except (KeyError, TypeError, ValueError):
         return ""

@@ -109,6 +109,7 @@ def test_an_arm_and_its_effects_hold_on_another_day(plan, recording, fitted):
     assert tried.with_effects.rms_mm < 0.5 * tried.geometry_alone.rms_mm
     assert {e.name for e in tried.effects} == {"joint_compliance", "gear_transmission_error"}
     assert all(e.gain > 0 for e in tried.effects)
+    assert tried.parts_left_out is None  # neither of them differs from one day to the next, nor ends where it was learnt
     low, high = tried.normalised_error.usual
     assert 0.7 < low < tried.normalised_error.rms < high < 1.3
     assert from_fields(type(tried), json.loads(json.dumps(tried.to_dict()))) == tried
@@ -225,6 +226,26 @@ def test_the_uncertainty_elsewhere_includes_what_movements_leave_behind_there(pl
     silent = check_transfer(other, replace(found, effects=found.effects.select(lambda t: False))).normalised_error.rms
     assert 0.7 < stated < 1.5
     assert silent > 2 * stated
+
+
+@pytest.mark.parametrize("ahead", [0.0, -3e-4])
+def test_what_movements_leave_behind_on_another_day_is_predicted_there_by_other_parts_of_it(plan, after_movements, ahead):
+    found = after_movements[0]
+    other, _ = moved_to(plan, 8, ahead)
+    other = replace(other, pose_id=other.pose_id + 1000)
+    left = check_transfer(other, found).parts_left_out
+    assert 0.8 < left.drawn_anew.chi2_dof < 1.3
+    ratio = left.drawn_anew.rms_mm / left.as_learnt.rms_mm
+    assert ratio < 0.5 if ahead else 0.97 < ratio < 1.03  # of what does not happen there nothing is gained
+
+
+def test_an_arm_that_was_learnt_wrongly_is_not_excused_by_what_differs(plan, after_movements):
+    found = after_movements[0]
+    other, _ = moved_to(plan, 8, -3e-4)
+    chain = found.state.chain
+    bent = replace(found, state=replace(found.state, chain=replace(chain, a=chain.a + np.array([0, 1.0, 0, 0, 0, 0]))))
+    tried = check_transfer(replace(other, pose_id=other.pose_id + 1000), bent)
+    assert tried.parts_left_out.drawn_anew.chi2_dof > 10
 
 
 def first_left(fitted, obs):

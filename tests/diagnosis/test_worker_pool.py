@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from types import SimpleNamespace
+from typing import ClassVar
 
 import pytest
 import simulated
@@ -49,6 +50,21 @@ def test_a_call_beside_is_made_by_another_process_and_without_one_when_asked_for
     assert made == []
     answer()
     assert made == [1]
+
+
+class Noticing:
+    """An argument that knows by which threads it was packed."""
+
+    by: ClassVar[list] = []
+
+    def __reduce__(self):
+        self.by.append(threading.current_thread())
+        return int, ()
+
+
+def test_another_process_gets_an_argument_as_it_is_when_it_is_asked(pool):
+    assert pool.map(lambda k, one: k if isinstance(one, Noticing) else k + one, range(2), [Noticing()] * 2) == [0, 1]
+    assert set(Noticing.by) == {threading.main_thread()}  # another thread would pack what this one is changing already
 
 
 def test_an_error_in_a_worker_is_raised_in_the_caller(pool):

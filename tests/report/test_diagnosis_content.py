@@ -18,9 +18,11 @@ def test_an_alternative_is_stated_by_its_odds():
 
 def test_components_of_a_vector_are_no_harmonics():
     content = diagnosis()
-    content["effects"][0]["parameters"] = {"offset_mm": {"value": [0.0098, -0.003, 0.0102], "std": [0.0033, 0.0033, 0.0048]}}
+    components = {"value": [0.0098, -0.003, 0.0102], "std": [0.0033, 0.0033, 0.0048]}
+    content["effects"][0]["parameters"] = {"offset_mm": components, "rotation_deg": components}
     effect = diagnosis_content(content, None).effects[0]
-    assert [(name, unit) for name, _, _, unit in effect.parameters] == [("offset x", "mm"), ("offset y", "mm"), ("offset z", "mm")]
+    expected = [(f"{what} {axis}", unit) for what, unit in (("offset", "mm"), ("rotation", "°")) for axis in "xyz"]
+    assert [(name, unit) for name, _, _, unit in effect.parameters] == expected
     assert effect.harmonics is None
 
 
@@ -43,3 +45,36 @@ def test_a_trend_stands_behind_the_findings_without_a_number():
     cards = diagnosis_cards(shown)
     assert "## 1. Joint compliance at A2" in cards
     assert "## Trend: scanner warmup at scanner" in cards
+
+
+def test_a_trial_on_another_recording_is_a_table():
+    def left(mm, chi2):
+        return {"rms_mm": mm, "median_mm": mm / 2, "chi2_dof": chi2}
+
+    trial = {
+        "place": "fitted",
+        "poses": 60,
+        "centres": 300,
+        "geometry_alone": left(0.9, 61.9),
+        "with_effects": left(0.2, 9.6),
+        "own_geometry": None,
+        "effects": [{"name": "joint_compliance", "where": ["A2"], "without_mm": 0.3, "gain": 0.06}],
+        "normalised_error": {"rms": 1.3, "quantile_95": 2.4, "share_below_3": 0.992},
+        "warnings": ["q1 leaves the range"],
+        "recording": "autumn",
+    }
+    (shown,) = diagnosis_content(
+        {**diagnosis(), "checks": [{**trial, "parts_left_out": {"as_learnt": left(0.25, 9.9), "drawn_anew": left(0.1, 4.2)}}]}, None
+    ).trials
+    assert shown.recording == "autumn"
+    assert [row[0] for row in shown.rows] == [
+        "the learnt geometry alone",
+        "with its effects",
+        "with effects, parts left out of the fit",
+        "and what was not to be learnt drawn anew",
+        "without joint compliance at A2",
+    ]
+    assert [row[1] for row in shown.rows] == ["900.0 µm", "200.0 µm", "250.0 µm", "100.0 µm", "300.0 µm"]
+    assert shown.notes[1:] == ["Error over stated uncertainty: 1.30 rms, 2.40 at 95 %, 99.2% below 3.", "q1 leaves the range."]
+    (earlier,) = diagnosis_content({**diagnosis(), "checks": [trial]}, None).trials  # as programs wrote it that drew nothing anew
+    assert len(earlier.rows) == 3

@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.calibration.transfer import Transfer
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 from mbcacq.effects.trend import components, trend_in_json
-from mbcacq.quantities import K, micrometres, p_value, pair, percent, split_unit
-from mbcacq.report.content import DiagnosisContent, EffectContent
+from mbcacq.model.json_text import from_fields
+from mbcacq.quantities import K, fixed, micrometres, p_value, pair, percent, split_unit
+from mbcacq.report.content import DiagnosisContent, EffectContent, TrialContent
 from mbcacq.report.verdict import readable
 
+TRIED = ["what is left there (3D)", "rms", "median", "χ²/dof, noise as learnt"]
 VERDICTS = {
     "none": ("pass", "No effect found", "The model explains the data {distance}."),
     "explained": ("found", "Explained", "With the effects below the model explains the data {distance}."),
@@ -24,7 +27,8 @@ VERDICTS = {
 
 
 def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> DiagnosisContent:
-    """Content of a diagnosis; damaged pictures are left out. Raises KeyError or TypeError where the diagnosis itself is damaged."""
+    """Content of a diagnosis; damaged pictures are left out. Raises KeyError, TypeError or ValueError where the diagnosis itself is
+    damaged."""
     if pictures is not None and not _complete(pictures):
         pictures = None
     from mbcacq.diagnosis.output.pictures import axis_of
@@ -46,6 +50,7 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
         mismatch=[(m["at"], axis_of(m["depends_on"])[0], percent(m["share"])) for m in diagnosis["mismatch"]],
         validation=validation,
         noise_floor=floor.noise,
+        trials=[trial_content(from_fields(Transfer, one)) for one in diagnosis.get("checks", ())],
         remarks=remarks,
         **({} if pictures is None else _drawn(pictures, axis_of)),
     )
@@ -53,6 +58,25 @@ def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] 
 
 def _misfit(fit: Mapping[str, float], when: str) -> str:
     return f"{micrometres(fit[f'{when}_rms_mm'])} (χ²/dof {fit[f'{when}_chi2_dof']:.2f})"
+
+
+def trial_content(tried: Transfer) -> TrialContent:
+    """What was found in a diagnosis of poses, tried on another recording."""
+    placed = "base, tool and stations fitted" if tried.place == "fitted" else "nothing fitted"
+    figures = {
+        "the learnt geometry alone": tried.geometry_alone,
+        "with its effects": tried.with_effects,
+        "a geometry fitted there": tried.own_geometry,
+    }
+    if left := tried.parts_left_out:
+        figures |= {"with effects, parts left out of the fit": left.as_learnt, "and what was not to be learnt drawn anew": left.drawn_anew}
+    rows = [(label, micrometres(of.rms_mm), micrometres(of.median_mm), fixed(of.chi2_dof, 2)) for label, of in figures.items() if of]
+    rows += [(f"without {_effect_name(e.name)} at {', '.join(e.where)}", micrometres(e.without_mm), "", "") for e in tried.effects]
+    notes = [f"{tried.poses} poses, {placed}."]
+    if tried.normalised_error:
+        notes.append(f"Error over stated uncertainty: {tried.normalised_error.in_words}.")
+    notes += [f"{one}." for one in tried.warnings]
+    return TrialContent(recording=tried.recording or "another recording", heads=TRIED, rows=rows, notes=notes)
 
 
 def _drawn(pictures: Mapping[str, Any], axis_of: Any) -> dict[str, Any]:
@@ -131,7 +155,7 @@ def _likelihood(alternative: Mapping[str, Any]) -> str:
 
 def _is_vector(key: str, entry: Mapping[str, Any]) -> bool:
     """Whether the values are components along x, y and z."""
-    return key.endswith("_mm") and isinstance(entry["value"], list) and len(entry["value"]) == 3
+    return (key.endswith("_mm") or key.startswith("rotation_")) and isinstance(entry["value"], list) and len(entry["value"]) == 3
 
 
 def _of_harmonics(key: str, entry: Mapping[str, Any]) -> bool:

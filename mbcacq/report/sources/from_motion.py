@@ -15,7 +15,7 @@ from mbcacq.diagnosis.output.pictures import axis_of
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.model.json_text import plain
 from mbcacq.quantities import percent, significant, split_unit, symbol
-from mbcacq.report.content import EffectContent, MotionChannel, MotionContent, MotionKind
+from mbcacq.report.content import EffectContent, MotionChannel, MotionContent, MotionKind, TrialContent
 from mbcacq.report.sources.from_diagnosis import VERDICTS, effect_content, open_remarks
 from mbcacq.report.verdict import readable
 
@@ -24,6 +24,7 @@ MOST = 1250  # samples a line: two for each point of the widest screen that a fi
 AXES = {"tau": "torque", "q_joint": "joint side − motor side", "q_set": "actual − set point"}
 NAMES = {"tau": "the torque", "q_joint": "the joint-side angle", "q_set": "the set point"}
 LEAST_SHARE = 0.005  # of the excess over noise; the dependences below it are counted, not listed
+TRIED = ["joint", "channel", "rms before", "after", "unit"]
 REFUSED = "no model is kept: on held-out data it leaves {}"
 OTHER_SET = (
     "the fit leaves more than held-out data do, for these are two sets of effects. Each held-out part is predicted by what is selected on "
@@ -101,7 +102,10 @@ def _content(found: MotionDiagnosis, series: MotionSeries, both: PosesAndMotion 
         ],
         small=sum(not _listed(m) for m in found.mismatch),
         kinds=kinds,
-        checks=[(one.recording or "the other recording", [_checked(c) for c in one.channels]) for one in found.checks],
+        trials=[
+            TrialContent(recording=one.recording or "another recording", heads=TRIED, rows=[_checked(c) for c in one.channels], words=2)
+            for one in found.checks
+        ],
         remarks=[
             *(f"The description of the data looks wrong: {text}." for text in diagnosis.get("suspicions", ())),
             *open_remarks(diagnosis),
