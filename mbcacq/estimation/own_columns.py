@@ -72,6 +72,8 @@ class WeightedOwnColumns:
         self.columns, self.k, self.scale, self.share = columns, columns.k, scale, share
         t = columns.other.shape[2]
         self.other = columns.other.reshape(P, B, R, t).transpose(0, 2, 1, 3) * scale[..., None] if t else np.zeros((P, R, B, 0))
+        by_axis = np.moveaxis(self.other * share[:, None, None, None], 1, 0).reshape(R, P * B, t)
+        self.others_squared = np.swapaxes(by_axis, 1, 2) @ by_axis  # (R, t, t)
         self.G = G
         if self.k:
             turn = columns.turn
@@ -101,7 +103,7 @@ class WeightedOwnColumns:
             out[place[:, :, None], place[:, None, :]] = np.tensordot(precision, self.squares, 1).reshape(self.k, 3, 3)
         if t:
             weighted = self.other * (self.share[:, None, None, None] * precision[:, None, None])
-            out[n:, n:] = self.other.reshape(-1, t).T @ weighted.reshape(-1, t)
+            out[n:, n:] = np.tensordot(precision, self.others_squared, 1)
             if n:
                 mixed = self.columns.by_ball(weighted * self.scale[..., None])
                 out[:n, n:] = np.einsum("prkt,prc->kct", mixed, self.columns.turn).reshape(n, t)
@@ -135,7 +137,7 @@ class WeightedOwnColumns:
         if t:
             other = self.other * self.share[:, None, None, None]
             rows = self.G.reshape(P, R * B, u) @ mixed[..., n:]
-            out += np.einsum("prbt,prbt->r", 2 * rows.reshape(P, R, B, t) + self.other @ own[n:, n:], other)
+            out += self.others_squared.reshape(R, -1) @ own[n:, n:].ravel() + 2 * np.einsum("prbt,prbt->r", rows.reshape(P, R, B, t), other)
             if n:
                 sums = np.einsum("prkt,prc->rkct", self.columns.by_ball(other * self.scale[..., None]), self.columns.turn)
                 out += 2 * sums.reshape(R, -1) @ own[:n, n:].ravel()

@@ -49,20 +49,28 @@ def test_ur5_with_a_laser_tracker():
     figure = held_out(load_observations(DATA / "ur5-tracker"), split="random", size=300)
     assert figure.poses == 900
     assert figure.rms_mm <= 0.118
-    again = held_out(load_observations(DATA / "ur5-tracker"), split="random", size=300)
-    assert again == figure
+    again = held_out(load_observations(DATA / "ur5-tracker"), split="random", size=300, fits=1)
+    assert again.per_fit_mm == figure.per_fit_mm[:1]
+
+
+def every(name, nth):
+    """Every second, third .. pose of a recording: its facts in a part of the time."""
+    whole = load_observations(DATA / name)
+    return whole.select(np.arange(whole.n_poses) % nth == 0)
 
 
 def test_panda_in_sockets():
-    figure = held_out(load_observations(DATA / "panda-sockets"), split="station")
+    figure = held_out(every("panda-sockets", 2), split="station")
     assert figure.fits == 6
-    assert figure.spread_mm <= 0.214
+    assert figure.spread_mm <= 0.19
     assert figure.rms_mm > figure.spread_mm  # the six freedoms of a place are paid for
 
 
 def test_blocks_are_judged_only_where_training_knows_the_socket():
-    figure = held_out(load_observations(DATA / "panda-sockets"), split="block")
-    assert figure.poses < 387
+    recording = every("panda-sockets", 3)
+    figure = held_out(recording, split="block")
+    assert figure.fits == 5
+    assert figure.poses < recording.n_poses
     assert figure.rms_mm < 0.3
 
 
@@ -75,8 +83,7 @@ def test_iiwa_in_sockets_names_what_a_ball_near_the_last_axis_leaves_open():
 
 
 def test_a_target_with_orientation():
-    whole = load_observations(DATA / "ur10-tracker-c")
-    found = calibrate(whole.select(np.arange(whole.n_poses) % 8 == 0))
+    found = calibrate(every("ur10-tracker-c", 8))
     assert found.fit.residual.shape[1] == 6
     assert found.fit.rms_mm < 0.52
     assert found.fit.chi2 / found.fit.dof == pytest.approx(1, abs=0.05)

@@ -1,4 +1,4 @@
-"""The catalogue is the contract's, found as files, each candidate consistent with its own description."""
+"""The catalogue has what was promised, found as files, each candidate consistent with its own description."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from mbcacq.effects.kinds.gravity_compensator import RARE
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.terms import PER_POSE
 
-CONTRACT = {
+PROMISED = {  # none of them may be gone; further ones need no line here
     "joint_compliance",
     "base_compliance",
     "mount_compliance",
@@ -41,8 +41,8 @@ CONTRACT = {
 }
 
 
-def test_every_effect_of_the_contract_has_a_file():
-    assert {name for name, module in catalogue.effects().items() if hasattr(module, "candidates")} == CONTRACT
+def test_every_effect_that_was_promised_has_a_file():
+    assert {name for name, module in catalogue.effects().items() if hasattr(module, "candidates")} >= PROMISED
 
 
 def test_all_values_of_a_hyper_parameter_at_once_are_the_same_as_one_by_one(plan):

@@ -32,28 +32,36 @@ OTHER_THINGS = {"payload", "friction"}
 def test_an_effect_in_poses_is_complete(name):
     page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
     rows = [line for line in page.splitlines() if line.startswith("|") and f"`{name}`" in line.split("|")[1]]
-    assert rows, f"docs/effects.md has no row for {name}: add one to the table of the catalogue"
     checked = name in {case.name for case in CASES} or name in CHECKED_ELSEWHERE
-    assert checked, f"nothing checks {name} without code of the tool: add its physics in plain numpy to tests/effects/cases.py"
     injected = name in (*INJECTED, *CHECKED_ELSEWHERE)
-    assert injected, f"no fake conceals {name}: add fakes/mbcacq_fakes/effects/{name}.py, written without a look at the effect"
     drawn = name in catalogued() or name in NO_CHALLENGE
-    assert drawn, f"no challenge draws {name}: declare challenge=Challenge(number={len(catalogued()) + 1}) in its file"
+    fakes = "fakes/mbcacq_fakes/effects"
+    lacking = {
+        f"docs/effects.md has no row for {name}: add one to the table of the catalogue": not rows,
+        f"nothing checks {name} without code of the tool: add its physics in plain numpy and a Case to tests/effects/cases.py": not checked,
+        f"no fake injects {name}: add {fakes}/{name}.py, written without a look at the effect, and its name to CATALOGUED of {fakes}/__init__.py": not injected,
+        f"no challenge draws {name}: declare DECLARED = Declaration(challenge=Challenge(number={len(catalogued()) + 1})) in its file": not drawn,
+    }
+    assert not any(lacking.values()), "\n".join(sentence for sentence, lacks in lacking.items() if lacks)
 
 
 @pytest.mark.parametrize("name", IN_MOTION)
 def test_an_effect_in_motion_is_complete(name):
     page = (ROOT / "docs" / "trajectories.md").read_text(encoding="utf-8")
-    assert f"`{name}`" in page, f"docs/trajectories.md does not name {name}: add it to the table of effects"
-    assert name in FAULTS, f"no moving fake arm conceals {name}: add it to fakes/mbcacq_fakes/dynamics/faults.py"
-    further = f"declare challenge=Challenge(in_motion={len(catalogued_in_motion()) + 1}) in its file"
-    assert name in catalogued_in_motion(), f"no challenge in motion draws {name}: {further}"
+    further = f"Declaration(challenge=Challenge(in_motion={len(catalogued_in_motion()) + 1}))"
+    lacking = {
+        f"docs/trajectories.md does not name {name}: add it to the table of effects": f"`{name}`" not in page,
+        f"no moving fake arm injects {name}: add it to FAULTS of fakes/mbcacq_fakes/dynamics/faults.py": name not in FAULTS,
+        f"no challenge in motion draws {name}: declare DECLARED = {further} in its file": name not in catalogued_in_motion(),
+    }
+    assert not any(lacking.values()), "\n".join(sentence for sentence, lacks in lacking.items() if lacks)
 
 
 def test_the_numbers_of_challenges_are_those_of_one_effect_each():
     declared = [c for name in NAMES if (c := catalogue.declaration(name).challenge) is not None]
     for numbers in ([c.number for c in declared if c.number], [c.in_motion for c in declared if c.in_motion]):
-        assert sorted(numbers) == list(range(1, len(numbers) + 1))
+        given = sorted(numbers)
+        assert given == list(range(1, len(given) + 1)), f"challenges are numbered without a gap, each effect once: {given}"
 
 
 def test_an_effect_that_shows_through_or_refines_another_names_one_of_the_catalogue():

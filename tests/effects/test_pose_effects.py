@@ -53,13 +53,6 @@ def test_the_prediction_of_a_perfect_cell_is_that_of_the_independent_one(world, 
     np.testing.assert_allclose(context.prediction.xyz, world.measure(), atol=1e-9)
 
 
-def test_every_effect_of_the_catalogue_has_a_case():
-    of_a_target = {"orientation_bias"}  # of no scanner: test_orientation_bias
-    assert {case.name for case in CASES} | of_a_target == {
-        name for name, module in catalogue.effects().items() if hasattr(module, "candidates")
-    }
-
-
 @pytest.mark.parametrize("case", CASES, ids=named)
 def test_the_columns_hold_what_the_physics_moves(case, world, context):
     here = the_context(case, world, context)

@@ -59,41 +59,84 @@ def diagnosis_page(tmp_path_factory):
     return write_diagnosis_page(diagnosis(), pictures(), tmp_path_factory.mktemp("page") / "diagnosis.html", motion=motion())
 
 
-@pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 900, False), (390, 844, True)])
-@pytest.mark.parametrize(("page", "plots"), [("whole_page", 22), ("diagnosis_page", 18)])
-def test_everything_is_drawn_and_nothing_is_requested(request, page, plots, width, height, mobile):
-    with Browser(width, height, mobile) as browser:
-        browser.open(request.getfixturevalue(page))
-        assert browser.console == []
-        assert [r for r in browser.requests if not r.startswith(("file:", "data:", "blob:"))] == []
-        assert browser.run("document.querySelectorAll('.plot').length") >= plots
-        assert browser.run(EMPTY) == []
-        assert browser.run(UNLABELLED) == []
-        assert browser.run(CUT_OFF) == []
-        assert browser.run(TOO_WIDE) == []
-        assert browser.run("document.documentElement.scrollWidth") <= width
+DESK, PHONE = (1280, 900, False), (390, 844, True)
 
 
-def test_verdict_picture_and_next_action_are_on_the_first_screen(whole_page):
-    with Browser(1280, 900) as browser:
-        browser.open(whole_page)
-        for part in (".verdict", ".picture", ".next", "dl.numbers"):
-            assert browser.run(f"document.querySelector('{part}').getBoundingClientRect().bottom") < 900, part
+@pytest.fixture(scope="module")
+def shown(request):
+    """shown("whole_page", DESK): a browser that shows a page. It stays open until another is asked for: drawing takes most of the time."""
+    last = {}
+
+    def show(page, screen):
+        if (page, screen) not in last:
+            end()
+            browser = last[page, screen] = Browser(*screen)
+            browser.open(request.getfixturevalue(page))
+        return last[page, screen]
+
+    def end():
+        for browser in last.values():
+            browser.__exit__()
+        last.clear()
+
+    yield show
+    end()
 
 
-def test_it_prints_with_every_figure_at_the_width_of_the_paper(whole_page, tmp_path):
-    with Browser() as browser:
-        browser.open(whole_page)
-        browser.pdf(tmp_path / "report.pdf")
-        assert (tmp_path / "report.pdf").read_bytes()[:5] == b"%PDF-"
-        browser.run("window.dispatchEvent(new Event('beforeprint'))")
-        assert (
-            browser.run(
-                "Math.max(...Array.from(document.querySelectorAll('.plot')).map(p => p.querySelector('.main-svg').getBoundingClientRect().width))"
-            )
-            <= 671
-        )
-        assert browser.console == []
+@pytest.mark.parametrize(
+    ("page", "plots", "screen"),
+    [("diagnosis_page", 18, PHONE), ("diagnosis_page", 18, DESK), ("whole_page", 22, PHONE), ("whole_page", 22, DESK)],
+    ids=["diagnosis on a phone", "diagnosis on a desk", "whole page on a phone", "whole page on a desk"],
+)
+def test_everything_is_drawn_and_nothing_is_requested(shown, page, plots, screen):
+    browser = shown(page, screen)
+    assert browser.console == []
+    assert [r for r in browser.requests if not r.startswith(("file:", "data:", "blob:"))] == []
+    assert browser.run("document.querySelectorAll('.plot').length") >= plots
+    assert browser.run(EMPTY) == []
+    assert browser.run(UNLABELLED) == []
+    assert browser.run(CUT_OFF) == []
+    assert browser.run(TOO_WIDE) == []
+    assert browser.run("document.documentElement.scrollWidth") <= screen[0]
+
+
+def test_verdict_picture_and_next_action_are_on_the_first_screen(shown):
+    browser = shown("whole_page", DESK)
+    for part in (".verdict", ".picture", ".next", "dl.numbers"):
+        assert browser.run(f"document.querySelector('{part}').getBoundingClientRect().bottom") < 900, part
+
+
+def test_it_prints_with_every_figure_at_the_width_of_the_paper(shown, tmp_path):
+    browser = shown("whole_page", DESK)
+    browser.pdf(tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_bytes()[:5] == b"%PDF-"
+    browser.run("window.dispatchEvent(new Event('beforeprint'))")
+    drawn = "Array.from(document.querySelectorAll('.plot')).map(p => p.querySelector('.main-svg').getBoundingClientRect().width)"
+    assert browser.run(f"Math.max(...{drawn})") <= 671
+    assert browser.console == []
+
+
+SHADES = """((page) => [page, document.querySelector('h1')].map((e) => getComputedStyle(e))
+  .flatMap((style, k) => (k ? style.color : style.backgroundColor).match(/\\d+/g).slice(0, 3).map(Number))
+  .concat(getComputedStyle(document.querySelector('.plot')).filter !== 'none'))(document.querySelector('main'))"""
+
+
+@pytest.mark.parametrize("page", ["whole_page", "fleet_page"])
+def test_a_dark_desk_gets_a_dark_page_with_figures_turned_light_and_paper_stays_white(shown, page):
+    browser = shown(page, DESK)
+    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+    browser.call("Emulation.setEmulatedMedia", features=dark)
+    *ground, red, green, blue, turned = browser.run(SHADES)
+    assert max(ground) < 60
+    assert min(red, green, blue) > 200
+    assert turned
+    browser.call("Emulation.setEmulatedMedia", media="print", features=dark)
+    *ground, red, green, blue, turned = browser.run(SHADES)
+    assert ground == [255, 255, 255]
+    assert max(red, green, blue) < 60
+    assert not turned
+    assert browser.console == []
+    browser.call("Emulation.setEmulatedMedia", media="", features=[])
 
 
 @pytest.fixture(scope="module")
@@ -119,39 +162,15 @@ def fleet_page(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 900, False), (390, 844, True)])
-def test_the_page_of_a_fleet_is_uncut_names_its_lines_and_has_dates(fleet_page, width, height, mobile):
-    with Browser(width, height, mobile) as browser:
-        browser.open(fleet_page)
-        assert browser.console == []
-        assert browser.run(TOO_WIDE) == []
-        assert browser.run(CUT_OFF) == []
-        drawn = browser.run("Array.from(document.querySelectorAll('[id*=drift_0] text')).map(t => t.textContent)")
-        assert "welding cell 1" in drawn
-        assert any("2026-0" in text for text in drawn)
-        listed = browser.run("document.getElementById('recordings').nextElementSibling.querySelectorAll('tr').length")
-        assert listed == 16
-        assert "simulated" in browser.run("document.querySelector('.caveat').textContent")
-
-
-SHADES = """((page) => [page, document.querySelector('h1')].map((e) => getComputedStyle(e))
-  .flatMap((style, k) => (k ? style.color : style.backgroundColor).match(/\\d+/g).slice(0, 3).map(Number))
-  .concat(getComputedStyle(document.querySelector('.plot')).filter !== 'none'))(document.querySelector('main'))"""
-
-
-@pytest.mark.parametrize("page", ["whole_page", "fleet_page"])
-def test_a_dark_desk_gets_a_dark_page_with_figures_turned_light_and_paper_stays_white(request, page):
-    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
-    with Browser() as browser:
-        browser.call("Emulation.setEmulatedMedia", features=dark)
-        browser.open(request.getfixturevalue(page))
-        *ground, red, green, blue, turned = browser.run(SHADES)
-        assert max(ground) < 60
-        assert min(red, green, blue) > 200
-        assert turned
-        browser.call("Emulation.setEmulatedMedia", media="print", features=dark)
-        *ground, red, green, blue, turned = browser.run(SHADES)
-        assert ground == [255, 255, 255]
-        assert max(red, green, blue) < 60
-        assert not turned
-        assert browser.console == []
+@pytest.mark.parametrize("screen", [DESK, PHONE], ids=["desk", "phone"])
+def test_the_page_of_a_fleet_is_uncut_names_its_lines_and_has_dates(shown, screen):
+    browser = shown("fleet_page", screen)
+    assert browser.console == []
+    assert browser.run(TOO_WIDE) == []
+    assert browser.run(CUT_OFF) == []
+    drawn = browser.run("Array.from(document.querySelectorAll('[id*=drift_0] text')).map(t => t.textContent)")
+    assert "welding cell 1" in drawn
+    assert any("2026-0" in text for text in drawn)
+    listed = browser.run("document.getElementById('recordings').nextElementSibling.querySelectorAll('tr').length")
+    assert listed == 16
+    assert "simulated" in browser.run("document.querySelector('.caveat').textContent")
