@@ -21,12 +21,13 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bench import PLANS, main, option
 from mbcacq_fakes.effects import CATALOGUED, UNCATALOGUED
 from threadpoolctl import threadpool_limits
 
@@ -42,7 +43,6 @@ from mbcacq.interim_check.verdict import Evidence, verdict_by
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
 
-ROOT = Path(__file__).parents[1]
 KEPT = Path("runs") / "check-benchmark"
 CLEAN = Scenario(0, "none", 5, (), 1, 1.0)
 POOL = 500  # days as they are
@@ -52,6 +52,7 @@ LOOKS = (*range(2, 61), *range(70, YEAR + 1, 10))  # of a year in which nothing 
 DAILY = range(2, YEAR + 1)
 WITHIN_A_RUN = ("joint_step", "mount_shift")  # begin in the middle of a run, and stand at its first pose here
 SIZES = (0.1, 0.3, 1.0)  # of what a plan that can see shows plainly
+THRESHOLD = np.log(2 / OPTIONS.false_alarms)
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Bench:
     """A calibrated cell with its check and the days of its pool."""
 
     def __init__(self) -> None:
-        self.loaded: LoadedPlan = mbcacq.load_plan(ROOT / "plans" / "seeing.yaml")
+        self.loaded: LoadedPlan = mbcacq.load_plan(PLANS / "seeing.yaml")
         poses = expand(self.loaded)
         recorded, _ = observe(self.loaded, poses, CLEAN, [])
         with threadpool_limits(1):
@@ -116,6 +117,12 @@ class Bench:
         noise = self.pool[drawn, np.arange(len(pose))] - mean
         return mean + sign * noise + usual * rng.standard_normal((days, daily.shape[1])) @ daily.T
 
+    def changed(self, days: int, number: int, trace: np.ndarray) -> np.ndarray:
+        """(days, R): the year of this number, with a change from its day on."""
+        out = self.year(days, np.random.default_rng([2, number]), 1.0)
+        out[ONSET:] += trace
+        return out
+
     def log_e(self, days: np.ndarray, looks: Iterable[int]) -> np.ndarray:
         """log E after each of these numbers of days."""
         followed, out = self.process.follow(days - days.mean(axis=0)), []
@@ -142,6 +149,14 @@ def kept(name: str) -> dict[str, Any]:
 def keep(name: str, content: Mapping[str, Any]) -> None:
     KEPT.mkdir(parents=True, exist_ok=True)
     (KEPT / f"{name}.json").write_text(json.dumps(content))
+
+
+def note(kind: str, found: dict[str, Any], change: Change, size: float, trace: np.ndarray, **figures: list) -> None:
+    """Keep and print what came of a change."""
+    moved = float(np.sqrt(np.mean(np.sum(trace.reshape(-1, 3) ** 2, axis=1))))
+    found[f"{change.name} {size}"] = {"name": change.name, "size": size, "moved_mm": moved, **figures}
+    keep(kind, found)
+    print(f"{change.name} {size}", f"{1e3 * moved:.1f} um", *figures.values(), flush=True)
 
 
 def nothing(bench: Bench, years: int, seconds: float, looks: Iterable[int] = LOOKS, name: str = "nothing", stream: int = 1) -> None:
@@ -175,7 +190,7 @@ def first(bench: Bench, cells: int, seconds: float) -> None:
         residual = residuals_of(check, again, fit_stations(check, again))
         day = np.concatenate([residual[key] for key in check.keys])[None]
         process = EProcess(check.rows, [r.columns for r in check.changes], np.array([r.weight for r in check.changes]))
-        verdict = verdict_by(Evidence(process, check.changes, day, np.ones(day.shape[1], bool)), check, OPTIONS)
+        verdict = verdict_by(Evidence(process, check.changes, day, np.ones(day.shape[1], bool)), check)
         found[str(number)] = verdict.log_e_calibration
         keep("first", found)
     print(len(found), "cells, largest log E since the calibration", max(found.values()))
@@ -184,7 +199,6 @@ def first(bench: Bench, cells: int, seconds: float) -> None:
 def power(bench: Bench, years: int, seconds: float) -> None:
     """For each change and size: the day of the alarm after the change, and whether the name is right."""
     found, until = kept("power"), time.monotonic() + seconds
-    threshold = np.log(2 / OPTIONS.false_alarms)
     for size in SIZES:
         for change in changes(size):
             key = f"{change.name} {size}"
@@ -195,23 +209,19 @@ def power(bench: Bench, years: int, seconds: float) -> None:
             trace = bench.trace(change)
             after, named = [], []
             for year in range(years):
-                days = bench.year(LAST, np.random.default_rng([2, year]), 1.0)
-                days[ONSET:] += trace
+                days = bench.changed(LAST, year, trace)
                 log_e = bench.log_e(days, range(ONSET + 1, LAST + 1))
-                alarm = np.flatnonzero(log_e >= threshold)
+                alarm = np.flatnonzero(log_e >= THRESHOLD)
                 after.append(int(alarm[0]) + 1 if len(alarm) else None)
                 if len(alarm) and not named:
                     named.append(names(bench, days[: min(ONSET + alarm[0] + 7, LAST)]))
-            moved = np.sqrt(np.mean(np.sum(trace.reshape(-1, 3) ** 2, axis=1)))
-            found[key] = {"name": change.name, "size": size, "moved_mm": float(moved), "after": after, "named": named}
-            keep("power", found)
-            print(key, f"{1e3 * moved:.1f} um", after, named, flush=True)
+            note("power", found, change, size, trace, after=after, named=named)
 
 
 def year(bench: Bench, years: int, seconds: float) -> None:
     """The rest of the year for changes of which some were not noticed within a month: after how many checks the alarm comes."""
     month, found, until = kept("power"), kept("year"), time.monotonic() + seconds
-    threshold, looks = np.log(2 / OPTIONS.false_alarms), rest_of_the_year()
+    looks = rest_of_the_year()
     for size in SIZES:
         for change in changes(size):
             key = f"{change.name} {size}"
@@ -222,14 +232,9 @@ def year(bench: Bench, years: int, seconds: float) -> None:
             for number in range(years):
                 if time.monotonic() > until:
                     return
-                days = bench.year(YEAR, np.random.default_rng([2, number]), 1.0)
-                days[ONSET:] += trace
-                alarm = np.flatnonzero(bench.log_e(days, looks) >= threshold)
+                alarm = np.flatnonzero(bench.log_e(bench.changed(YEAR, number, trace), looks) >= THRESHOLD)
                 after.append(looks[int(alarm[0])] - ONSET if len(alarm) else None)
-            moved = np.sqrt(np.mean(np.sum(trace.reshape(-1, 3) ** 2, axis=1)))
-            found[key] = {"name": change.name, "size": size, "moved_mm": float(moved), "after": after}
-            keep("year", found)
-            print(key, f"{1e3 * moved:.1f} um", after, flush=True)
+            note("year", found, change, size, trace, after=after)
 
 
 def rest_of_the_year() -> list[int]:
@@ -243,46 +248,22 @@ def rest_of_the_year() -> list[int]:
 def names(bench: Bench, days: np.ndarray) -> list[str]:
     """The suspects a week after the alarm."""
     keep = np.ones(days.shape[1], bool)
-    verdict = verdict_by(Evidence(bench.process, bench.check.changes, days, keep), bench.check, OPTIONS)
+    verdict = verdict_by(Evidence(bench.process, bench.check.changes, days, keep), bench.check)
     return [f"{s.name} ({s.explains:.2f})" if s.explains < 0.995 else s.name for s in verdict.suspects[:3]]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("what", choices=("nothing", "daily", "first", "power", "year", "page"))
-    parser.add_argument("--years", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=240.0, help="after which the call ends; the next goes on")
-    given = parser.parse_args()
-    if given.what == "page":
-        return page()
-    bench = Bench()
-    with threadpool_limits(1):
-        if given.what == "nothing":
-            nothing(bench, given.years or 1000, given.seconds)
-        elif given.what == "daily":
-            nothing(bench, given.years or 300, given.seconds, DAILY, "daily", 5)
-        elif given.what == "first":
-            first(bench, given.years or 100, given.seconds)
-        elif given.what == "year":
-            year(bench, given.years or 3, given.seconds)
-        else:
-            power(bench, given.years or 4, given.seconds)
-    return None
-
-
-def page() -> None:
+def page(given: argparse.Namespace) -> None:
     """Tables on stdout, as they stand in benchmarks/check.md."""
-    threshold = np.log(2 / OPTIONS.false_alarms)
     print("| changes from day to day | years | looks | alarms | largest E ever |\n|--:|--:|--:|--:|--:|")
     for name, looks in (("nothing", len(LOOKS)), ("daily", len(DAILY))):
         years = list(kept(name).values())
         for usual in sorted({y["usual"] for y in years}):
             largest = np.array([y["largest"] for y in years if y["usual"] == usual])
-            alarms = int((largest >= threshold).sum())
+            alarms = int((largest >= THRESHOLD).sum())
             print(f"| {usual:g} x usual | {len(largest)} | {len(largest) * looks} | {alarms} | {np.exp(largest.max()):.2g} |")
     since = np.array(list(kept("first").values()))
     if len(since):
-        above = int((since >= threshold).sum())
+        above = int((since >= THRESHOLD).sum())
         print(f"\n{len(since)} cells checked once after their calibration: {above} alarms, largest E {np.exp(since.max()):.2g}")
     if rest := kept("year"):
         print("\n| change | size | moves the balls by / µm | alarms within the year | after checks |\n|---|--:|--:|--:|---|")
@@ -299,5 +280,25 @@ def page() -> None:
         print(f"| {one['name']} | {one['size']:g} | {1e3 * one['moved_mm']:.1f} | {len(after)} of {len(one['after'])} | {when} | {said} |")
 
 
+def studied(study: Callable[..., None], **more: Any) -> Callable[[argparse.Namespace], None]:
+    """A study of so many years as a command."""
+
+    def command(given: argparse.Namespace) -> None:
+        bench = Bench()
+        with threadpool_limits(1):
+            study(bench, given.years, given.seconds, **more)
+
+    command.__doc__ = study.__doc__
+    return command
+
+
 if __name__ == "__main__":
-    main()
+    SECONDS = option("--seconds", type=float, default=240.0, help="after which the call ends; the next goes on")
+    every_day = {"looks": DAILY, "name": "daily", "stream": 5}
+    studies = {"nothing": (nothing, 1000, {}), "daily": (nothing, 300, every_day), "first": (first, 100, {})}
+    studies |= {"power": (power, 4, {}), "year": (year, 3, {})}
+    commands = {
+        name: (studied(study, **more), [option("--years", type=int, default=years, help="or cells"), SECONDS])
+        for name, (study, years, more) in studies.items()
+    }
+    main(__doc__, {**commands, "page": (page, [])})

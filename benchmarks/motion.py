@@ -238,9 +238,6 @@ if __name__ == "__main__":
             "excitation": (excitation, [option("--seeds", type=int, nargs="*", default=SEEDS), writes("benchmarks/excitation.md")]),
             "figures": (figures, [option("folders", nargs="+", type=Path), option("--out", type=Path, required=True)]),
             "concealed": (concealed, [*CELLS, keeps("run_and_motion.jsonl"), writes("benchmarks/run_and_motion.md")]),
-            "mujoco": (
-                mujoco_models,
-                [option("--no-peer", action="store_true", help="leave mujoco.sysid out"), writes("benchmarks/mujoco_models.md")],
-            ),
+            "mujoco": (mujoco_models, [NO_PEER, writes("benchmarks/mujoco_models.md")]),
         },
     )

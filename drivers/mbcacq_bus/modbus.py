@@ -15,32 +15,28 @@ from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, Dev
 from mbcacq_bus.idle import IdlePoll
 from mbcacq_bus.modbus_connection import Connection
 from mbcacq_bus.modbus_link import ModbusLink
+from mbcacq_bus.options import StationOptions
 from mbcacq_bus.plausible import Plausibility
 from mbcacq_bus.registers import Register
 
 POLL_S = 0.02
 
 
-class PositionerOptions(Connection):
-    """stations: station id -> commanded position. Arrival: ``in_position`` is set, and ``actual`` (where there is one) is near.
+class PositionerOptions(StationOptions, Connection):
+    """Arrival: ``in_position`` is set, and ``actual`` (where there is one) is near the position commanded.
 
     A controller lowers its flag only some time after a command: without ``actual``, the flag is believed after ``flag_delay_s``.
-    ready: must be set before a command is sent (drives on, referenced). limits: of the position; a station outside is refused.
+    ready: must be set before a command is sent (drives on, referenced).
     """
 
-    stations: dict[str | int, float] = Option(min_length=1)
     position: Register
     in_position: Register
     actual: Register | None = None
-    tolerance: float = Option(default=0.05, gt=0)
     start: Register | None = None
     ready: Register | None = None
-    limits: tuple[float, float] | None = None
     fault: Register | None = None
     halt: Register | None = None
-    move_timeout_s: float = Option(default=120.0, gt=0)
     flag_delay_s: float = Option(default=0.2, ge=0)
-    settle_s: float = Option(default=0.0, ge=0)
 
     @model_validator(mode="after")
     def _writable(self) -> PositionerOptions:
@@ -48,9 +44,7 @@ class PositionerOptions(Connection):
             register = getattr(self, name)
             if register is not None and register.table not in ("holding", "coil"):
                 raise ValueError(f"{name} must be a holding register or a coil, a {register.table} cannot be written")
-        for station, value in self.stations.items():
-            if self.limits is not None and not self.limits[0] <= value <= self.limits[1]:
-                raise ValueError(f"station {station} at {value:g} is outside the limits {self.limits[0]:g}..{self.limits[1]:g}")
+        self.refuse_outside()
         return self
 
 

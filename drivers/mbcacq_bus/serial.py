@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field as Option
 
@@ -22,9 +22,8 @@ from mbcacq.devices import (
     ProtocolError,
     parse_options,
 )
-from mbcacq_bus.options import BusOptions
 from mbcacq_bus.plausible import Plausibility
-from mbcacq_bus.serial_link import SerialIdentity, compiled
+from mbcacq_bus.serial_link import SerialPortOptions, compiled
 from mbcacq_bus.serial_port import close_port, open_port
 
 MAX_LINE = 1024
@@ -34,15 +33,11 @@ _QUIET = 1.1  # of the time-out: silence for longer than an answer may take
 _LONGEST = 5.0  # time-outs waited for silence
 
 
-class SerialOptions(BusOptions):
+class SerialOptions(SerialPortOptions):
     """line: regular expression for a whole line; its named groups are the values, each times its ``scale`` plus its ``offset``. ask: sent
     before each reading, if needed. valid: by name, what may be read; beyond it the probe is taken to be broken. max_rate: by name, how
     fast it can change, unit/s; a faster change is read again and then refused."""
 
-    port: str
-    baudrate: int = 9600
-    parity: Literal["N", "E", "O"] = "N"
-    stopbits: Literal[1, 2] = 1
     line: str
     ask: str | None = None
     units: dict[str, str] = {}
@@ -50,8 +45,6 @@ class SerialOptions(BusOptions):
     offset: dict[str, float] = {}
     valid: dict[str, tuple[float, float]] = {}
     max_rate: dict[str, Annotated[float, Option(gt=0)]] = {}
-    timeout_s: float = Option(default=2.0, gt=0)
-    identity: SerialIdentity | None = None
 
 
 class SerialSensor(ContextDevice):

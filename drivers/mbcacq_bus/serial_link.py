@@ -28,21 +28,25 @@ class SerialIdentity(BusOptions):
     expect: str
 
 
-class SerialConnection(BusOptions):
-    """port: a device's name (/dev/ttyUSB0, COM3), or socket://host:port of a serial server. terminator: ends each line it sends.
-
-    idle_poll_s: a connection to a serial server that nobody has used for so long is used once, since many close an idle one; 0 for never.
-    """
+class SerialPortOptions(BusOptions):
+    """port: a device's name (/dev/ttyUSB0, COM3), or socket://host:port of a serial server."""
 
     port: str
     baudrate: int = 9600
-    bytesize: Literal[7, 8] = 8
     parity: Literal["N", "E", "O"] = "N"
     stopbits: Literal[1, 2] = 1
-    terminator: str = Field(default="\n", min_length=1, max_length=4)
     timeout_s: float = Field(default=2.0, gt=0)
-    idle_poll_s: float = Field(default=2.0, ge=0)
     identity: SerialIdentity | None = None
+
+
+class SerialConnection(SerialPortOptions):
+    """terminator: ends each line that the device sends. idle_poll_s: a connection to a serial server that nobody has used for so long is
+    used once, since many close an idle one; 0 for never.
+    """
+
+    bytesize: Literal[7, 8] = 8
+    terminator: str = Field(default="\n", min_length=1, max_length=4)
+    idle_poll_s: float = Field(default=2.0, ge=0)
 
     @property
     def has_connection(self) -> bool:

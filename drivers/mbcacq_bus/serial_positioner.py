@@ -13,7 +13,7 @@ from pydantic import model_validator
 
 from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, DeviceFault, DeviceTimeout, Field, ProtocolError, parse_options
 from mbcacq_bus.idle import IdlePoll
-from mbcacq_bus.options import BusOptions
+from mbcacq_bus.options import BusOptions, StationOptions
 from mbcacq_bus.serial_link import SerialConnection, SerialLink, compiled
 
 POLL_S = 0.05
@@ -34,13 +34,12 @@ class Query(BusOptions):
     reply: str
 
 
-class SerialPositionerOptions(SerialConnection):
-    """stations: station id -> position in ``unit``. ``move.send`` holds {raw} or {value}, value = raw * scale + offset, with a format if
+class SerialPositionerOptions(StationOptions, SerialConnection):
+    """Positions are in ``unit``. ``move.send`` holds {raw} or {value}, value = raw * scale + offset, with a format if
     need be ({raw:.0f}). ready: it stands where it should. position: a pattern with the named group raw or value. fault: a pattern whose
     match is a fault; its groups are reported. halt: stops the motion.
     """
 
-    stations: dict[str | int, float] = Option(min_length=1)
     move: Order
     ready: Query | None = None
     position: Query | None = None
@@ -49,11 +48,7 @@ class SerialPositionerOptions(SerialConnection):
     unit: str = "mm"
     scale: float = Option(default=1.0)
     offset: float = 0.0
-    limits: tuple[float, float] | None = None
-    tolerance: float = Option(default=0.05, gt=0)
-    move_timeout_s: float = Option(default=120.0, gt=0)
     ready_delay_s: float = Option(default=0.2, ge=0)
-    settle_s: float = Option(default=0.0, ge=0)
 
     @model_validator(mode="after")
     def _sound(self) -> SerialPositionerOptions:
@@ -63,9 +58,7 @@ class SerialPositionerOptions(SerialConnection):
             raise ValueError("scale must not be zero")
         if self.text_for(1.0) == self.text_for(2.0):
             raise ValueError("move.send needs {raw} or {value}, the place to go to")
-        for station, value in self.stations.items():
-            if self.limits is not None and not self.limits[0] <= value <= self.limits[1]:
-                raise ValueError(f"station {station} at {value:g} {self.unit} is outside the limits {self.limits[0]:g}..{self.limits[1]:g}")
+        self.refuse_outside(f" {self.unit}")
         return self
 
     def text_for(self, value: float) -> str:

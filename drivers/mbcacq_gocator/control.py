@@ -7,10 +7,11 @@ import struct
 import threading
 import time
 
-from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, IdentityError, ProtocolError
+from mbcacq.devices import ConnectError, DeviceTimeout, IdentityError, ProtocolError
 from mbcacq_gocator import commands, wire
 from mbcacq_gocator.commands import GocatorCommand
-from mbcacq_gocator.status import OK, meaning
+from mbcacq_gocator.request_connection import RequestConnection
+from mbcacq_gocator.status import OK, SensorRefused, meaning
 
 PROTOCOL_MAJOR = 101
 MAX_REPLY = 64 * 2**20
@@ -22,15 +23,7 @@ _OLD_PROBE_REPLY = 40
 _FIRST_STEP = 64 * 1024
 
 
-class SensorRefused(DeviceFault):
-    """The sensor answered a command with a bad status, kept in ``status``."""
-
-    def __init__(self, message: str, status: int) -> None:
-        super().__init__(message)
-        self.status = status
-
-
-class ControlChannel:
+class ControlChannel(RequestConnection):
     """Requests to one sensor. Safe to use from several threads; they take turns.
 
     After a reply that did not come or made no sense the channel is closed: a late reply could otherwise be taken for the next one.
@@ -39,20 +32,9 @@ class ControlChannel:
     def __init__(
         self, address: str, port: int, connect_timeout_s: float = 3.0, reply_limit_s: float | None = None, grace_s: float = 0.0
     ) -> None:
-        self._address, self._port = address, port
-        self._connect_timeout_s, self._reply_limit_s, self._grace_s = connect_timeout_s, reply_limit_s, grace_s
-        self._sock: socket.socket | None = None
+        super().__init__(address, port, connect_timeout_s, reply_limit_s, grace_s)
         self._turn = threading.Lock()
         self.version: tuple[int, int] = (0, 0)
-
-    @property
-    def is_open(self) -> bool:
-        return self._sock is not None
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether it is closed, by us or by the sensor."""
-        return wire.has_ended(self._sock)
 
     def open(self) -> None:
         """Connect and compare protocol versions. Raises ConnectError, IdentityError, DeviceTimeout, ProtocolError."""
@@ -89,11 +71,6 @@ class ControlChannel:
                 raise
         finally:
             self._turn.release()
-
-    def close(self) -> None:
-        """Close the connection; idempotent, from any thread."""
-        sock, self._sock = self._sock, None
-        wire.shut(sock)
 
     def _limit(self, command: GocatorCommand) -> float:
         return self._grace_s + (command.limit_s if self._reply_limit_s is None else min(command.limit_s, self._reply_limit_s))

@@ -6,7 +6,8 @@ import struct
 
 from mbcacq.devices import ConfigError, ConnectError
 from mbcacq_gocator import commands, information
-from mbcacq_gocator.control import ControlChannel, SensorRefused
+from mbcacq_gocator.control import ControlChannel
+from mbcacq_gocator.status import SensorRefused
 
 _ADMINISTRATOR = 1  # 2 is a technician, who may not load jobs
 _REQUEST = struct.Struct("<i64s")

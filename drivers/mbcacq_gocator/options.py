@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from mbcacq.devices import ConfigError, is_host
+from mbcacq_gocator.snapshot_options import SnapshotOptions
 
 MODES = ("snapshot", "trigger")
 BRACKETS = ("merge", "best")
@@ -15,38 +16,21 @@ _MAX_BRACKET, _MAX_PASSWORD = 16, 63
 
 
 @dataclass(frozen=True, kw_only=True)
-class GocatorOptions:
-    """address: host name or IPv4; '' looks for the sensor with ``serial`` by broadcast. job: '' keeps the loaded one. job_file: a file to
-    store on the sensor as ``job`` (default: its own name) first. timeout_s: longest wait for a scan. reply_limit_s: caps the
-    protocol's own time limit of every command. grace_s: added to all of them, for a sensor that a busy computer plays. retries: attempts
-    after a dropped connection. exposures_us: all of them at every
-    capture, made into one scan as ``bracket`` says. allow_aligned: accept points that are not in the sensor's own coordinates. password: of
-    the sensor's administrator, where its security is on; "$NAME" takes that environment variable, so that no plan need hold it.
+class GocatorOptions(SnapshotOptions):
+    """job_file: a file to store on the sensor as ``job`` (default: its own name) first. exposures_us: all of them at every capture, made
+    into one scan as ``bracket`` says. password: of the sensor's administrator, where its security is on; "$NAME" takes that environment
+    variable, so that no plan need hold it. The others: see SnapshotOptions.
     """
 
-    address: str = ""
-    serial: int | None = None
     control_port: int = 3190
     health_port: int = 3194
     data_port: int = 3196
-    job: str = ""
     job_file: str = ""
     replace_job: bool = False
     mode: str = "snapshot"
-    exposure_us: float | None = None
     exposures_us: tuple[float, ...] = ()
     bracket: str = "merge"
-    temperature_warning_C: float | None = None
-    temperature_stop_C: float | None = None
-    allow_aligned: bool = False
     password: str = field(default="", repr=False)
-    restore: bool = True
-    timeout_s: float = 10.0
-    connect_timeout_s: float = 3.0
-    reply_limit_s: float | None = None
-    grace_s: float = 0.0
-    retries: int = 2
-    broadcast: str = "255.255.255.255"
     discovery_port: int = 3220
 
     @classmethod

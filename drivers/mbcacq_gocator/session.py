@@ -12,12 +12,13 @@ from mbcacq.devices import ConfigError, DeviceFault, IdentityError, MbcacqError
 from mbcacq_gocator import commands, information, jobs, layouts, wire
 from mbcacq_gocator.alignment import Alignment
 from mbcacq_gocator.configuration import SCAN_MODES, SOFTWARE, SURFACE, TRIGGER_SOURCES, Configuration
-from mbcacq_gocator.control import ControlChannel, SensorRefused
+from mbcacq_gocator.control import ControlChannel
 from mbcacq_gocator.files import LIVE_CONFIGURATION, SensorFiles, job_name, unpack
 from mbcacq_gocator.health import HealthReader
 from mbcacq_gocator.information import SystemInfo
 from mbcacq_gocator.login import log_in
 from mbcacq_gocator.options import GocatorOptions
+from mbcacq_gocator.status import SensorRefused
 
 _RECEIVE_BUFFER = 4 * 2**20
 _SNAPSHOT_SINCE = (5, 2, 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mbcacq.devices import DeviceFault
+
 OK = 1
 
 STATUS = {
@@ -28,6 +30,14 @@ STATUS = {
     -977: "full",
     -2001: "not logged in",
 }
+
+
+class SensorRefused(DeviceFault):
+    """The sensor answered a request with a bad status, kept in ``status``."""
+
+    def __init__(self, message: str, status: int) -> None:
+        super().__init__(message)
+        self.status = status
 
 
 def meaning(status: int) -> str:

@@ -109,7 +109,7 @@ def merge(
 
     Their clocks may differ: the delay is found from the speeds of both. Each rest of the arm becomes a pose.
 
-    
+    \b
     Examples:
       mbcacq data merge joints.csv tracker.csv --robot ur10e --out cell-4
       mbcacq data merge flange.csv camera.csv --flange kuka --standstill 1.0

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
 from mbcacq.conformance.driver_bench import DriverBench, Stand
-from mbcacq.conformance.steps import Skip, comes_back, fault, need_proxies, rests, segments, works_anew
+from mbcacq.conformance.steps import Skip, comes_back, fault, need_proxies, rests, segments, works, works_anew
 from mbcacq.devices import Aborted, ConfigError, ConnectError, IdentityError
 
 Check = Callable[[DriverBench, Stand], None]
@@ -32,11 +32,7 @@ def refuses_an_unknown_option(bench: DriverBench, stand: Stand) -> None:
 
 
 def connects_and_works(bench: DriverBench, stand: Stand) -> None:
-    driver = stand.make()
-    bounded("connect", driver.connect, bench.limit_s)
-    for _ in range(2):
-        bounded("use", lambda: stand.use(driver), bench.limit_s)
-    bounded("close", driver.close, bench.limit_s)
+    works(bench, stand, stand.make(), times=2)
 
 
 def refuses_the_wrong_device(bench: DriverBench, stand: Stand) -> None:
@@ -96,18 +92,14 @@ def a_message_byte_by_byte_is_one(bench: DriverBench, stand: Stand) -> None:
 def connects_again(bench: DriverBench, stand: Stand) -> None:
     driver = stand.make()
     for _ in range(2):
-        bounded("connect", driver.connect, bench.limit_s)
-        bounded("use", lambda: stand.use(driver), bench.limit_s)
-        bounded("close", driver.close, bench.limit_s)
+        works(bench, stand, driver)
     bounded("connect", driver.connect, bench.limit_s)
     for proxy in stand.proxies.values():
         proxy.cut()
     outcome("use after the connection was cut", lambda: stand.use(driver), bench.limit_s)
     bounded("close", driver.close, bench.limit_s)
     comes_back(bench, stand)
-    bounded("connect", driver.connect, bench.limit_s)
-    bounded("use", lambda: stand.use(driver), bench.limit_s)
-    bounded("close", driver.close, bench.limit_s)
+    works(bench, stand, driver)
 
 
 def stop_and_close_are_always_allowed(bench: DriverBench, stand: Stand) -> None:

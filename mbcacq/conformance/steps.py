@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from mbcacq.conformance.bounded import bounded, demand, eventually, outcome
 from mbcacq.conformance.driver_bench import DriverBench, Stand
 
@@ -40,11 +42,16 @@ def segments(bench: DriverBench, stand: Stand, action: str) -> None:
         raise Skip("no link of this device is a stream")
     for proxy in streams:
         proxy.channel.set(action, lasting=True)
-    driver = stand.make()
-    bounded("connect", driver.connect, bench.limit_s)
-    bounded("use", lambda: stand.use(driver), bench.limit_s)
-    bounded("close", driver.close, bench.limit_s)
+    works(bench, stand, stand.make())
     demand(any(proxy.channel.struck for proxy in streams), "no message passed the proxies")
+
+
+def works(bench: DriverBench, stand: Stand, driver: Any, times: int = 1) -> None:
+    """A driver connects, is used so many times, and closes, each within the limit."""
+    bounded("connect", driver.connect, bench.limit_s)
+    for _ in range(times):
+        bounded("use", lambda: stand.use(driver), bench.limit_s)
+    bounded("close", driver.close, bench.limit_s)
 
 
 def works_anew(bench: DriverBench, stand: Stand) -> None:

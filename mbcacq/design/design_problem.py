@@ -10,7 +10,7 @@ from mbcacq.calibration import CalibrationOptions
 from mbcacq.calibration.verification import ball_positions, verification_poses
 from mbcacq.design.candidate_views import CandidateView
 from mbcacq.design.optimality_criteria import AOptimality, Criterion, DOptimality
-from mbcacq.design.options import DesignOptions
+from mbcacq.design.options import OPTIONS
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.estimation import identifiability, parameters
 from mbcacq.estimation.forward_model import CellState
@@ -30,12 +30,7 @@ class DesignProblem:
     """
 
     def __init__(
-        self,
-        loaded: LoadedPlan,
-        kept: Sequence[PlannedPose],
-        found: Sequence[CandidateView],
-        poses: Sequence[PlannedPose],
-        options: DesignOptions | None = None,
+        self, loaded: LoadedPlan, kept: Sequence[PlannedPose], found: Sequence[CandidateView], poses: Sequence[PlannedPose]
     ) -> None:
         """kept: calibration poses that stay; found: candidates; poses: of the whole plan, for its verification."""
         self._loaded, self._poses = loaded, poses
@@ -49,7 +44,7 @@ class DesignProblem:
         every[:, :, :g] = rows[:, :, :g]
         columns = g + 6 * place[:, None] + np.arange(6)
         every[np.arange(len(rows))[:, None, None], np.arange(rows.shape[1])[None, :, None], columns[:, None, :]] = rows[:, :, g:]
-        vague = np.concatenate([self.layout.scale, np.tile((options or DesignOptions()).station_sigmas, len(used))])
+        vague = np.concatenate([self.layout.scale, np.tile(OPTIONS.station_sigmas, len(used))])
         known = every[: len(kept)].reshape(-1, every.shape[2])
         self.base = np.diag(1 / vague**2) + known.T @ known
         self.blocks = every[len(kept) :]

@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from mbcacq.design.options import DesignOptions
+from mbcacq.design.options import OPTIONS
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, planned_state
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.effects.catalogue import candidates
@@ -59,10 +59,8 @@ def detectability(
     poses: Sequence[PlannedPose],
     transits: Sequence[Transit] | None = None,
     starts: Sequence[float] | np.ndarray | None = None,
-    options: DesignOptions | None = None,
 ) -> Detectability:
     """Detectability by all poses, those of the verification too: a diagnosis uses them all. starts: (P,) s, for effects of time."""
-    options = options or DesignOptions()
     observations = planned_observations(loaded, poses, transits, starts)
     linear = LinearProblem.of(observations, planned_state(loaded))
     noise = planned_noise(loaded, poses)
@@ -70,14 +68,14 @@ def detectability(
     found, missing = candidates(Context(observations, planned_state(loaded), linear.prediction))
     effects, remaining = [], {}
     for candidate in found:
-        tried = [_projected(problem, candidate, h) for h in _hyperparameters(candidate, options.hyperparameters_tried)]
+        tried = [_projected(problem, candidate, h) for h in hyper_values(candidate, OPTIONS.hyperparameters_tried)]
         sigmas, absorbed, row = sorted(tried, key=lambda t: t[0])[len(tried) // 2]
         location = "+".join(candidate.where)
-        detectable = sigmas >= options.detectable_sigmas
+        detectable = sigmas >= OPTIONS.detectable_sigmas
         effects.append(EffectDetectability(candidate.name, location, sigmas, absorbed, detectable))
         if detectable:
             remaining[f"{candidate.name}:{location}"] = row
-    return Detectability(tuple(_best(effects)), missing, _indistinguishable(remaining, len(problem.Q), options.indistinguishable))
+    return Detectability(tuple(_best(effects)), missing, _indistinguishable(remaining, len(problem.Q), OPTIONS.indistinguishable))
 
 
 def _projected(problem: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[float, float, np.ndarray]:
@@ -98,7 +96,7 @@ def _inner(a: np.ndarray, b: np.ndarray, rows: int) -> np.ndarray:
     return a[:, :rows] @ b[:, :rows].T - a[:, rows:] @ b[:, rows:].T
 
 
-def _hyperparameters(candidate: Candidate, count: int) -> list[float | None]:
+def hyper_values(candidate: Candidate, count: int) -> list[float | None]:
     """``count`` values of the effect's hyper-parameter over its range, or None where it has none."""
     if candidate.hyper is None:
         return [None]

@@ -7,18 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbcacq.design.optimality_criteria import Criterion, DOptimality, updated_covariance
-from mbcacq.design.options import DesignOptions
+from mbcacq.design.options import OPTIONS
 
 
-def choose_by_exchange(
-    base: np.ndarray, blocks: np.ndarray, groups: np.ndarray, count: int, criterion: Criterion, options: DesignOptions | None = None
-) -> list[int]:
+def choose_by_exchange(base: np.ndarray, blocks: np.ndarray, groups: np.ndarray, count: int, criterion: Criterion) -> list[int]:
     """Indices of ``count`` candidates, best as far as greedy growth and exchanges of single poses go.
 
     base: (G, G) information known without them, invertible; blocks: (P, r, G), see ``optimality_criteria``; groups: (P,) station of each.
     """
     chosen, C = _greedy_growth(base, blocks, groups, count, criterion)
-    return _exchange(chosen, C, blocks, criterion, options or DesignOptions())
+    return _exchange(chosen, C, blocks, criterion)
 
 
 def _greedy_growth(
@@ -45,10 +43,10 @@ def _greedy_growth(
     return chosen, C
 
 
-def _exchange(chosen: list[int], C: np.ndarray, blocks: np.ndarray, criterion: Criterion, options: DesignOptions) -> list[int]:
+def _exchange(chosen: list[int], C: np.ndarray, blocks: np.ndarray, criterion: Criterion) -> list[int]:
     """The chosen poses after exchanging the least useful one for the most useful other, as long as that helps."""
     chosen = list(chosen)
-    for _ in range(options.exchange_rounds * len(chosen)):
+    for _ in range(OPTIONS.exchange_rounds * len(chosen)):
         before = criterion.value(C)
         spare = int(np.argmax(criterion.gains(C, blocks[chosen], -1.0)))
         without = updated_covariance(C, blocks[chosen[spare]], -1.0)
@@ -56,7 +54,7 @@ def _exchange(chosen: list[int], C: np.ndarray, blocks: np.ndarray, criterion: C
         gains[chosen] = -np.inf
         best = int(np.argmax(gains))
         after = updated_covariance(without, blocks[best], 1.0)
-        if criterion.value(after) >= before - options.least_improvement * abs(before):
+        if criterion.value(after) >= before - OPTIONS.least_improvement * abs(before):
             break
         chosen[spare] = best
         C = after

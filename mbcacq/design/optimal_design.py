@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mbcacq.design.candidate_views import CandidateView, candidates
 from mbcacq.design.design_problem import DesignProblem
 from mbcacq.design.exchange_algorithm import choose_by_exchange
-from mbcacq.design.options import DesignOptions
+from mbcacq.design.options import OPTIONS
 from mbcacq.design.plan_rewriter import Chosen, with_views
 from mbcacq.design.station_repair import repaired
 from mbcacq.errors import ConfigError
@@ -28,27 +28,24 @@ class Design:
     repairs: tuple[str, ...] = ()
 
 
-def design(
-    loaded: LoadedPlan, count: int, *, criterion: str = "A", steepest_deg: float = 40.0, seed: int = 0, options: DesignOptions | None = None
-) -> Design:
+def design(loaded: LoadedPlan, count: int, *, criterion: str = "A", steepest_deg: float = 40.0, seed: int = 0) -> Design:
     """Replace the plan's 'position' poses by ``count`` others at the same stations; the poses of its other phases stay and count.
 
     criterion: 'A' (mean variance of the certified distances at the verification poses; without such, of points all over the reach) or
     'D' (volume of the parameters' confidence region). Raises ConfigError where the plan has no station to choose poses at, or fewer
     poses can be taken.
     """
-    options = options or DesignOptions()
     loaded, repairs = repaired(loaded)
     poses = expand_reachable(loaded)[0] if any(isinstance(s, Look) and s.phase == "position" for s in loaded.plan.steps) else expand(loaded)
     stations = _stations(loaded, poses)
-    found = candidates(loaded, stations, steepest_deg, seed, options)
+    found = candidates(loaded, stations, steepest_deg, seed, OPTIONS)
     if len(found) < count:
-        drawn = options.views_per_station * len(stations)
+        drawn = OPTIONS.views_per_station * len(stations)
         tried = f"of about {drawn} random views at {len(stations)} stations only {len(found)} can be taken"
         raise ConfigError(f"{loaded.path}: {tried}, fewer than the {count} asked for; move the stations, or ask for fewer")
     kept = [p for p in poses if p.phase in ("translation", "orientation")]
-    problem = DesignProblem(loaded, kept, found, poses, options)
-    picked = choose_by_exchange(problem.base, problem.blocks, problem.groups, count, problem.criterion(criterion), options)
+    problem = DesignProblem(loaded, kept, found, poses)
+    picked = choose_by_exchange(problem.base, problem.blocks, problem.groups, count, problem.criterion(criterion))
     chosen: Chosen = {}
     for k in sorted(picked, key=lambda k: _order(stations, found[k])):
         chosen.setdefault((found[k].station, found[k].aim), []).append(found[k].view)

@@ -41,3 +41,6 @@ class DesignOptions:
     detectable_sigmas: float = 6.0  # of its own uncertainty: an effect of usual size is then reliably found among many
     indistinguishable: float = 0.95  # correlation of two effects from which on they look alike
     hyperparameters_tried: int = 7  # values of an effect's hyper-parameter, of which the median detectability counts
+
+
+OPTIONS = DesignOptions()

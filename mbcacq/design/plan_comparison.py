@@ -10,7 +10,7 @@ import numpy as np
 
 from mbcacq.calibration import calibrate, verify
 from mbcacq.calibration.verification import verification_poses
-from mbcacq.design.options import DesignOptions
+from mbcacq.design.options import OPTIONS
 from mbcacq.design.predicted_accuracy import PredictedAccuracy, predicted_accuracy
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, simulated_recording
 from mbcacq.errors import CalibrationError
@@ -29,21 +29,18 @@ class Simulated:
     cells: int
 
 
-def simulated_error(
-    loaded: LoadedPlan, poses: Sequence[PlannedPose], seed: int = 1, options: DesignOptions | None = None
-) -> Simulated | None:
+def simulated_error(loaded: LoadedPlan, poses: Sequence[PlannedPose], seed: int = 1) -> Simulated | None:
     """Errors of random cells that are each recorded with noise, calibrated, and verified.
 
     None where the plan has no verification poses, or does not suffice to calibrate.
     """
-    options = options or DesignOptions()
-    cells = options.simulated_cells
+    cells = OPTIONS.simulated_cells
     rng, observations, noise = np.random.default_rng(seed), planned_observations(loaded, poses), planned_noise(loaded, poses)
     if verification_poses(observations).n_poses == 0:
         return None
     errors = []
     for _ in range(cells):
-        recorded = simulated_recording(loaded, observations, noise, rng, options)
+        recorded = simulated_recording(loaded, observations, noise, rng)
         try:
             found = calibrate(recorded)
         except CalibrationError:

@@ -8,7 +8,7 @@ from typing import Any
 
 from mbcacq.calibration.sufficiency import HAND_EYE_ALONE
 from mbcacq.design.effect_detectability import Detectability, detectability
-from mbcacq.design.options import DesignOptions
+from mbcacq.design.options import OPTIONS
 from mbcacq.design.predicted_accuracy import PredictedAccuracy, predicted_accuracy
 from mbcacq.design.station_repair import station_moves
 from mbcacq.errors import CalibrationError
@@ -21,14 +21,9 @@ Figures = tuple[list[PlanFinding], PredictedAccuracy | None, Detectability | Non
 
 
 def identifiability_findings(
-    loaded: LoadedPlan,
-    poses: Sequence[PlannedPose],
-    summary: dict[str, Any],
-    routes: Routes | None = None,
-    options: DesignOptions | None = None,
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], summary: dict[str, Any], routes: Routes | None = None
 ) -> Figures:
     """Findings about identifiability; the figures behind them, or None where the poses do not suffice to compute them."""
-    options = options or DesignOptions()
     place = f"{loaded.path}:{loaded.lines.get(('steps',), 1)}"
     if not poses:
         return [], None, None  # nothing is reachable, and ``check_reach`` says so of every target
@@ -43,8 +38,8 @@ def identifiability_findings(
         return [PlanFinding(level="warning", code="undetermined", step="", place=place, sentence=sentence)], None, None
     starts = {p["pose"]: p["start_s"] for p in summary["poses"]}
     transits = dict(zip((p.number for p in poses), (routes or find_paths(loaded, poses))[0], strict=True))
-    effects = detectability(loaded, useful, [transits[p.number] for p in useful], [starts[p.number] for p in useful], options)
-    return [*_of_accuracy(accuracy, place, options.weak_mm), *_of_detectability(effects, place)], accuracy, effects
+    effects = detectability(loaded, useful, [transits[p.number] for p in useful], [starts[p.number] for p in useful])
+    return [*_of_accuracy(accuracy, place, OPTIONS.weak_mm), *_of_detectability(effects, place)], accuracy, effects
 
 
 def reach_findings(loaded: LoadedPlan) -> list[PlanFinding]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbcacq.design.options import DesignOptions
+from mbcacq.design.options import OPTIONS
 from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.noise import first_noise
@@ -56,17 +56,15 @@ def planned_observations(
         xyz=np.zeros((len(pose), 3)),
         phase=np.array([p.phase for p in poses]),
         time_s=None if starts is None else np.array(starts, dtype=float),
-        direction=None if transits is None else _directions(loaded, poses, transits),
+        direction=None if transits is None else np.array(last_directions(loaded, poses, transits)),
     )
     return replace(blank, xyz=forward_model.predict(blank, planned_state(loaded)).xyz)
 
 
-def simulated_recording(
-    loaded: LoadedPlan, observations: Observations, noise: Noise, rng: np.random.Generator, options: DesignOptions | None = None
-) -> Observations:
+def simulated_recording(loaded: LoadedPlan, observations: Observations, noise: Noise, rng: np.random.Generator) -> Observations:
     """What a random true cell with usual errors would record at the same poses: scanner noise and joint repeatability drawn anew."""
-    options, state, n = options or DesignOptions(), planned_state(loaded), loaded.cell.robot.n
-    errors, mounting = np.array(options.parameter_errors), np.array(options.mounting_errors)
+    state, n = planned_state(loaded), loaded.cell.robot.n
+    errors, mounting = np.array(OPTIONS.parameter_errors), np.array(OPTIONS.mounting_errors)
     truth = CellState(
         state.chain.with_errors(errors * rng.standard_normal((n, 5))),
         state.T_flange_scanner @ se3.exp(mounting * rng.standard_normal(6)),
@@ -78,15 +76,14 @@ def simulated_recording(
     return replace(observations, xyz=xyz + noise.point * rng.standard_normal(xyz.shape))
 
 
-def _directions(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> np.ndarray:
-    """(P, n) -1, 0, 1: the direction in which each axis last moved before it came to rest."""
+def last_directions(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[Transit]) -> list[np.ndarray]:
+    """(n,) -1, 0, 1 of each pose: the direction in which each axis last moved before it came to rest."""
     last = np.radians(loaded.plan.robot.home_deg)
-    standstill = DesignOptions().standstill
     direction, out = np.zeros(len(last), dtype=int), []
     for pose, transit in zip(poses, transits, strict=True):
         for stop in [*transit, pose.q]:
             moved = stop - last
-            direction = np.where(np.abs(moved) > standstill, np.sign(moved), direction).astype(int)
+            direction = np.where(np.abs(moved) > OPTIONS.standstill, np.sign(moved), direction).astype(int)
             last = stop
         out.append(direction)
-    return np.array(out)
+    return out

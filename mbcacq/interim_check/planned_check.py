@@ -16,7 +16,7 @@ from mbcacq.estimation import forward_model
 from mbcacq.estimation.forward_model import CellState, Prediction
 from mbcacq.interim_check.e_process import Rows, weight_of
 from mbcacq.interim_check.options import OPTIONS, CheckOptions, UsualChanges
-from mbcacq.interim_check.possible_changes import PossibleChange, jitter, possible_changes, rows_of, twist_columns
+from mbcacq.interim_check.possible_changes import PossibleChange, jitter, possible_changes, rows_of, station_columns, twist_columns
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, path
@@ -46,12 +46,7 @@ class PlannedCheck:
 
 
 def planned_check(
-    loaded: LoadedPlan,
-    poses: Sequence[PlannedPose],
-    cell: CalibratedCell,
-    standing: bool,
-    days: UsualChanges,
-    options: CheckOptions = OPTIONS,
+    loaded: LoadedPlan, poses: Sequence[PlannedPose], cell: CalibratedCell, standing: bool, days: UsualChanges
 ) -> PlannedCheck:
     """A check by these poses. Raises ConfigError where the result is of another arm, or the plan's instrument does not ride on the arm."""
     refuse_other_arm("the result is of", cell.robot, cell.nominal, loaded.cell.robot, "the plan")
@@ -61,11 +56,11 @@ def planned_check(
     obs = planned_observations(loaded, poses, path(loaded, list(poses)))
     displaced = None if not cell.effects else cell.effects.displacements(obs)
     prediction = forward_model.predict(obs, state, displaced)
-    stations = [rows_of(part) for part in _of_stations(obs, prediction)]
+    stations = [rows_of(part) for part in station_columns(obs, prediction).values()]
     free = np.zeros((3 * obs.n_centres, 0)) if standing else np.concatenate(stations, axis=1)
     noise = jitter(obs, state, prediction, cell.noise.point, cell.noise.joint)
     rows = Rows(noise, _daily(obs, state, prediction, stations, standing, days), free)
-    found = possible_changes(obs, state, prediction, standing, options)
+    found = possible_changes(obs, state, prediction, standing)
     return PlannedCheck(
         poses=tuple(poses), cell=cell, state=state, obs=obs, prediction=prediction, rows=rows, changes=tuple(found), standing=standing
     )
@@ -79,12 +74,6 @@ def calibrated_state(loaded: LoadedPlan, cell: CalibratedCell) -> CellState:
     known = np.array([b in cell.ball_ids for b in loaded.cell.ball_ids])
     balls = np.where(known[:, None], filled.balls, certified)
     return replace(filled, balls=balls, T_base_station=np.stack([s.planned_pose for s in loaded.cell.stations]))
-
-
-def _of_stations(obs: Observations, prediction: Prediction) -> list[np.ndarray]:
-    """(M, 3, 6) of each station that has poses: by the local twist of its artefact."""
-    columns = twist_columns(obs, prediction, "station", 0)
-    return [columns * (obs.station[obs.pose] == s)[:, None, None] for s in np.unique(obs.station)]
 
 
 def _daily(

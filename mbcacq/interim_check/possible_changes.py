@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.design.effect_detectability import hyper_values
 from mbcacq.effects.catalogue import candidates
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import parts_of
-from mbcacq.effects.effect import FADING, MOMENT, Candidate
+from mbcacq.effects.effect import FADING, MOMENT
 from mbcacq.estimation import terms
 from mbcacq.estimation.forward_model import CellState, Prediction
 from mbcacq.geometry.chain import PARAMETERS
-from mbcacq.interim_check.options import OPTIONS, CheckOptions
+from mbcacq.interim_check.options import OPTIONS
 from mbcacq.model.observations import Observations
 
 UNNAMED, SCANNER = "unnamed", "the scanner"
@@ -41,18 +41,16 @@ class PossibleChange:
         return replace(self, columns=self.columns[keep])
 
 
-def possible_changes(
-    obs: Observations, state: CellState, prediction: Prediction, standing: bool, options: CheckOptions = OPTIONS
-) -> list[PossibleChange]:
+def possible_changes(obs: Observations, state: CellState, prediction: Prediction, standing: bool) -> list[PossibleChange]:
     """All that may change, at the poses and centres of a planned check. standing: artefacts stay where they stand between checks.
 
     Prior probabilities are equal between names, and among the locations and variants of each.
     """
-    found = [*_masterings(obs, state, prediction, options), _mount(obs, prediction, options), *_links(obs, state, prediction, options)]
+    found = [*_masterings(obs, state, prediction), _mount(obs, prediction), *_links(obs, state, prediction)]
     if standing:
-        found += _artefacts(obs, prediction, options)
-    found += _catalogued(obs, state, prediction, options)
-    found += [_unnamed(obs, state, prediction, options), _unnamed_centres(obs, options)]
+        found += _artefacts(obs, prediction)
+    found += _catalogued(obs, state, prediction)
+    found += [_unnamed(obs, state, prediction), _unnamed_centres(obs)]
     visible = [r for r in found if np.abs(r.columns).max(initial=0.0) > LEAST]
     count: dict[str, int] = {}
     for change in visible:
@@ -65,9 +63,9 @@ def rows_of(each: np.ndarray) -> np.ndarray:
     return each.reshape(-1, each.shape[-1])
 
 
-def _masterings(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+def _masterings(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
     J = prediction.by_twists(state.chain.joint_twists(prediction.frames))
-    usual = np.array([options.mastering])
+    usual = np.array([OPTIONS.mastering])
     return [
         PossibleChange(
             name="mastering",
@@ -75,7 +73,7 @@ def _masterings(obs: Observations, state: CellState, prediction: Prediction, opt
             parameters=(f"A{j + 1} zero",),
             units=("rad",),
             usual=usual,
-            columns=rows_of(J[:, :, j : j + 1] * options.mastering),
+            columns=rows_of(J[:, :, j : j + 1] * OPTIONS.mastering),
         )
         for j in range(state.chain.n)
     ]
@@ -86,44 +84,37 @@ def twist_columns(obs: Observations, prediction: Prediction, place: str, index: 
     return np.stack([terms.unit(obs, prediction, place, index, c) for c in range(6)], axis=2)
 
 
-def _mount(obs: Observations, prediction: Prediction, options: CheckOptions) -> PossibleChange:
-    usual = np.repeat([options.mount_mm, options.mount_rad], 3)
-    columns = twist_columns(obs, prediction, "frame", obs.cell.robot.n) * usual
-    return PossibleChange(
-        name="mount",
-        where="scanner on the flange",
-        parameters=TWIST,
-        units=("mm",) * 3 + ("rad",) * 3,
-        usual=usual,
-        columns=rows_of(columns),
-    )
+def station_columns(obs: Observations, prediction: Prediction) -> dict[int, np.ndarray]:
+    """Index of each station that has poses -> (M, R, 6): by the local twist of its artefact."""
+    columns = twist_columns(obs, prediction, "station", 0)
+    return {int(s): columns * (obs.station[obs.pose] == s)[:, None, None] for s in np.unique(obs.station)}
 
 
-def _artefacts(obs: Observations, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
-    usual = np.repeat([options.station_mm, options.station_rad], 3)
-    out = []
-    for s in np.unique(obs.station):
-        here = (obs.station[obs.pose] == s)[:, None, None]
-        columns = twist_columns(obs, prediction, "station", 0) * usual * here
-        out.append(
-            PossibleChange(
-                name="artefact",
-                where=f"station {obs.cell.stations[s].id}",
-                parameters=TWIST,
-                units=("mm",) * 3 + ("rad",) * 3,
-                usual=usual,
-                columns=rows_of(columns),
-            )
-        )
-    return out
+def _moved(name: str, where: str, columns: np.ndarray, mm: float, rad: float) -> PossibleChange:
+    """A change of a frame's place, by its columns (M, R, 6); mm, rad: usual sizes."""
+    usual = np.repeat([mm, rad], 3)
+    units = ("mm",) * 3 + ("rad",) * 3
+    return PossibleChange(name=name, where=where, parameters=TWIST, units=units, usual=usual, columns=rows_of(columns * usual))
 
 
-def _links(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+def _mount(obs: Observations, prediction: Prediction) -> PossibleChange:
+    columns = twist_columns(obs, prediction, "frame", obs.cell.robot.n)
+    return _moved("mount", "scanner on the flange", columns, OPTIONS.mount_mm, OPTIONS.mount_rad)
+
+
+def _artefacts(obs: Observations, prediction: Prediction) -> list[PossibleChange]:
+    return [
+        _moved("artefact", f"station {obs.cell.stations[s].id}", columns, OPTIONS.station_mm, OPTIONS.station_rad)
+        for s, columns in station_columns(obs, prediction).items()
+    ]
+
+
+def _links(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
     """Each link by itself: its length, offset and twist."""
     twists = state.chain.parameter_twists(prediction.frames, obs.q)
     out = []
     chosen = [PARAMETERS.index(p) for p in ("d", "a", "alpha")]
-    usual = np.array([options.link_mm, options.link_mm, options.link_rad])
+    usual = np.array([OPTIONS.link_mm, OPTIONS.link_mm, OPTIONS.link_rad])
     for i in range(state.chain.n):
         columns = prediction.by_twists(twists[:, i, chosen]) * usual
         out.append(
@@ -139,7 +130,7 @@ def _links(obs: Observations, state: CellState, prediction: Prediction, options:
     return out
 
 
-def _catalogued(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+def _catalogued(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
     """Every effect of the catalogue at its usual size, by itself and, where it acts at one place of several, at all of them at once."""
     context = Context(obs, state, prediction)
     found, _ = candidates(context)
@@ -148,7 +139,7 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction, opt
     for candidate in found:
         if candidate.hyper is not None and candidate.hyper.kind in (MOMENT, FADING):
             continue  # what happens within one check says nothing about days
-        for number, hyper in enumerate(hypers(candidate, options.hypers)):
+        for number, hyper in enumerate(hyper_values(candidate, OPTIONS.hypers)):
             one = terms.term(candidate.name, parts_of(candidate, context, hyper))
             columns = rows_of(terms.columns(obs, prediction, one)) * candidate.typical
             what = "" if hyper is None else f", {candidate.hyper.name if candidate.hyper else ''} {hyper:.4g}"
@@ -164,7 +155,7 @@ def _catalogued(obs: Observations, state: CellState, prediction: Prediction, opt
             out.append(change)
             if len(candidate.where) == 1:
                 together.setdefault((candidate.name, candidate.variant, number), []).append(change)
-    return [*out, *(_together(several) for several in together.values() if len(several) > 1), *_tool(context, prediction, options)]
+    return [*out, *(_together(several) for several in together.values() if len(several) > 1), *_tool(context, prediction)]
 
 
 def _together(several: list[PossibleChange]) -> PossibleChange:
@@ -182,13 +173,13 @@ def _together(several: list[PossibleChange]) -> PossibleChange:
     )
 
 
-def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> list[PossibleChange]:
+def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
     """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
     if not context.masses_known:
         return []
     J = prediction.by_twists(context.state.chain.joint_twists(prediction.frames))
     bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
-    usual = options.tool_kg * options.elastic
+    usual = OPTIONS.tool_kg * OPTIONS.elastic
     columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
     shown = np.abs(columns).max(axis=0) > LEAST
     parameters = tuple(f"A{i + 1}" for i in np.flatnonzero(shown))
@@ -204,17 +195,9 @@ def _tool(context: Context, prediction: Prediction, options: CheckOptions) -> li
     ]
 
 
-def hypers(candidate: Candidate, count: int) -> Sequence[float | None]:
-    """``count`` values of an effect's hyper-parameter over its range; None where it has none."""
-    if candidate.hyper is None:
-        return [None]
-    values = candidate.hyper.values
-    return [float(v) for v in values[np.unique(np.linspace(0, len(values) - 1, count).astype(int))]]
-
-
-def _unnamed(obs: Observations, state: CellState, prediction: Prediction, options: CheckOptions) -> PossibleChange:
+def _unnamed(obs: Observations, state: CellState, prediction: Prediction) -> PossibleChange:
     """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
-    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * options.unnamed
+    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * OPTIONS.unnamed
     n = J.shape[2]
     k = obs.n_poses * n
     columns = np.zeros((J.shape[0], J.shape[1], k))
@@ -222,11 +205,11 @@ def _unnamed(obs: Observations, state: CellState, prediction: Prediction, option
         here = obs.pose == p
         columns[here, :, p * n : (p + 1) * n] = J[here]
     return PossibleChange(
-        name=UNNAMED, where="the arm", parameters=("",) * k, units=("rad",) * k, usual=np.full(k, options.unnamed), columns=rows_of(columns)
+        name=UNNAMED, where="the arm", parameters=("",) * k, units=("rad",) * k, usual=np.full(k, OPTIONS.unnamed), columns=rows_of(columns)
     )
 
 
-def _unnamed_centres(obs: Observations, options: CheckOptions) -> PossibleChange:
+def _unnamed_centres(obs: Observations) -> PossibleChange:
     """Every measured centre by itself: what moves the balls of one pose against each other, and is no effect of the catalogue.
 
     Without it the null would take such a change for a larger noise, which it repeats from day to day and so is not.
@@ -237,8 +220,8 @@ def _unnamed_centres(obs: Observations, options: CheckOptions) -> PossibleChange
         where=SCANNER,
         parameters=("",) * k,
         units=("mm",) * k,
-        usual=np.full(k, options.unnamed_mm),
-        columns=options.unnamed_mm * np.eye(k),
+        usual=np.full(k, OPTIONS.unnamed_mm),
+        columns=OPTIONS.unnamed_mm * np.eye(k),
     )
 
 

@@ -13,9 +13,9 @@ from mbcacq.errors import DeviceFault
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
-from mbcacq.interim_check.options import OPTIONS, CheckOptions
+from mbcacq.interim_check.options import OPTIONS
 from mbcacq.interim_check.planned_check import PlannedCheck
-from mbcacq.interim_check.possible_changes import SCANNER, UNNAMED, PossibleChange, rows_of, twist_columns
+from mbcacq.interim_check.possible_changes import SCANNER, UNNAMED, PossibleChange, rows_of, station_columns
 from mbcacq.model.json_text import keyed
 
 AS_BEFORE, CHANGED = "as_before", "changed"
@@ -80,7 +80,7 @@ class Evidence:
     keep: np.ndarray
 
 
-def evidence_of(check: PlannedCheck, history: CheckHistory, options: CheckOptions = OPTIONS) -> Evidence:
+def evidence_of(check: PlannedCheck, history: CheckHistory) -> Evidence:
     """The e-process of a history, by the centres that every day has."""
     common = set(check.keys).intersection(*(day.residual.keys() for day in history.days))
     kept = [key in common for key in check.keys]
@@ -91,17 +91,17 @@ def evidence_of(check: PlannedCheck, history: CheckHistory, options: CheckOption
         )
     days = np.array([np.concatenate([day.residual[key] for key, k in zip(check.keys, kept, strict=True) if k]) for day in history.days])
     changes = tuple(r.select(keep) for r in check.changes)
-    process = EProcess(check.rows.select(keep), [r.columns for r in changes], np.array([r.weight for r in changes]), options)
+    process = EProcess(check.rows.select(keep), [r.columns for r in changes], np.array([r.weight for r in changes]))
     return Evidence(process, changes, days, keep)
 
 
-def verdict_of(check: PlannedCheck, history: CheckHistory, options: CheckOptions = OPTIONS) -> CheckVerdict:
+def verdict_of(check: PlannedCheck, history: CheckHistory) -> CheckVerdict:
     """What all checks so far say together."""
     with one_thread():
-        return verdict_by(evidence_of(check, history, options), check, options)
+        return verdict_by(evidence_of(check, history), check)
 
 
-def verdict_by(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -> CheckVerdict:
+def verdict_by(evidence: Evidence, check: PlannedCheck) -> CheckVerdict:
     """What the rows of all days say together."""
     process, T = evidence.process, len(evidence.days)
     if T > 1:
@@ -109,16 +109,16 @@ def verdict_by(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -
         log_e, level, null = followed.log_e(T), followed.level(T), int(np.argmax(followed.null[:, -1]))
     else:
         log_e, level, null = 0.0, process.usual, process.usual
-    factors, estimates = _since_calibration(check, evidence, process.levels[null], options)
+    factors, estimates = _since_calibration(check, evidence, process.levels[null])
     log_first = float(logsumexp(factors))
-    threshold = float(np.log(2 / options.false_alarms))
+    threshold = float(np.log(2 / OPTIONS.false_alarms))
     changed = max(log_e, log_first) >= threshold
     suspects: tuple[Suspect, ...] = ()
     since = between = None
     if changed and log_e >= log_first:
-        suspects, since, between = _suspects_since(evidence, level, T, options)
+        suspects, since, between = _suspects_since(evidence, level, T)
     elif changed:
-        suspects, since, between = _ranked(evidence.changes, factors, estimates, options), 0, (0, 0)
+        suspects, since, between = _ranked(evidence.changes, factors, estimates), 0, (0, 0)
     shown = process.levels[level if changed else null]
     return CheckVerdict(
         verdict=CHANGED if changed else AS_BEFORE,
@@ -128,7 +128,7 @@ def verdict_by(evidence: Evidence, check: PlannedCheck, options: CheckOptions) -
         suspects=suspects,
         since=since,
         between=between,
-        noticed=noticed(evidence, null, T, options),
+        noticed=noticed(evidence, null, T),
         noise=shown.noise,
         day=shown.day,
     )
@@ -138,21 +138,22 @@ Estimate = tuple[np.ndarray, np.ndarray, float]
 Estimates = list[Estimate]
 
 
-def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level, options: CheckOptions) -> tuple[np.ndarray, Estimates]:
+def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level) -> tuple[np.ndarray, Estimates]:
     """(A,) log of what each possible change between the calibration and the first check adds to the e-value, and its estimate.
 
     The mean of all days against the prediction, whose uncertainty is the calibration's covariance, what a good arm is off beyond its model,
     and where the artefacts stand, which nobody knew. The null takes the best level of noise. That the calibration's statement is true is
     assumed, not bounded. Single centres may be off for ever (certificate, lens), and are no change since the calibration.
     """
-    known, free = _of_calibration(check, evidence, options), _station_columns(check)[evidence.keep]
+    known = _of_calibration(check, evidence)
+    free = np.concatenate([rows_of(part) for part in station_columns(check.obs, check.prediction).values()], axis=1)[evidence.keep]
     rows, mean = evidence.process.rows, evidence.days.mean(axis=0)
     null, log, estimates = [], [], []
-    for noise in options.noise_levels:
+    for noise in OPTIONS.noise_levels:
         days = (noise**2 * rows.noise + level.day**2 * rows.daily @ rows.daily.T) / len(evidence.days)
         weight, log_det = weight_of(days + known, free)
         null.append(-0.5 * (mean @ weight @ mean + log_det))
-        found = [_single(change, weight, mean, options) for change in evidence.changes]
+        found = [_single(change, weight, mean) for change in evidence.changes]
         log.append([v for v, _ in found])
         estimates.append([e for _, e in found])
     best = int(np.argmax(null))
@@ -160,31 +161,25 @@ def _since_calibration(check: PlannedCheck, evidence: Evidence, level: Level, op
     return logsumexp(np.array(log) + relative[:, None], axis=0), estimates[best]
 
 
-def _single(change: PossibleChange, weight: np.ndarray, mean: np.ndarray, options: CheckOptions) -> tuple[float, Estimate]:
+def _single(change: PossibleChange, weight: np.ndarray, mean: np.ndarray) -> tuple[float, Estimate]:
     """log of weight times Bayes factor of one change, and its estimate."""
     b, S = change.columns.T @ weight @ mean, change.columns.T @ weight @ change.columns
-    each = [_log_factor(S, b, size) for size in options.sizes]
+    each = [_log_factor(S, b, size) for size in OPTIONS.sizes]
     log = logsumexp(each) - np.log(len(each)) + np.log(change.weight)
-    estimate = _estimate(change, S, b, options.sizes[int(np.argmax(each))])
+    estimate = _estimate(change, S, b, OPTIONS.sizes[int(np.argmax(each))])
     return (-np.inf if change.where == SCANNER else float(log)), estimate
 
 
-def _of_calibration(check: PlannedCheck, evidence: Evidence, options: CheckOptions) -> np.ndarray:
+def _of_calibration(check: PlannedCheck, evidence: Evidence) -> np.ndarray:
     """(R, R) covariance of the prediction: the calibrated parameters, and what a good arm is off beyond its model at each pose."""
     obs, prediction, cell = check.obs, check.prediction, check.cell
     T = prediction.T_base_scanner[obs.pose][:, :3, :3]
     A = np.swapaxes(T, 1, 2) @ cell.point_columns(obs.q[obs.pose], prediction.xyz)
     A = A.reshape(-1, A.shape[2])[evidence.keep]
-    J = prediction.by_twists(check.state.chain.joint_twists(prediction.frames)) * options.discrepancy
+    J = prediction.by_twists(check.state.chain.joint_twists(prediction.frames)) * OPTIONS.discrepancy
     J = J.reshape(-1, J.shape[2])[evidence.keep]
     pose = np.repeat(obs.pose, 3)[evidence.keep]
     return A @ cell.covariance @ A.T + (J @ J.T) * (pose[:, None] == pose)
-
-
-def _station_columns(check: PlannedCheck) -> np.ndarray:
-    columns = twist_columns(check.obs, check.prediction, "station", 0)
-    stations = [columns * (check.obs.station[check.obs.pose] == s)[:, None, None] for s in np.unique(check.obs.station)]
-    return np.concatenate([rows_of(part) for part in stations], axis=1)
 
 
 def _log_factor(S: np.ndarray, b: np.ndarray, size: float) -> float:
@@ -200,7 +195,7 @@ def _estimate(change: PossibleChange, S: np.ndarray, b: np.ndarray, size: float)
     return change.usual * a, change.usual * np.sqrt(np.diag(covariance)), float(2 * a @ b - a @ S @ a)
 
 
-def _suspects_since(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tuple[tuple[Suspect, ...], int, tuple[int, int]]:
+def _suspects_since(evidence: Evidence, level: int, T: int) -> tuple[tuple[Suspect, ...], int, tuple[int, int]]:
     """Suspects, the first check after the change, and from and to with 90 %."""
     process, lv = evidence.process, evidence.process.levels[level]
     sums = np.cumsum(evidence.days @ lv.scores, axis=0)
@@ -218,15 +213,15 @@ def _suspects_since(evidence: Evidence, level: int, T: int, options: CheckOption
         moved = evidence.days[days_before:].mean(axis=0) - evidence.days[:days_before].mean(axis=0)
         W = lv.weight * (days_before * (T - days_before) / T)
         S, b = change.columns.T @ W @ change.columns, change.columns.T @ W @ moved
-        estimates.append(_estimate(change, S, b, options.sizes[int(size)]))
-    return _ranked(evidence.changes, by_change, estimates, options), onset + 1, (low + 1, min(high, T - 2) + 1)
+        estimates.append(_estimate(change, S, b, OPTIONS.sizes[int(size)]))
+    return _ranked(evidence.changes, by_change, estimates), onset + 1, (low + 1, min(high, T - 2) + 1)
 
 
-def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Estimates, options: CheckOptions) -> tuple[Suspect, ...]:
+def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Estimates) -> tuple[Suspect, ...]:
     """The most probable change, and those that are not told from it; where that is unnamed, the most probable name too."""
     probability = np.exp(log - logsumexp(log))
     order = [int(k) for k in np.argsort(-log)]
-    chosen = [k for k in order if probability[k] * options.class_odds >= probability[order[0]]]
+    chosen = [k for k in order if probability[k] * OPTIONS.class_odds >= probability[order[0]]]
     if all(changes[k].name == UNNAMED for k in chosen):
         chosen.append(next(k for k in order if changes[k].name != UNNAMED))
     most = max(chi2 for *_, chi2 in estimates)
@@ -251,7 +246,7 @@ def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Est
     return tuple(out)
 
 
-def noticed(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tuple[tuple[str, str, float, str], ...]:
+def noticed(evidence: Evidence, level: int, T: int) -> tuple[tuple[str, str, float, str], ...]:
     """What change of a joint's zero, of the mount or an artefact, one coefficient at a time, is noticed within a week with 90 %."""
     process, lv = evidence.process, evidence.process.levels[level]
     days, week = max(T, 7), 7
@@ -262,7 +257,7 @@ def noticed(evidence: Evidence, level: int, T: int, options: CheckOptions) -> tu
         if change.name not in ("mastering", "mount", "artefact"):
             continue
         information = n * np.einsum("rk,rs,sk->k", change.columns, lv.weight, change.columns, optimize=True)
-        cost = np.log(2 / options.false_alarms) - onset - weight + np.log(len(options.sizes) * len(process.levels))
+        cost = np.log(2 / OPTIONS.false_alarms) - onset - weight + np.log(len(OPTIONS.sizes) * len(process.levels))
         cost = cost + 0.5 * len(change.usual) * np.log1p(information)
         size = change.usual * (np.sqrt(2 * cost) + POWER) / np.sqrt(np.maximum(information, 1e-300))
         out += [

@@ -136,40 +136,13 @@ def gear(arm: MujocoArm, joint: str, compliance: float, torque: float) -> Block:
 
 def sensor_delay(arm: MujocoArm, channel: str) -> Block:
     """Delay (s) of the sensors of one channel, of all joints alike."""
-
-    def each(spec: Any) -> list[Any]:
-        return [sensor for joint in arm.joints for sensor in sensors_of(spec, channel, joint)]
-
-    def prepare(spec: Any) -> None:
-        for sensor in each(spec):
-            _needs_delays(sensor)
-            sensor.nsample = max(sensor.nsample, int(np.ceil(LONGEST_DELAY_S / arm.timestep_s)) + 2)
-            sensor.interp = LINEAR
-
-    def apply(spec: Any, x: np.ndarray) -> None:
-        for sensor in each(spec):
-            sensor.delay = _possible_delay(x[0], arm.timestep_s)
-
-    known = [float(getattr(s, "delay", 0.0)) for s in each(arm.spec)]
-    return _delay("sensor_delay", channel, known[0] if known else 0.0, arm.timestep_s, prepare, apply)
+    return _delay("sensor_delay", channel, arm, lambda spec: [s for joint in arm.joints for s in sensors_of(spec, channel, joint)])
 
 
 def actuator_delay(arm: MujocoArm, joints: Sequence[str], where: str) -> Block:
     """Delay (s) of the servos of these joints, all alike."""
     numbers = [a for joint, a in zip(arm.joints, arm.servos or (), strict=False) if joint in joints]
-
-    def prepare(spec: Any) -> None:
-        for number in numbers:
-            servo = spec.actuators[number]
-            _needs_delays(servo)
-            servo.nsample = max(servo.nsample, int(np.ceil(LONGEST_DELAY_S / arm.timestep_s)) + 2)
-            servo.interp = LINEAR
-
-    def apply(spec: Any, x: np.ndarray) -> None:
-        for number in numbers:
-            spec.actuators[number].delay = _possible_delay(x[0], arm.timestep_s)
-
-    return _delay("actuator_delay", where, float(getattr(arm.spec.actuators[numbers[0]], "delay", 0.0)), arm.timestep_s, prepare, apply)
+    return _delay("actuator_delay", where, arm, lambda spec: [spec.actuators[number] for number in numbers])
 
 
 def servo_gains(arm: MujocoArm, joint: str) -> Block:
@@ -269,26 +242,33 @@ def _possible_delay(delay_s: float, timestep_s: float) -> float:
     return 0.0 if delay_s < timestep_s / 2 else max(float(delay_s), timestep_s)
 
 
-def _delay(
-    name: str, where: str, start: float, timestep_s: float, prepare: Callable[[Any], None], apply: Callable[[Any, np.ndarray], None]
-) -> Block:
+def _delay(name: str, where: str, arm: MujocoArm, each: Callable[[Any], list[Any]]) -> Block:
+    """One delay of several sensors or actuators of a model; each: gives those of a model."""
+
+    def prepare(spec: Any) -> None:
+        for element in each(spec):
+            if not hasattr(element, "delay"):
+                raise ConfigError("this version of MuJoCo has no delays of sensors and actuators; pip install --upgrade mujoco-core")
+            element.nsample = max(element.nsample, int(np.ceil(LONGEST_DELAY_S / arm.timestep_s)) + 2)
+            element.interp = LINEAR
+
+    def apply(spec: Any, x: np.ndarray) -> None:
+        for element in each(spec):
+            element.delay = _possible_delay(x[0], arm.timestep_s)
+
+    known = [float(getattr(element, "delay", 0.0)) for element in each(arm.spec)]
     return Block(
         name=name,
         where=where,
-        start=np.array([start]),
+        start=np.array(known[:1] or [0.0]),
         lower=np.zeros(1),
         upper=np.array([LONGEST_DELAY_S]),
-        step=np.array([DELAY_STEP * timestep_s]),
+        step=np.array([DELAY_STEP * arm.timestep_s]),
         sigma=np.array([LONGEST_DELAY_S]),
         apply=apply,
-        values=lambda x: {"delay_s": _possible_delay(x[0], timestep_s)},
+        values=lambda x: {"delay_s": _possible_delay(x[0], arm.timestep_s)},
         prepare=prepare,
     )
-
-
-def _needs_delays(element: Any) -> None:
-    if not hasattr(element, "delay"):
-        raise ConfigError("this version of MuJoCo has no delays of sensors and actuators; pip install --upgrade mujoco-core")
 
 
 def _block(

@@ -18,9 +18,11 @@ from mbcacq.acquisition.collected.collected_run import CollectedPose, CollectedR
 from mbcacq.acquisition.collected.found_cloud import FoundCloud, look_at
 from mbcacq.acquisition.collected.placement_fit import PlacementFit
 from mbcacq.acquisition.event_bus import EventBus
+from mbcacq.design.simulated_observations import last_directions
 from mbcacq.errors import ConfigError
 from mbcacq.files.table import Column, TableSchema, read_table
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
+from mbcacq.plan.routing import find_paths
 from mbcacq.spheres import SphereOptions, find_spheres
 from mbcacq.spheres.cloud_file import UNITS_MM
 from mbcacq.spheres.cloud_files import SUFFIXES, CloudFormat, read_points, says_simulated
@@ -339,7 +341,7 @@ def _collected(
     session: _Session, clouds: list[FoundCloud], found: CloudAssignment, logged: dict[int, np.ndarray], done: frozenset[int]
 ) -> list[CollectedPose]:
     start = min(cloud.written_s for cloud in clouds) if clouds else 0.0
-    direction = _directions(session)
+    direction = last_directions(session.loaded, session.poses, find_paths(session.loaded, session.poses)[0])
     out: list[CollectedPose] = []
     for k, pose in enumerate(session.poses):
         own = [clouds[c] for slot, c in zip(session.slots, found.cloud, strict=True) if c is not None and slot.pose == k]
@@ -347,21 +349,6 @@ def _collected(
             q = logged.get(pose.number, pose.q)
             files = tuple(cloud.path for cloud in own)
             out.append(CollectedPose(pose, q, direction[k], files, min(c.written_s for c in own) - start))
-    return out
-
-
-def _directions(session: _Session) -> list[np.ndarray]:
-    """(n,) -1, 0, 1: how each joint turned last before each pose, on the planned routes."""
-    from mbcacq.acquisition.mover import MOVED
-    from mbcacq.plan.routing import find_paths
-
-    transits, _ = find_paths(session.loaded, session.poses)
-    last, now, out = np.radians(session.loaded.plan.robot.home_deg), np.zeros(session.loaded.cell.robot.n, dtype=int), []
-    for pose, transit in zip(session.poses, transits, strict=True):
-        for q in (*transit, pose.q):
-            now = np.where(np.abs(q - last) > MOVED, np.sign(q - last), now).astype(int)
-            last = q
-        out.append(now)
     return out
 
 

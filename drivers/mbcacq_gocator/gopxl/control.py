@@ -8,25 +8,18 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from mbcacq.devices import ConnectError, DeviceFault, DeviceTimeout, ProtocolError
+from mbcacq.devices import ConnectError, DeviceTimeout, ProtocolError
 from mbcacq_gocator import wire
 from mbcacq_gocator.gopxl import frames
-from mbcacq_gocator.status import OK, meaning
+from mbcacq_gocator.request_connection import RequestConnection
+from mbcacq_gocator.status import OK, SensorRefused, meaning
 
 REPLY_S, STATE_S, JOB_S = 5.0, 15.0, 20.0  # limits of the vendor's own client: resources, start and stop, jobs
 NOT_FOUND = -999
 MAX_BETWEEN = 10_000  # notifications before a reply
 
 
-class GoPxLRefused(DeviceFault):
-    """GoPxL answered, and said no. status: its code."""
-
-    def __init__(self, text: str, status: int) -> None:
-        super().__init__(text)
-        self.status = status
-
-
-class GoPxLControl:
+class GoPxLControl(RequestConnection):
     """Requests carry no number: a reply belongs to the oldest request. So there is one request at a time, and after anything
     that leaves a reply outstanding the connection is closed.
     """
@@ -40,29 +33,13 @@ class GoPxLControl:
         grace_s: float = 0.0,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._address, self._port = address, port
-        self._connect_timeout_s, self._cancelled = connect_timeout_s, cancelled
-        self._reply_limit_s, self._grace_s = reply_limit_s, grace_s
-        self._sock: socket.socket | None = None
+        super().__init__(address, port, connect_timeout_s, reply_limit_s, grace_s)
+        self._cancelled = cancelled
         self._one_request = threading.Lock()
 
     def open(self) -> None:
         """Raises ConnectError."""
         self._sock = wire.connect(self._address, self._port, "GoPxL control", self._connect_timeout_s)
-
-    @property
-    def is_open(self) -> bool:
-        return self._sock is not None
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether it is closed, by us or by the sensor."""
-        return wire.has_ended(self._sock)
-
-    def close(self) -> None:
-        """Idempotent; a request under way ends at once."""
-        sock, self._sock = self._sock, None
-        wire.shut(sock)
 
     def read(self, path: str, limit_s: float = REPLY_S, **args: Any) -> dict[str, Any]:
         return self.ask("read", path, None, args, limit_s)
@@ -71,7 +48,7 @@ class GoPxLControl:
         """As ``read``, but {} where this firmware has no such resource."""
         try:
             return self.read(path, **args)
-        except GoPxLRefused as error:
+        except SensorRefused as error:
             if error.status != NOT_FOUND:
                 raise
             return {}
@@ -91,7 +68,7 @@ class GoPxLControl:
         limit_s: float = REPLY_S,
         may_be_cancelled: bool = True,
     ) -> dict[str, Any]:
-        """The payload of the reply. Raises Refused, ConnectError, DeviceTimeout, ProtocolError, Aborted."""
+        """The payload of the reply. Raises SensorRefused, ConnectError, DeviceTimeout, ProtocolError, Aborted."""
         limit_s = self._grace_s + min(limit_s, self._reply_limit_s or limit_s)
         with self._one_request:
             sock = self._sock
@@ -102,7 +79,7 @@ class GoPxLControl:
             try:
                 self._send(sock, frames.request(method, path, payload, args), limit_s)
                 return self._answer(sock, path, deadline, cancelled)
-            except GoPxLRefused:
+            except SensorRefused:
                 raise
             except BaseException:
                 self.close()  # a late reply would be taken for that to the next request
@@ -140,7 +117,7 @@ class GoPxLControl:
         if not isinstance(status, int) or not isinstance(payload, dict):
             raise ProtocolError(f"the answer of GoPxL to {path} has no status or no payload")
         if status != OK:
-            raise GoPxLRefused(f"GoPxL refuses {path}: {meaning(status)}{_described(payload)}", status)
+            raise SensorRefused(f"GoPxL refuses {path}: {meaning(status)}{_described(payload)}", status)
         return payload
 
 

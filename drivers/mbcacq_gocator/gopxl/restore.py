@@ -8,7 +8,8 @@ from typing import Any
 
 from mbcacq.devices import MbcacqError
 from mbcacq_gocator.gopxl import tree
-from mbcacq_gocator.gopxl.control import JOB_S, NOT_FOUND, STATE_S, GoPxLControl, GoPxLRefused
+from mbcacq_gocator.gopxl.control import JOB_S, NOT_FOUND, STATE_S, GoPxLControl
+from mbcacq_gocator.status import SensorRefused
 
 
 @dataclass
@@ -61,6 +62,6 @@ def _steps(control: GoPxLControl, found: Found, job: str) -> list[Callable[[], o
 def _remove(control: GoPxLControl, number: int) -> None:
     try:
         control.call(f"{tree.GDP_OUTPUTS}/commands/remove", {"outputId": number})
-    except GoPxLRefused as error:
+    except SensorRefused as error:
         if error.status != NOT_FOUND:  # it went with another job, or in an attempt before this one
             raise

@@ -7,7 +7,6 @@ import numpy as np
 from mbcacq.errors import ConfigError
 from mbcacq_fakes.world.camera import ArmReadout, Camera
 from mbcacq_fakes.world.description import CellFacts
-from mbcacq_fakes.world.environment import Environment
 from mbcacq_fakes.world.noise import NoiseGrowth, ScannerNoise
 from mbcacq_fakes.world.operator import FakeOperator
 from mbcacq_fakes.world.options import FakeOptions, arm_errors
@@ -30,7 +29,7 @@ def make_world(facts: CellFacts, options: FakeOptions, seed: int) -> World:
         station_mm=options.station_error.mm,
         station_rad=np.radians(options.station_error.deg),
     )
-    return World(facts, deviations, _effects(options), Environment(**options.climate.model_dump()), seed, options.noise_seed)
+    return World(facts, deviations, _effects(options), options.climate, seed, options.noise_seed)
 
 
 def make_camera(  # noqa: PLR0913 -- one argument a part of the cell

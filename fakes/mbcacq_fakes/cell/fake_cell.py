@@ -8,7 +8,6 @@ import sys
 import threading
 from contextlib import suppress
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -30,6 +29,7 @@ from mbcacq_fakes.cell.controller import (
 from mbcacq_fakes.cell.faults import CellFaults
 from mbcacq_fakes.cell.ports import FOLDER, NEUTRAL, POSITIONERS, SCANNERS, scanner_address
 from mbcacq_fakes.protocols.krc.arm_state import MOST_AXES, ArmState
+from mbcacq_fakes.protocols.started import Started
 from mbcacq_fakes.world import options as fake_options
 from mbcacq_fakes.world.description import CellFacts, from_cell
 from mbcacq_fakes.world.frame import ScannerFrame
@@ -38,7 +38,7 @@ LED_DEG = 0.3  # by so much a person misses the angle of an axis, at most
 PACE_S = 4.0  # robot time from one pose to the next, roughly
 
 
-class FakeCell:
+class FakeCell(Started):
     """Context manager. loaded, poses: the plan and its expansion (mbcacq.plan.LoadedPlan, list of PlannedPose; read only by name).
 
     realtime: the controller's 4 ms by the clock; else lock-step, as fast as the client answers. ports: 'free' takes free ports on
@@ -195,12 +195,6 @@ class FakeCell:
         with self._lock:
             self._send((command, arguments))
             return self._receive()
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()
 
     def _job(self) -> dict[str, Any]:
         plan = self._plan

@@ -16,6 +16,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from mbcacq.devices import parse_options
 from mbcacq.errors import ConfigError, ConnectError
 from mbcacq.spheres.cloud_files import read_points
 from mbcacq_fakes.cell.build_world import make_camera, make_world
@@ -161,7 +162,6 @@ class Servers:
     def _start_modbus_positioner(self, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.modbus import PositionerOptions
 
-        from mbcacq.devices import parse_options
         from mbcacq_fakes.protocols.bus.modbus import FakeModbus, FakePositioner
 
         options = parse_options(PositionerOptions, "the Modbus positioner", given)
@@ -178,7 +178,6 @@ class Servers:
     def _start_serial_positioner(self, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.serial_positioner import SerialPositionerOptions
 
-        from mbcacq.devices import parse_options
         from mbcacq_fakes.protocols.bus.serial_positioner import FakeSerialPositioner
 
         options = parse_options(SerialPositionerOptions, "the serial positioner", given)
@@ -188,8 +187,7 @@ class Servers:
             raise ConfigError(f"the fake serial positioner cannot play these patterns: {error}; simplify them for the dry run") from error
         self._positioner, self._bus = line.motion, line
         self._stand_on(line.motion)
-        self._stack.callback(line.stop)
-        line.start()
+        self._stack.enter_context(line)
         return {"port": line.url}
 
     def _travel_s(self) -> float:
@@ -214,7 +212,6 @@ class Servers:
         if driver == "modbus":
             from mbcacq_bus.modbus import SensorOptions
 
-            from mbcacq.devices import parse_options
             from mbcacq_fakes.protocols.bus.modbus import FakeModbus
 
             options = parse_options(SensorOptions, "the Modbus sensor", given)
@@ -227,7 +224,6 @@ class Servers:
     def _start_serial(self, number: int, given: dict[str, Any]) -> dict[str, Any]:
         from mbcacq_bus.serial import SerialOptions
 
-        from mbcacq.devices import parse_options
         from mbcacq_fakes.protocols.bus.line_for import fill, names, template
         from mbcacq_fakes.protocols.bus.serial_line import SerialLine
 
@@ -251,8 +247,7 @@ class Servers:
             lambda heard: say() if heard == asked else answers.get(heard), None if asked else say, **self._line_address(options.port)
         )
         self._sensors[number] = sensor
-        self._stack.callback(sensor.stop)
-        sensor.start()
+        self._stack.enter_context(sensor)
         return {"port": sensor.url}
 
     def _serve(self, bus: Any, options: Any) -> dict[str, Any]:
@@ -275,9 +270,8 @@ class Servers:
         if bus.rtu and sys.platform != "win32":
             from mbcacq_fakes.cell.terminal_bridge import TerminalBridge
 
-            bridge = TerminalBridge(bus.host, bus.port)
-            self._stack.callback(bridge.stop)
-            return {"host": None, "serial": bridge.start().url, "parity": "N"}  # a pseudo-terminal knows no parity
+            bridge = self._stack.enter_context(TerminalBridge(bus.host, bus.port))
+            return {"host": None, "serial": bridge.url, "parity": "N"}  # a pseudo-terminal knows no parity
         return {"host": bus.host, "port": bus.port, "serial": None}
 
     def _value(self, name: str) -> Any:

@@ -10,13 +10,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import ruckig
 
-from mbcacq.devices import ConfigError, Cycles, Description, Field, MotionLimits, RobotState, SafetyStop
+from mbcacq.devices import ConfigError, ContextDevice, Cycles, Description, Field, MotionLimits, RobotState, SafetyStop
 
 CYCLE_S = 0.004
 CYCLES_AT_ONCE = 25  # of a motion, per look at the state
@@ -42,7 +41,7 @@ class LedTarget:
         """A simulated robot is its own controller: there is none to stop."""
 
 
-class SimulatedRobot:
+class SimulatedRobot(ContextDevice):
     """Implements mbcacq.devices.Robot. options: limits_deg (n, 2) and, from the fake cell, state, clock_start_s and clock, which says how
     long other devices took; led, a LedTarget; follow: it moves by that alone. Others are of the plan's own driver."""
 
@@ -152,13 +151,6 @@ class SimulatedRobot:
         self.stop()
         with self._lock:
             self._connected = False
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _check(self) -> None:
         if not self._connected:

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from mbcacq.devices import ConfigError, Description, Field, Scan
+from mbcacq.devices import ConfigError, ContextDevice, Description, Field, Scan
 from mbcacq_fakes.cell.simulated_clock import SimulatedClock
 from mbcacq_fakes.world.frame import ScannerFrame
 
 
-class SimulatedScanner:
+class SimulatedScanner(ContextDevice):
     """Implements mbcacq.devices.Scanner. options, from the fake cell: expose(exposure_us), which gives a frame; clock and scan_time_s, by
     which an exposure takes time; others are of the plan's own driver."""
 
@@ -62,13 +61,6 @@ class SimulatedScanner:
 
     def close(self) -> None:
         self._connected = False
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
 
 def scan_of(frame: ScannerFrame, number: int, exposure_us: float) -> Scan:

@@ -12,10 +12,12 @@ import threading
 import tty
 from typing import Self
 
+from mbcacq_fakes.protocols.started import Started
+
 POLL_S = 0.05
 
 
-class TerminalBridge:
+class TerminalBridge(Started):
     """``url`` is the terminal's name. unplug: cuts the cable."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -40,12 +42,6 @@ class TerminalBridge:
         self._master = self._slave = -1
 
     unplug = stop
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     def _carry(self) -> None:
         try:

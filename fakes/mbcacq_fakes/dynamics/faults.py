@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -44,20 +44,8 @@ class Drives:
     clocks: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in (
-            "latency_s",
-            "time_constant_s",
-            "coulomb",
-            "viscous",
-            "stribeck",
-            "stribeck_speed",
-            "load_share",
-            "link_coulomb",
-            "compliance",
-            "backlash",
-            "scale",
-        ):
-            setattr(self, name, np.zeros(self.n))
+        for ideal in (f for f in fields(self) if not f.init):
+            setattr(self, ideal.name, np.zeros(self.n))
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+
+def refuse_unknown(faults: Iterable[str], known: Mapping[str, str] | Sequence[str]) -> None:
+    """Raises ValueError for faults that there are none of."""
+    if unknown := sorted(set(faults) - set(known)):
+        raise ValueError(f"unknown faults {', '.join(unknown)}; known are {', '.join(known)}")
 
 
 class Faults:

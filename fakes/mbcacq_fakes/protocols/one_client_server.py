@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import socket
 import threading
-from abc import ABC, abstractmethod
-from types import TracebackType
+from abc import abstractmethod
 from typing import Self
 
+from mbcacq_fakes.protocols.started import Started
 
-class OneClientServer(ABC):
+
+class OneClientServer(Started):
     """Context manager; ``talk`` serves a client until it goes or ``_quit`` is set. port: 0 for any free one."""
 
     def __init__(self, name: str, host: str = "127.0.0.1", port: int = 0) -> None:
@@ -32,12 +33,6 @@ class OneClientServer(ABC):
         if self._thread.is_alive():
             self._thread.join(5.0)
         self._server.close()
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()
 
     def _run(self) -> None:
         while not self._quit.is_set():

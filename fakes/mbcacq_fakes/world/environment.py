@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from pydantic import Field
+
+from mbcacq_fakes.world.strict_options import StrictOptions
 
 SCANNER_WARMUP_K = 14.0  # of a housing that its electronics heat
 SCANNER_SHARE = 0.4  # of the arm's time constant
 
 
-@dataclass(frozen=True)
-class Environment:
+class Environment(StrictOptions):
     """Air drifts slowly; the arm warms up towards ``warmup_K`` above the air with ``time_constant_s`` from switch-on.
 
     time_scale: seconds of the cell's day per second of robot time, so that a short run can see slow things happen.
@@ -20,11 +20,11 @@ class Environment:
 
     air_C: float = 21.0
     air_drift_K: float = 0.8
-    air_period_s: float = 9000.0
+    air_period_s: float = Field(default=9000.0, gt=0)
     warmup_K: float = 9.0
-    time_constant_s: float = 2700.0
-    start_s: float = 0.0
-    time_scale: float = 1.0
+    time_constant_s: float = Field(default=2700.0, gt=0)
+    start_s: float = Field(default=0.0, ge=0)
+    time_scale: float = Field(default=1.0, gt=0)
 
     def clock(self, robot_time_s: np.ndarray) -> np.ndarray:
         """Time of the cell's day for the robot's own clock."""

@@ -9,13 +9,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mbcacq.errors import ConfigError
+from mbcacq_fakes.world.environment import Environment
+from mbcacq_fakes.world.strict_options import StrictOptions
 
 Vector = tuple[float, float, float]
 Row = tuple[float, float, float, float, float]
-
-
-class StrictOptions(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Frame(StrictOptions):
@@ -34,16 +32,6 @@ class Spread(StrictOptions):
 
     mm: float = Field(ge=0)
     deg: float = Field(ge=0)
-
-
-class Climate(StrictOptions):
-    air_C: float = 21.0
-    air_drift_K: float = 0.8
-    air_period_s: float = Field(default=9000.0, gt=0)
-    warmup_K: float = 9.0
-    time_constant_s: float = Field(default=2700.0, gt=0)
-    start_s: float = Field(default=0.0, ge=0)
-    time_scale: float = Field(default=1.0, gt=0)
 
 
 class InjectedEffectOptions(BaseModel):
@@ -81,7 +69,7 @@ class FakeOptions(StrictOptions):
     speckle_mm: float = Field(default=0.012, ge=0)
     pitch_mm: float = Field(default=0.25, gt=0.03)
     furniture: bool = True
-    climate: Climate = Climate()
+    climate: Environment = Environment()
     hidden: tuple[InjectedEffectOptions, ...] = ()
     mishaps: tuple[Mishap, ...] = ()
     draws: Literal["course", "pose"] = "course"  # whether noise follows the course of the run, or belongs to each planned pose

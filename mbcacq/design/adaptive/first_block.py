@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mbcacq.design.adaptive.next_plan import steps_of
-from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
+from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.plan_order import best_of_plan
 from mbcacq.design.adaptive.pool import shortest_order
 from mbcacq.design.adaptive.visit_choice import Visit
@@ -13,9 +13,9 @@ from mbcacq.model import yaml12
 from mbcacq.plan import LoadedPlan, load
 
 
-def first_block(loaded: LoadedPlan, options: AdaptiveOptions = OPTIONS) -> LoadedPlan:
+def first_block(loaded: LoadedPlan) -> LoadedPlan:
     """The plan with its best few poses alone, station by station, as one that other poses are added to."""
-    chosen = best_of_plan(loaded, options.first_block, options)
+    chosen = best_of_plan(loaded, OPTIONS.first_block)
     visits = []
     for station in dict.fromkeys(s.id for s in loaded.cell.stations):
         here = [p for p in chosen if p.station == station]

@@ -11,7 +11,7 @@ import numpy as np
 from mbcacq.design.adaptive.backward_elimination import BackwardElimination, MeasuredInformation
 from mbcacq.design.adaptive.information_blocks import InformationBlocks
 from mbcacq.design.adaptive.next_plan import costs_of
-from mbcacq.design.adaptive.options import OPTIONS, AdaptiveOptions
+from mbcacq.design.adaptive.options import OPTIONS
 from mbcacq.design.adaptive.pool import routed
 from mbcacq.design.adaptive.questions import Questions, questions
 from mbcacq.design.candidate_views import CandidateView, candidates
@@ -51,23 +51,21 @@ class _Item:
     given: bool
 
 
-def ordered(
-    loaded: LoadedPlan, count: int | None = None, steepest_deg: float = 40.0, seed: int = 0, options: AdaptiveOptions = OPTIONS
-) -> PlanOrder:
+def ordered(loaded: LoadedPlan, count: int | None = None, steepest_deg: float = 40.0, seed: int = 0) -> PlanOrder:
     """The plan with its 'position' poses, or ``count`` better ones, in blocks of which each is the best continuation of those before it.
 
     From the plan's poses and random views, the one is left out again and again that is missed least, by the information on all effects of
     the catalogue per second of motion, scan and artefact move. The poses of the other phases stay.
     Raises ConfigError where the plan has no 'position' step that looks at stations.
     """
-    kept, items = _items(loaded, steepest_deg, seed, options)
+    kept, items = _items(loaded, steepest_deg, seed)
     own = sum(item.given for item in items)
     count = min(count or own, len(items))
     blocks, asked, before = _information(loaded, kept, [item.pose for item in items])
     given = np.array([item.given for item in items])
     whole = _value(asked, before.with_poses(blocks.select(np.flatnonzero(given))).squares)
-    rank = _elimination_order(loaded, items, blocks, asked, before, count, options)
-    sizes = [n for n in (options.first_block, options.second_block) if n < count] + [count]
+    rank = _elimination_order(loaded, items, blocks, asked, before, count)
+    sizes = [n for n in (OPTIONS.first_block, OPTIONS.second_block) if n < count] + [count]
     shares = [_value(asked, before.with_poses(blocks.select(rank[:n])).squares) / max(whole, 1e-12) for n in sizes]
     steps = []
     for number, (a, b) in enumerate(zip([0, *sizes[:-1]], sizes, strict=True), 1):
@@ -76,17 +74,17 @@ def ordered(
     return PlanOrder(with_position_steps(loaded, steps), count, lengths, tuple(float(s) for s in shares), len(items))
 
 
-def best_of_plan(loaded: LoadedPlan, count: int, options: AdaptiveOptions = OPTIONS) -> list[PlannedPose]:
+def best_of_plan(loaded: LoadedPlan, count: int) -> list[PlannedPose]:
     """The ``count`` poses of a plan, those that judge it left out, that show most of all effects per second."""
     reachable, _ = expand_reachable(loaded)
     poses = [p for p in reachable if p.phase != "verification"]
     items = [_Item(p.station, None, View(), p, True) for p in poses]
     blocks, asked, before = _information(loaded, [], poses)
-    rank = _elimination_order(loaded, items, blocks, asked, before, count, options)
+    rank = _elimination_order(loaded, items, blocks, asked, before, count)
     return [poses[k] for k in sorted(rank[:count].tolist())]
 
 
-def _items(loaded: LoadedPlan, steepest_deg: float, seed: int, options: AdaptiveOptions) -> tuple[list[PlannedPose], list[_Item]]:
+def _items(loaded: LoadedPlan, steepest_deg: float, seed: int) -> tuple[list[PlannedPose], list[_Item]]:
     """Poses that stay, and those among which is chosen: of the plan's 'position' steps and random views at their stations."""
     reachable, unreachable = expand_reachable(loaded)
     if unreachable:
@@ -97,7 +95,7 @@ def _items(loaded: LoadedPlan, steepest_deg: float, seed: int, options: Adaptive
         raise ConfigError(f"{loaded.path}: there is no step 'do: look' of phase 'position' whose poses could be ordered; add one")
     stations = list(dict.fromkeys(item.station for item in items))
     aims = {item.station: item.aim is None for item in items}
-    found: list[CandidateView] = candidates(loaded, stations, steepest_deg, seed, DesignOptions(views_per_station=options.views_of_order))
+    found: list[CandidateView] = candidates(loaded, stations, steepest_deg, seed, DesignOptions(views_per_station=OPTIONS.views_of_order))
     drawn = [_Item(c.station, c.aim, c.view, replace(c.pose, phase="position"), False) for c in found if aims[c.station] == (c.aim is None)]
     return kept, [*items, *(item for item in drawn if routed(loaded, item.pose))]
 
@@ -133,21 +131,15 @@ def _information(
 
 
 def _elimination_order(
-    loaded: LoadedPlan,
-    items: Sequence[_Item],
-    blocks: InformationBlocks,
-    asked: Questions,
-    before: MeasuredInformation,
-    count: int,
-    options: AdaptiveOptions,
+    loaded: LoadedPlan, items: Sequence[_Item], blocks: InformationBlocks, asked: Questions, before: MeasuredInformation, count: int
 ) -> np.ndarray:
     """Indices of all items, the one that was left out last first: what is missed least per second that is saved goes first. The poses of
     the first block have no order among themselves: so few that they hardly determine the geometry say little of each other but rounding.
     """
-    elimination, costs = BackwardElimination(before, blocks, 0), costs_of(loaded, None, options)
+    elimination, costs = BackwardElimination(before, blocks, 0), costs_of(loaded, None)
     station = np.unique([item.station for item in items], return_inverse=True)[1]
     gone = list[int]()
-    while elimination.left.sum() > min(count, options.first_block):
+    while elimination.left.sum() > min(count, OPTIONS.first_block):
         index, _, missed = elimination.missed()
         loss = asked.hidden(elimination.squares) - asked.hidden(elimination.squares - missed)
         here = np.bincount(station[index])[station[index]]

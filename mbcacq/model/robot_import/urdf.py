@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -22,20 +22,13 @@ FASTEST = 35.0  # rad/s: no axis of an arm turns at 2000 deg/s
 LONGEST_ARM_MM, SHORTEST_ARM_MM = 50e3, 20.0
 
 
-@dataclass(frozen=True)
-class Joint:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joint(TreeJoint):
     """origin: (4, 4) mm in the parent link; axis: (3,) unit; lower, upper, velocity: nan where absent; follows: joint of a <mimic>."""
 
-    name: str
-    kind: str
-    parent: str
-    child: str
     origin: np.ndarray
     axis: np.ndarray
-    lower: float
-    upper: float
     velocity: float
-    follows: str
 
 
 def read_urdf(
@@ -96,23 +89,7 @@ def _tree(path: Path, root: Element, joints: Sequence[Joint]) -> KinematicTree:
     links = {str(e.get("name")): e for e in root.findall("link")}
     shaped = {name for name, e in links.items() if e.find("visual") is not None or e.find("collision") is not None}
     named = [link for j in joints for link in (j.parent, j.child)]
-    return KinematicTree(
-        (
-            TreeJoint(
-                name=j.name,
-                kind=j.kind,
-                parent=j.parent,
-                child=j.child,
-                lower=j.lower,
-                upper=j.upper,
-                follows=j.follows,
-                bare=j.child not in shaped,
-            )
-            for j in joints
-        ),
-        [*links, *named],
-        path,
-    )
+    return KinematicTree((replace(j, bare=j.child not in shaped) for j in joints), [*links, *named], path)
 
 
 def _roots(tree: KinematicTree, root: Element, chain: Sequence[Joint]) -> list[str]:

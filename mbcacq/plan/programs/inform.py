@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
 
 
 def write(program: MotionProgram, pulses: np.ndarray) -> dict[str, str]:
@@ -49,15 +49,13 @@ def _job(program: MotionProgram, name: str, pulses: np.ndarray) -> Iterator[str]
 
 def _expose(program: MotionProgram) -> Iterator[str]:
     trigger = program.trigger
-    if trigger.kind == "key":
-        yield "'TAKE ONE CLOUD, THEN START"
-        yield "PAUSE"
-        return
-    if trigger.kind == "output":
-        yield f"DOUT OT#({trigger.output}) ON"
-        yield f"TIMER T={trigger.pulse_s:.2f}"
-        yield f"DOUT OT#({trigger.output}) OFF"
-    yield f"TIMER T={trigger.exposure_s:.2f}"
+    return exposed(
+        trigger,
+        key=("'TAKE ONE CLOUD, THEN START", "PAUSE"),
+        wait=lambda seconds: f"TIMER T={seconds:.2f}",
+        on=f"DOUT OT#({trigger.output}) ON",
+        off=f"DOUT OT#({trigger.output}) OFF",
+    )
 
 
 def _lines(text: str) -> Iterator[str]:

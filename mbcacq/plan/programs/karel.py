@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
 
 REGISTER = 90  # position register that the program uses
 MOVER = "MBC_MOVE"
@@ -81,15 +81,13 @@ def _source(program: MotionProgram) -> Iterator[str]:
 
 def _expose(program: MotionProgram) -> Iterator[str]:
     trigger = program.trigger
-    if trigger.kind == "key":
-        yield "WRITE('Take one cloud of pose ', mb_pose, ', then ENTER', CR)"
-        yield "READ(answer)"
-        return
-    if trigger.kind == "output":
-        yield f"DOUT[{trigger.output}] = ON"
-        yield f"DELAY {_ms(trigger.pulse_s)}"
-        yield f"DOUT[{trigger.output}] = OFF"
-    yield f"DELAY {_ms(trigger.exposure_s)}"
+    return exposed(
+        trigger,
+        key=("WRITE('Take one cloud of pose ', mb_pose, ', then ENTER', CR)", "READ(answer)"),
+        wait=lambda seconds: f"DELAY {_ms(seconds)}",
+        on=f"DOUT[{trigger.output}] = ON",
+        off=f"DOUT[{trigger.output}] = OFF",
+    )
 
 
 def _ms(seconds: float) -> int:

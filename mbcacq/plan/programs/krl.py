@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
 
 HEAD = "&ACCESS RVP\n&PARAM EDITMASK = *\n&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe\n"
 
@@ -74,12 +74,10 @@ def _source(program: MotionProgram) -> Iterator[str]:
 
 def _expose(program: MotionProgram) -> Iterator[str]:
     trigger = program.trigger
-    if trigger.kind == "key":
-        yield "; take one cloud now, then start again"
-        yield "HALT"
-        return
-    if trigger.kind == "output":
-        yield f"$OUT[{trigger.output}]=TRUE"
-        yield f"WAIT SEC {trigger.pulse_s:.2f}"
-        yield f"$OUT[{trigger.output}]=FALSE"
-    yield f"WAIT SEC {trigger.exposure_s:.2f}"
+    return exposed(
+        trigger,
+        key=("; take one cloud now, then start again", "HALT"),
+        wait=lambda seconds: f"WAIT SEC {seconds:.2f}",
+        on=f"$OUT[{trigger.output}]=TRUE",
+        off=f"$OUT[{trigger.output}]=FALSE",
+    )

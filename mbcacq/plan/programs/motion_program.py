@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -143,6 +143,19 @@ def motion_program(
         speed_rad_s=float(np.min(limits.speed)),
         acceleration_rad_s2=float(np.min(limits.acceleration)),
     )
+
+
+def exposed(trigger: Trigger, key: Sequence[str], wait: Callable[[float], str], on: str, off: str) -> Iterator[str]:
+    """How an exposure is asked for, in a controller's language. key: lines that wait for a person; wait: the line that waits so many
+    seconds; on, off: those that switch the output."""
+    if trigger.kind == "key":
+        yield from key
+        return
+    if trigger.kind == "output":
+        yield on
+        yield wait(trigger.pulse_s)
+        yield off
+    yield wait(trigger.exposure_s)
 
 
 def plain(text: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
 
 SHORTEST_S = 0.1  # of a move that hardly goes anywhere
 FIRST = "v50"  # mm/s, from wherever the arm stands
@@ -59,12 +59,10 @@ def _module(program: MotionProgram) -> Iterator[str]:
 
 def _expose(program: MotionProgram) -> Iterator[str]:
     trigger = program.trigger
-    if trigger.kind == "key":
-        yield 'TPWrite "Take one cloud of pose " \\Num:=mb_pose;'
-        yield "Stop;"
-        return
-    if trigger.kind == "output":
-        yield f"SetDO do_mbcacq_{trigger.output}, 1;"
-        yield f"WaitTime {trigger.pulse_s:.2f};"
-        yield f"SetDO do_mbcacq_{trigger.output}, 0;"
-    yield f"WaitTime {trigger.exposure_s:.2f};"
+    return exposed(
+        trigger,
+        key=('TPWrite "Take one cloud of pose " \\Num:=mb_pose;', "Stop;"),
+        wait=lambda seconds: f"WaitTime {seconds:.2f};",
+        on=f"SetDO do_mbcacq_{trigger.output}, 1;",
+        off=f"SetDO do_mbcacq_{trigger.output}, 0;",
+    )

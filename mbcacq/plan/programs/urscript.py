@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
 
 
 def write(program: MotionProgram) -> dict[str, str]:
@@ -46,11 +46,10 @@ def _script(program: MotionProgram) -> Iterator[str]:
 
 def _expose(program: MotionProgram) -> Iterator[str]:
     trigger = program.trigger
-    if trigger.kind == "key":
-        yield 'popup("Take one cloud, then go on", title="mbcacq", blocking=True)'
-        return
-    if trigger.kind == "output":
-        yield f"set_standard_digital_out({trigger.output}, True)"
-        yield f"sleep({trigger.pulse_s:.2f})"
-        yield f"set_standard_digital_out({trigger.output}, False)"
-    yield f"sleep({trigger.exposure_s:.2f})"
+    return exposed(
+        trigger,
+        key=('popup("Take one cloud, then go on", title="mbcacq", blocking=True)',),
+        wait=lambda seconds: f"sleep({seconds:.2f})",
+        on=f"set_standard_digital_out({trigger.output}, True)",
+        off=f"set_standard_digital_out({trigger.output}, False)",
+    )

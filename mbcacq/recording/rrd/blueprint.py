@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -64,7 +65,14 @@ def blueprint(
             active_tab=0,
             name="mbcacq",
         ),
-        rrb.TimePanel(state="collapsed", timeline=layout.TIME, play_state="following" if live else "paused"),
+        *collapsed(layout.TIME, play_state="following" if live else "paused"),
+    )
+
+
+def collapsed(timeline: str, **time: Any) -> tuple[rrb.TimePanel, rrb.SelectionPanel, rrb.BlueprintPanel]:
+    """The panels around the views, folded away. time: more of the time panel."""
+    return (
+        rrb.TimePanel(state="collapsed", timeline=timeline, **time),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
@@ -251,12 +259,7 @@ def curves_over_time(name: str, entities: list[str]) -> rrb.TimeSeriesView:
 def alone(viewpoint: ViewerCamera, diagnosis: float, responses: Sequence[str] = (), motion: Sequence[rrb.Container] = ()) -> rrb.Blueprint:
     """The tab of a diagnosis as the whole window, for a recording that holds nothing else. motion: tabs of a diagnosis of the motion."""
     poses = _diagnosis(viewpoint, Enlarged(diagnosis=diagnosis, responses=tuple(responses)))
-    return rrb.Blueprint(
-        rrb.Tabs(poses, *motion, active_tab=0) if motion else poses,
-        rrb.TimePanel(state="collapsed", timeline=layout.POSE),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-    )
+    return rrb.Blueprint(rrb.Tabs(poses, *motion, active_tab=0) if motion else poses, *collapsed(layout.POSE))
 
 
 def for_cell(cell: Cell, plan_yaml: str, enlarged: Enlarged = Enlarged(), live: bool = False) -> rrb.Blueprint:

@@ -15,7 +15,7 @@ from mbcacq.files.atomic_write import replacing
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.quantities import symbol
 from mbcacq.recording.rrd import layout
-from mbcacq.recording.rrd.blueprint import curves_over_time
+from mbcacq.recording.rrd.blueprint import collapsed, curves_over_time
 from mbcacq.recording.rrd.drawable import drawable, drawn_text
 from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
 from mbcacq.recording.rrd.result_recording import AFTER, BEFORE
@@ -45,15 +45,8 @@ def write_motion(path: Path | str, motion: MotionDrawn) -> Path:
         stream = new_stream(layout.APPLICATION)
         try:
             with into_file(stream, partial):
-                send_default_blueprint(
-                    stream,
-                    rrb.Blueprint(
-                        rrb.Tabs(*motion_tabs(motion), active_tab=0),
-                        rrb.TimePanel(state="collapsed", timeline=layout.ROBOT_TIME),
-                        rrb.SelectionPanel(state="collapsed"),
-                        rrb.BlueprintPanel(state="collapsed"),
-                    ),
-                )
+                tabs = rrb.Tabs(*motion_tabs(motion), active_tab=0)
+                send_default_blueprint(stream, rrb.Blueprint(tabs, *collapsed(layout.ROBOT_TIME)))
                 log_motion(stream, motion)
         except (RuntimeError, OSError) as error:
             raise RecordingError(f"{partial} cannot be written: {error}; choose another place") from error

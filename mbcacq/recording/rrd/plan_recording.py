@@ -29,7 +29,7 @@ def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[
     import rerun.blueprint as rrb
 
     from mbcacq.recording.rrd import layout, scene
-    from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, NIGHT, place_camera
+    from mbcacq.recording.rrd.blueprint import LOG_COLUMNS, NIGHT, collapsed, place_camera
     from mbcacq.recording.rrd.drawable import drawable
     from mbcacq.recording.rrd.new_stream import into_file, new_stream, send_default_blueprint
 
@@ -45,12 +45,7 @@ def _write(loaded: LoadedPlan, poses: Sequence[PlannedPose], transits: Sequence[
     )
     with into_file(rec, partial):
         log = rrb.TextLogView(name="Poses and when they begin", origin=layout.LOG, columns=LOG_COLUMNS)
-        panels = (
-            rrb.TimePanel(state="collapsed", timeline=layout.TIME),
-            rrb.SelectionPanel(state="collapsed"),
-            rrb.BlueprintPanel(state="collapsed"),
-        )
-        send_default_blueprint(rec, rrb.Blueprint(rrb.Horizontal(view, log, column_shares=[3, 1]), *panels))
+        send_default_blueprint(rec, rrb.Blueprint(rrb.Horizontal(view, log, column_shares=[3, 1]), *collapsed(layout.TIME)))
         scene.log_static(rec, cell, loaded.text)
         rec.set_time(layout.TIME, duration=0.0)
         for station in cell.stations:

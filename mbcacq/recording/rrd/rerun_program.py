@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -27,19 +28,36 @@ def program() -> str:
     return str(found)
 
 
+def free_port(preferred: int = 0) -> int:
+    """The preferred port of this computer, or any free one if it is taken: rerun would only notice in a thread of its own."""
+    for port in (preferred, 0):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+                return probe.getsockname()[1]
+            except OSError:
+                continue
+    raise OSError("no free port on 127.0.0.1")
+
+
+def started(arguments: Sequence[str], environment: dict[str, str], out: int, err: int) -> subprocess.Popen[str]:
+    """The program, begun, in a group of its own (POSIX), which keeps signals apart. out, err: as ``subprocess.Popen`` takes them."""
+    return subprocess.Popen(
+        [program(), *arguments],
+        stdout=out,
+        stderr=err,
+        stdin=subprocess.DEVNULL,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+        env=environment,
+    )
+
+
 def run(arguments: Sequence[str], timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
-    """Run the program to its end; it and its children are killed when the time is over. A group of its own (POSIX) keeps signals apart."""
+    """Run the program to its end; it and its children are killed when the time is over."""
     with quiet_environment() as environment:
-        child = subprocess.Popen(
-            [program(), *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            stdin=subprocess.DEVNULL,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-            env=environment,
-        )
+        child = started(arguments, environment, subprocess.PIPE, subprocess.PIPE)
         try:
             out, err = child.communicate(timeout=timeout_s)
         except BaseException as error:

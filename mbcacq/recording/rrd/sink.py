@@ -6,7 +6,6 @@ import collections
 import ctypes
 import os
 import shutil
-import socket
 import tempfile
 import threading
 from contextlib import suppress
@@ -17,7 +16,7 @@ import rerun.blueprint as rrb
 
 from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import sync_folder
-from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd import layout, rerun_program
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, note_stretch
 from mbcacq.recording.rrd.new_stream import new_stream, send_default_blueprint
 from mbcacq.recording.rrd.rerun_path import rerun_path
@@ -44,7 +43,7 @@ class Sink:
         try:
             sinks: list = [rr.FileSink(path)]
             if live:
-                server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=_free_port(port), server_memory_limit="512MB")
+                server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=rerun_program.free_port(port), server_memory_limit="512MB")
                 self.live_url = server.uri
                 sinks.append(server)
             self.stream.set_sinks(*sinks)
@@ -146,18 +145,6 @@ def _refuse_full_disk(path: Path) -> None:
             file.write(bytes(FIRST_BYTES))
     except OSError as error:
         raise RecordingError(f"the recording {path} cannot be written: {error.strerror}; free the disk or choose another folder") from error
-
-
-def _free_port(preferred: int) -> int:
-    """The preferred port of this computer, or any free one if it is taken: rerun would only notice in a thread of its own."""
-    for port in (preferred, 0):
-        with socket.socket() as probe:
-            try:
-                probe.bind(("127.0.0.1", port))
-                return probe.getsockname()[1]
-            except OSError:
-                continue
-    raise OSError("no free port on 127.0.0.1")
 
 
 class _Syncer:

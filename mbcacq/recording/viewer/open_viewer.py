@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -20,6 +19,7 @@ from mbcacq.recording.rrd.quiet_environment import quiet_environment
 from mbcacq.recording.rrd.rerun_path import rerun_path
 from mbcacq.recording.run_folder.latest import refuse_plan
 
+QUIETLY = ("--bind", "127.0.0.1", "--hide-welcome-screen")  # it would listen everywhere
 START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 120.0
 SETTLE_S, TAB_SETTLE_S = 7.0, 1.0  # until the viewer's notices have gone from the picture; until it turns to a tab
@@ -65,17 +65,7 @@ def view(sources: Sequence[Path | str], opening: Callable[[], None] = lambda: No
     opening()
     with quiet_environment() as environment, tempfile.TemporaryDirectory(prefix="mbcacq-view-") as folder:
         shown = map(str, layout_first(sources, Path(folder)))
-        command = [rerun_program.program(), "--bind", "127.0.0.1", "--hide-welcome-screen", *shown]  # it would listen everywhere
-        child = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-            env=environment,
-        )
+        child = rerun_program.started([*QUIETLY, *shown], environment, subprocess.DEVNULL, subprocess.PIPE)
         try:
             _, err = child.communicate()
         except BaseException:
@@ -219,25 +209,9 @@ def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]
     """A client of a viewer without a screen, which ends with the block. What the viewer raises becomes a RecordingError."""
     from rerun.experimental import ViewerClient
 
-    port = _free_port()
-    child = subprocess.Popen(
-        [
-            rerun_program.program(),
-            "--headless",
-            "--port",
-            str(port),
-            "--bind",
-            "127.0.0.1",
-            "--hide-welcome-screen",
-            "--window-size",
-            f"{size[0]}x{size[1]}",
-        ],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        env=environment,
-    )
+    port = rerun_program.free_port()
+    window = ("--headless", "--port", str(port), "--window-size", f"{size[0]}x{size[1]}")
+    child = rerun_program.started([*window, *QUIETLY], environment, subprocess.DEVNULL, subprocess.DEVNULL)
     deadline = time.monotonic() + START_TIMEOUT_S
     try:
         while True:
@@ -298,9 +272,3 @@ def _moment(sources: Sequence[Path | str], pose: int | None) -> tuple[int, float
         raise ConfigError(f"pose {pose} is not in the recording, which has {len(ends)} (up to {max(ends, default=0)}); give another --pose")
     number = pose if pose is not None else max(ends, key=ends.__getitem__, default=None)
     return None if number is None else (number, ends[number])
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]

@@ -19,6 +19,8 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from mbcacq_fakes.protocols.started import Started
+
 SIZE = 1024  # registers, and bits, served of each table
 _TABLE = {1: "coil", 5: "coil", 15: "coil", 2: "discrete", 4: "input"}  # by function code; all others are holding registers
 
@@ -78,7 +80,7 @@ class _Server(ModbusTcpServer):
 
 
 @dataclass
-class FakeModbus:
+class FakeModbus(Started):
     """Serves a positioner and any number of live registers on 127.0.0.1. ``address`` is known once started.
 
     values: pairs of a register and a function giving its value now. silent: fault, answers nothing.
@@ -118,12 +120,6 @@ class FakeModbus:
         if self._loop is not None and self._server is not None and self._thread.is_alive():
             asyncio.run_coroutine_threadsafe(self._server.end(), self._loop)
             self._thread.join(5)
-
-    def __enter__(self) -> FakeModbus:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     async def _serve(self) -> None:
         bits = SimData(0, values=[False] * SIZE, datatype=DataType.BITS)

@@ -14,6 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
+from mbcacq_fakes.protocols.started import Started
+
 POLL_S = 0.05
 LONGEST = 4096
 
@@ -35,7 +37,7 @@ class _Terminal:
             data = data[os.write(self._descriptor, data) :]
 
 
-class SerialLine:
+class SerialLine(Started):
     """A device that talks in lines. ``answer(line)`` gives the reply to a line heard (None: none); ``speak()`` a line said unasked each
     ``period_s`` of silence.
 
@@ -92,12 +94,6 @@ class SerialLine:
         if self._link is not None:
             Path(self._link).unlink(missing_ok=True)
             self._link = None
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     def _open_terminal(self) -> None:
         if sys.platform == "win32":

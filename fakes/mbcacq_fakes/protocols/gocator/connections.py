@@ -1,4 +1,4 @@
-"""The open control connections of the fake sensor, each served in a thread of its own."""
+"""The open control connections of a fake sensor, each served in a thread of its own."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ControlConnections:
             with self._lock:
                 self._threads.pop(sock, None)
 
-        thread = threading.Thread(target=run, name="fake-gocator-control", daemon=True)
+        thread = threading.Thread(target=run, name="fake-control", daemon=True)
         with self._lock:
             self._threads[sock] = thread
         thread.start()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import threading
-from types import TracebackType
 from typing import Self
 
 from mbcacq_fakes.protocols.gocator.channel import converse
@@ -14,11 +13,12 @@ from mbcacq_fakes.protocols.gocator.health import health_messages, publish_healt
 from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions, Ports
 from mbcacq_fakes.protocols.gocator.state import SensorState
+from mbcacq_fakes.protocols.started import Started
 
 _JOIN_S = 5.0
 
 
-class FakeGocator:
+class FakeGocator(Started):
     """Context manager. ``source(exposure_us)`` is called once an exposure, in a thread of the fake, and returns the ScannerFrame.
 
     ``state`` is what the sensor is now; ``files`` and ``faults`` of it may be changed while the sensor runs. ``ports`` is known once
@@ -61,12 +61,6 @@ class FakeGocator:
             thread.join(_JOIN_S)
         self.state.control.join(_JOIN_S)
         self._listeners, self._threads, self._discovery = [], [], None
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()
 
     @property
     def discovery_port(self) -> int | None:

@@ -9,12 +9,12 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from mbcacq_fakes.protocols.faults import Faults
+from mbcacq_fakes.protocols.gocator.connections import ControlConnections
 from mbcacq_fakes.protocols.gocator.listener import Listener
 from mbcacq_fakes.protocols.gocator.publish import CLOSE, MUTE, Publisher
 from mbcacq_fakes.protocols.gopxl import control, encode, resources
@@ -22,6 +22,7 @@ from mbcacq_fakes.protocols.gopxl.discovery import PORT as DISCOVERY_PORT
 from mbcacq_fakes.protocols.gopxl.discovery import GoPxLDiscovery
 from mbcacq_fakes.protocols.gopxl.faults import FAULTS
 from mbcacq_fakes.protocols.gopxl.resources import Resources
+from mbcacq_fakes.protocols.started import Started
 from mbcacq_fakes.world.frame import ScannerFrame
 
 Source = Callable[[float], ScannerFrame]
@@ -58,7 +59,7 @@ class FakeGoPxLOptions:
     discovery_reply_port: int = DISCOVERY_PORT
 
 
-class FakeGoPxL:
+class FakeGoPxL(Started):
     """``source(exposure_us)`` is called once an exposure, in a thread of the fake, and returns the world's frame.
 
     clock: the world's time in s; without it the sensor counts from its start.
@@ -74,8 +75,7 @@ class FakeGoPxL:
         self._asked: queue.Queue[None] = queue.Queue(_WAITING)
         self._made, self._born, self._next_free = 0, time.monotonic(), 0.0
         self._closing = threading.Event()
-        self._lock = threading.Lock()
-        self._controls: dict[socket.socket, threading.Thread] = {}
+        self._controls = ControlConnections()
         self._listeners: list[Listener] = []
         self._discovery: GoPxLDiscovery | None = None
         self._thread: threading.Thread | None = None
@@ -107,17 +107,10 @@ class FakeGoPxL:
         if self._discovery is not None:
             self._discovery.close()
         self.drop_connections()
-        with self._lock:
-            threads = [*self._controls.values(), *filter(None, [self._thread])]
-        for thread in threads:
-            thread.join(5.0)
+        self._controls.join(5.0)
+        if self._thread is not None:
+            self._thread.join(5.0)
         self._listeners, self._discovery, self._thread = [], None, None
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()
 
     @property
     def discovery_port(self) -> int | None:
@@ -130,13 +123,7 @@ class FakeGoPxL:
 
     def drop_connections(self) -> None:
         """Close every connection of every client; new ones are welcome."""
-        with self._lock:
-            controls = list(self._controls)
-        for sock in controls:
-            try:
-                sock.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                pass
+        self._controls.shut_down()
         self.data.close()
 
     def _announced(self, address: str) -> dict[str, Any]:
@@ -160,16 +147,9 @@ class FakeGoPxL:
         }
 
     def _accept_control(self, sock: socket.socket) -> None:
-        def serve() -> None:
-            with sock:
-                control.serve(control.ControlClient(sock, self._watchers), self.resources.handle, self.faults)
-            with self._lock:
-                self._controls.pop(sock, None)
-
-        thread = threading.Thread(target=serve, name="fake-gopxl-control", daemon=True)
-        with self._lock:
-            self._controls[sock] = thread
-        thread.start()
+        self._controls.serve(
+            sock, lambda client: control.serve(control.ControlClient(client, self._watchers), self.resources.handle, self.faults)
+        )
 
     def _ask(self) -> None:
         try:

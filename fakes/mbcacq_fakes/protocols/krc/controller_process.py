@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from abc import ABC, abstractmethod
-from types import TracebackType
+from abc import abstractmethod
 from typing import Any, Self
+
+from mbcacq_fakes.protocols.started import Started
 
 ENDS_IN_S = 5.0
 
 
-class ControllerProcess(ABC):
+class ControllerProcess(Started):
     """Context manager. The process runs a module, and talks in lines of JSON on its standard input and output."""
 
     _process: subprocess.Popen[str] | None = None
@@ -61,9 +62,3 @@ class ControllerProcess(ABC):
                 process.kill()
                 process.communicate()
         self._release()
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()

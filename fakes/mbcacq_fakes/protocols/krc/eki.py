@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import re
 import socket
-import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
+
+from mbcacq_fakes.protocols.one_client_server import OneClientServer
 
 CONNECT, START, RESET, CANCEL, CHANGE, NONE, DRIVES_ON, DRIVES_OFF, CYCLE = range(9)
 INITIALIZED, INACTIVE, ACTIVE = "INITIALIZED", "INACTIVE", "ACTIVE"
@@ -30,7 +29,7 @@ _ATTRIBUTE = re.compile(rb'(\w+)\s*=\s*"(-?\d{1,9})"')
 _MAX_BUFFER = 65536
 
 
-class FakeEki:
+class FakeEki(OneClientServer):
     """``on_start(control_mode, cycle_time)`` and ``on_cancel()`` are called when the client starts or ends the RSI program.
 
     ``answer``: how telegrams leave: 'plain', 'merged' (status and event in one segment), 'split' (byte by byte), 'junk' (padded as
@@ -48,51 +47,19 @@ class FakeEki:
         on_start: Callable[[int, int], None] | None = None,
         on_cancel: Callable[[], None] | None = None,
     ) -> None:
-        self._host, self._port, self._model, self._answer, self._pause_s = host, port, model, answer, pause_s
+        super().__init__("fake-eki", host, port)
+        self._model, self._answer, self._pause_s = model, answer, pause_s
         self._on_start, self._on_cancel = on_start, on_cancel
-        self._closing = threading.Event()
-        self._thread: threading.Thread | None = None
         self.emergency_stop = False
         self.drives = self.running = False
         self._forget()
         self.requests: list[tuple[int, int, int]] = []
-        self.port = port
 
-    def start(self) -> Self:
-        self._server = socket.create_server((self._host, self._port))
-        self._server.settimeout(0.05)
-        self.port = self._server.getsockname()[1]
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
-        return self
-
-    def stop(self) -> None:
-        self._closing.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._server.close()
-            self._thread = None
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()
-
-    def _serve(self) -> None:
-        while not self._closing.is_set():
-            try:
-                client, _ = self._server.accept()
-            except TimeoutError:
-                continue
-            except OSError:  # closed
-                return
-            with client:
-                client.settimeout(0.05)
-                try:
-                    self._talk(client)
-                except OSError:
-                    pass
+    def talk(self, connection: socket.socket) -> None:
+        connection.settimeout(0.05)
+        try:
+            self._converse(connection)
+        finally:
             self.running = False
             self._forget()
 
@@ -100,9 +67,9 @@ class FakeEki:
         """A client that hangs up leaves nothing behind."""
         self.state, self.mode, self.cycle = INITIALIZED, _NO_MODE, _CYCLE_12_MS
 
-    def _talk(self, client: socket.socket) -> None:
+    def _converse(self, client: socket.socket) -> None:
         buffer = b""
-        while not self._closing.is_set():
+        while not self._quit.is_set():
             try:
                 data = client.recv(4096)
             except TimeoutError:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.devices import signals_deferred
+from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.controller_process import ControllerProcess
 from mbcacq_fakes.protocols.krc.eki_settings import FAULTS, EkiSettings
@@ -43,8 +44,7 @@ class FakeEkiController(ControllerProcess):
 
     def inject(self, **faults: float) -> None:
         """Set faults while running, by name; 0 or False takes one back. See eki_settings.FAULTS."""
-        if unknown := set(faults) - set(FAULTS):
-            raise ValueError(f"unknown faults {sorted(unknown)}; known are {', '.join(FAULTS)}")
+        refuse_unknown(faults, FAULTS)
         self._exchange({"faults": {name: float(value) for name, value in faults.items()}})
 
     def lead(self, target: np.ndarray) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from mbcacq_fakes.protocols.faults import refuse_unknown
+
 FAULTS = (
     "silence",  # no telegram leaves the controller
     "deaf",  # nothing that arrives is read
@@ -83,8 +85,7 @@ class EkiSettings:
     faults: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if unknown := sorted(set(self.faults) - set(FAULTS)):
-            raise ValueError(f"unknown faults {', '.join(unknown)}; known are {', '.join(FAULTS)}")
+        refuse_unknown(self.faults, FAULTS)
         if self.mode not in ("#T1", "#T2", "#AUT", "#EX"):
             raise ValueError("mode must be #T1, #T2, #AUT or #EX")
 

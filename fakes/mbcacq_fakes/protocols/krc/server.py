@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.devices import signals_deferred
+from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.krc.arm_state import ArmState
 from mbcacq_fakes.protocols.krc.control import LOG_COLUMNS, Control
 from mbcacq_fakes.protocols.krc.controller_process import ControllerProcess
@@ -50,9 +51,7 @@ class FakeKrc(ControllerProcess):
 
     def inject(self, **faults: float) -> None:
         """Set faults while running, by name; 0 or False takes one back. See settings.FAULTS."""
-        unknown = set(faults) - set(FAULTS)
-        if unknown:
-            raise ValueError(f"unknown faults {sorted(unknown)}; known are {', '.join(FAULTS)}")
+        refuse_unknown(faults, FAULTS)
         self._running().set_faults(faults)
 
     def lead(self, target: np.ndarray) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from mbcacq_fakes.protocols.faults import refuse_unknown
+
 PROFILES = {
     "mbcacq": ("RIst", "RSol", "AIPos", "ASPos", "MACur", "Delay"),
     "sdk": ("RIst", "AIPos", "EIPos", "Delay"),
@@ -98,8 +100,7 @@ class KrcSettings:
             raise ValueError("counting must be total or consecutive")
         if self.cycle_ms not in (4, 12) or not 1 <= self.precision <= 32 or self.timeout < 1:
             raise ValueError("cycle_ms must be 4 or 12, precision 1 to 32, timeout at least 1")
-        if unknown := sorted(set(self.faults) - set(FAULTS)):
-            raise ValueError(f"unknown faults {', '.join(unknown)}; known are {', '.join(FAULTS)}")
+        refuse_unknown(self.faults, FAULTS)
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)

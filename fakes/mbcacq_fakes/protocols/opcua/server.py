@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -16,7 +15,9 @@ from asyncua import ua
 from asyncua.server.server import Server
 from asyncua.ua.status_codes import StatusCodes
 
+from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.opcua.address_space import ArmNodes, build, served
+from mbcacq_fakes.protocols.started import Started
 
 TICK_S = 0.02
 CLOCK_START_S = 1000.0
@@ -29,7 +30,7 @@ FAULTS = {
 }
 
 
-class FakeOpcUaServer:
+class FakeOpcUaServer(Started):
     """Context manager. start_deg: where the arm stands; state: gets what it does, or None; realtime: a person's speed; arm: its nodes."""
 
     def __init__(
@@ -58,9 +59,8 @@ class FakeOpcUaServer:
         self._goal = np.asarray(target, dtype=float)
 
     def inject(self, **faults: int) -> None:
-        """See FAULTS; 0 takes one back. Raises ValueError for one that there is none of."""
-        if unknown := sorted(set(faults) - set(FAULTS)):
-            raise ValueError(f"there is no fault {', '.join(unknown)} (known: {', '.join(FAULTS)})")
+        """See FAULTS; 0 takes one back. Raises ValueError."""
+        refuse_unknown(faults, FAULTS)
         self._faults |= faults
 
     def start(self) -> Self:
@@ -75,12 +75,6 @@ class FakeOpcUaServer:
         self._quit.set()
         if self._thread.is_alive():
             self._thread.join(10.0)
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.stop()
 
     def _work(self) -> None:
         try:

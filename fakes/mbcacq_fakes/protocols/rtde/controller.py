@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq_fakes.protocols.faults import refuse_unknown
 from mbcacq_fakes.protocols.one_client_server import OneClientServer
 from mbcacq_fakes.protocols.rtde.arm import ProgrammedArm
 from mbcacq_fakes.protocols.rtde.variables import FORMAT, INPUTS, OUTPUTS, WIDTH
@@ -66,9 +67,8 @@ class FakeUrController(OneClientServer):
         self._led, self.led = np.asarray(target, dtype=float), True
 
     def inject(self, **faults: Any) -> None:
-        """See FAULTS. Raises ValueError for one that there is none of."""
-        if unknown := sorted(set(faults) - set(FAULTS)):
-            raise ValueError(f"there is no fault {', '.join(unknown)} (known: {', '.join(FAULTS)})")
+        """See FAULTS. Raises ValueError."""
+        refuse_unknown(faults, FAULTS)
         self._active |= faults
 
     def talk(self, connection: socket.socket) -> None:
