@@ -30,10 +30,9 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict
 from mbcacq.estimation.identifiability import base_columns
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.options import PAIRS, Noise
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry import se3
 from mbcacq.model.cell import KnownLength
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
@@ -45,8 +44,7 @@ def bar_bound(obs, truth: CellState):
     """Layout and covariance (g, g) of the free parameters at the truth, by the true noise."""
     layout = parameters.build(obs, CalibrationOptions())
     lineariser = Lineariser(obs, layout, CalibrationOptions())
-    weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
-    at = system(lineariser, Estimate(truth), Noise(np.array(NOISE), np.full(6, JOINT)), weights)
+    at = system(lineariser, Estimate(truth), Noise(np.array(NOISE), np.full(6, JOINT)), lineariser.everything)
     return layout, np.linalg.inv(at.normal.information)
 
 
@@ -174,7 +172,7 @@ def bound(found, obs, kind: str, measurement: str) -> np.ndarray:
     noise = Noise(obs.cell.noise_mm, POSE_SIGMA, turn if kind != "target" else 1e-4)
     layout = parameters.build(obs, ALONE)
     lineariser = Lineariser(obs, layout, ALONE)
-    at = system(lineariser, parameters.Estimate(found.state), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))
+    at = system(lineariser, parameters.Estimate(found.state), noise, lineariser.everything)
     C = np.linalg.pinv(at.normal.information, hermitian=True, rcond=1e-14)
     if measurement == TARGET_IN_BASE:
         return at.normal.station_covariance(C)[0]

@@ -28,11 +28,11 @@ from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
 from mbcacq.errors import CalibrationError, MbcacqError
 from mbcacq.estimation import forward_model, parameters
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import Weights, solve
+from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 from mbcacq.plan import expand, load
@@ -318,8 +318,8 @@ def least_squares(obs):
     for name, why in first.layout.held.items():
         layout = layout if name in layout.held else layout.hold(name, why)
     noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-9), 1e-3)
-    ones = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
-    return solve(Lineariser(obs, layout, options), Estimate(first.state), noise, ones).estimate.state
+    lineariser = Lineariser(obs, layout, options)
+    return solve(system(lineariser, Estimate(first.state), noise, lineariser.everything)).estimate.state
 
 
 METHODS = {

@@ -59,7 +59,7 @@ def repeatability_of(loaded, poses, urad: float) -> float:
 
 def with_repeatability(obs, urad: float):
     """The recording with a stated repeatability that amounts to ``urad`` at each joint."""
-    from mbcacq.estimation.variance_components import first_noise
+    from mbcacq.estimation.noise import first_noise
 
     one = first_noise(replace(obs.cell, robot=replace(obs.cell.robot, repeatability_mm=1.0))).joint.mean()
     return replace(obs, cell=replace(obs.cell, robot=replace(obs.cell.robot, repeatability_mm=1e-6 * urad / float(one))))

@@ -14,9 +14,8 @@ from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, LearntRecording
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.parameters import Estimate, build
-from mbcacq.estimation.solver import system
 from mbcacq.model.observations import Observations
 from real_arms.transfer import learnt, some
 
@@ -56,11 +55,11 @@ def compliances(obs: Observations, poses: int) -> list[list[str]]:
         layout = layout if name in layout.held else layout.hold(name, why)
     start = Estimate(alone.state, tuple(np.zeros(t.k) for t in terms))
     at = system(Lineariser(obs, layout, asked), start, noise, alone.fit.weights)
-    information = at.normal.information - np.diag(layout.gather("sigma") ** -2.0)
+    information = at.normal.information - np.diag(layout.sigma**-2.0)
     of = {name: (kind(t), sigma) for t in terms for name, sigma in zip(t.names, t.sigma, strict=True)}
     rows = []
     for wanted in MODELS.values():
-        scale = layout.gather("scale").copy()
+        scale = layout.scale.copy()
         free = np.ones(len(scale), bool)
         weight = np.zeros(len(scale))
         for j, name in enumerate(layout.names):

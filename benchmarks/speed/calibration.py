@@ -20,9 +20,10 @@ from mbcacq.calibration import CalibrationOptions, Noise, calibrate
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict
 from mbcacq.estimation.initial_guess import start
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.solver import Weights, solve, system
+from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
@@ -58,11 +59,10 @@ def peer(lineariser: Lineariser, begin: Estimate, weights: Weights, sparse: bool
 
     def residual(x: np.ndarray) -> np.ndarray:
         moved = begin.moved(layout, x[:g], x[g:].reshape(s, 6))
-        _, r = lineariser.residual(moved)
-        return at.whitening(rows.pad(r)[..., None]).reshape(-1)
+        return at.whitening(lineariser.evaluate(moved).rows[..., None]).reshape(-1)
 
     first = np.zeros(g + 6 * s)
-    scale = np.concatenate([layout.gather("scale") * 0.01, np.tile([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3], s)])
+    scale = np.concatenate([layout.scale * 0.01, np.tile([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3], s)])
     if not sparse:
         return 2 * float(least_squares(residual, first, x_scale=scale, method="lm").cost)
     pattern = lil_matrix((len(residual(first)), g + 6 * s), dtype=int)
@@ -166,11 +166,11 @@ def calibration(given: argparse.Namespace) -> None:
         whole = best(lambda obs=obs: calibrate(obs), repeats)
         options = CalibrationOptions(balls=False)
         lineariser = Lineariser(obs, parameters.build(obs, options), options)
-        begin, weights = Estimate(start(obs)), Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
-        alone = best(lambda a=lineariser, b=begin, w=weights: solve(a, b, NOISE, w), repeats)
+        begin, weights = Estimate(start(obs)), lineariser.everything
+        alone = best(lambda a=lineariser, b=begin, w=weights: solve(system(a, b, NOISE, w)), repeats)
         other = ratio = "-"
         if not given.no_peer and poses <= PEER_POSES:
-            ours = solve(lineariser, begin, NOISE, weights).cost
+            ours = solve(system(lineariser, begin, NOISE, weights)).cost
             scipy_ms = []
             for sparse in (True, False):
                 clock = time.process_time()

@@ -9,8 +9,9 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import ObservationFit, Rejected
 from mbcacq.estimation.adjustment import Adjustment
+from mbcacq.estimation.linearization import Solution
 from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.solver import Solution, Weights
+from mbcacq.estimation.outliers import Weights
 from mbcacq.model.observations import Observations
 
 CORRELATED = 0.95
@@ -28,7 +29,7 @@ def adjusted_cell(options: CalibrationOptions, adjustment: Adjustment) -> Calibr
     """
     lineariser, solution, weights = adjustment.lineariser, adjustment.solution, adjustment.weights
     obs, layout, normal = lineariser.obs, lineariser.layout, solution.normal
-    scale = layout.gather("scale")
+    scale = layout.scale
     C = scale[:, None] * positive_inverse(scale[:, None] * normal.information * scale) * scale
     station_covariance = np.zeros((len(obs.cell.stations), 6, 6))
     station_covariance[lineariser.rows.stations] = normal.station_covariance(C)

@@ -35,10 +35,10 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import identifiability
 from mbcacq.estimation.forward_model import CellState
+from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
 from mbcacq.estimation.scan_scale import scale_in_words, scan_scale
-from mbcacq.estimation.variance_components import first_noise
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json

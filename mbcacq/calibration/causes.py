@@ -14,8 +14,7 @@ import numpy as np
 
 from mbcacq.calibration.influence import deletions
 from mbcacq.description import plain_fit, wrong_descriptions
-from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.solver import Solution
+from mbcacq.estimation.linearization import Solution
 from mbcacq.model import shipped
 from mbcacq.model.observations import Observations
 
@@ -47,19 +46,19 @@ class Story:
         return self.gain - self.freedom
 
 
-def fault_of(lineariser: Lineariser, strict: Solution, known: Collection[int] = ()) -> str:
+def fault_of(strict: Solution, known: Collection[int] = ()) -> str:
     """A sentence on the one simple fault while the recording was made that explains it; '' where none does, where its misfit is within the
     scatter of the noise, and where one of the poses that are ``known`` (their numbers) explains it.
 
     Parameters
     ----------
-    lineariser, strict : Lineariser, Solution
+    strict : Solution
         The recording, every pose with full weight, solved under the noise that statement and data sheet allow.
     known : Collection[int]
         Poses that were rejected already.
     """
-    misfit = beyond_noise(lineariser, strict, strict.cost)
-    best = convincing(list(stories(lineariser, strict)), misfit) if misfit else None
+    misfit = beyond_noise(strict, strict.cost)
+    best = convincing(list(stories(strict)), misfit) if misfit else None
     return "" if best is None or best.pose in known else best.text
 
 
@@ -69,11 +68,11 @@ def misdescribed(obs: Observations) -> str:
     return exchanged_balls(obs) or "; ".join(map(str, wrong_descriptions(obs))) or other_arm(obs)
 
 
-def beyond_noise(lineariser: Lineariser, at: Solution, chi2: float) -> float:
+def beyond_noise(at: Solution, chi2: float) -> float:
     """How much of a chi square with the weights of a solution the noise does not explain; 0 where it is within its scatter."""
-    weights = at.weights.centre * at.weights.pose[lineariser.obs.pose]
+    weights = at.weights.centre * at.weights.pose[at.lineariser.obs.pose]
     flat = int(np.sum(~np.isfinite(at.prior.sigma))) + int(at.normal.station_rank.sum())
-    dof = max(lineariser.rows.width * float(weights.sum()) - flat, 1.0)
+    dof = max(at.lineariser.rows.width * float(weights.sum()) - flat, 1.0)
     return chi2 - dof if chi2 - dof > SCATTER * np.sqrt(2 * dof) else 0.0
 
 
@@ -89,22 +88,24 @@ def convincing(found: list[Story], misfit: float) -> Story | None:
     return best
 
 
-def stories(lineariser: Lineariser, strict: Solution) -> Iterator[Story]:
+def stories(strict: Solution) -> Iterator[Story]:
     """The best of each kind."""
-    if lineariser.obs.n_poses <= MOST_POSES:
-        yield from _moments(lineariser, strict)
+    obs = strict.lineariser.obs
+    if obs.n_poses <= MOST_POSES:
+        yield from _moments(strict)
     deleted = deletions(strict, np.zeros(0, dtype=int))
     pose = int(np.argmax(deleted.chi2 - deleted.rank))
-    number = int(lineariser.obs.pose_id[pose])
+    number = int(obs.pose_id[pose])
     text = f"pose {number} alone explains it; measure it again before it is left out"
-    price = float(deleted.rank[pose]) + 2 * np.log(lineariser.obs.n_poses)
+    price = float(deleted.rank[pose]) + 2 * np.log(obs.n_poses)
     yield Story("pose", text, float(deleted.chi2[pose]), price, number)
 
 
 class _Columns:
     """Further columns of a solved linear problem, summed over poses in the order of measuring: what each would gain."""
 
-    def __init__(self, lineariser: Lineariser, solution: Solution) -> None:
+    def __init__(self, solution: Solution) -> None:
+        lineariser = solution.lineariser
         self.obs = lineariser.obs
         time = self.obs.time_s if self.obs.time_s is not None else np.arange(self.obs.n_poses)
         self.order = np.argsort(time, kind="stable")
@@ -148,15 +149,15 @@ def _from_the_end(per_pose: np.ndarray) -> np.ndarray:
     return total
 
 
-def _moments(lineariser: Lineariser, strict: Solution) -> Iterator[Story]:
-    of, names = _Columns(lineariser, strict), lineariser.layout.names
+def _moments(strict: Solution) -> Iterator[Story]:
+    of, names = _Columns(strict), strict.lineariser.layout.names
     every = np.arange(LEAST_SIDE, of.obs.n_poses - LEAST_SIDE + 1)
     for s in range(len(of.normal.station_root)):
         here = np.flatnonzero(of.run == s)
         among = here[LEAST_SIDE : len(here) - LEAST_SIDE + 1]
         if len(among):
             gain, when = of.moment(of.gains(of.station_columns * (of.run == s)[:, None, None]), among)
-            place = of.obs.cell.stations[int(lineariser.rows.stations[s])].id
+            place = of.obs.cell.stations[int(strict.lineariser.rows.stations[s])].id
             yield Story(
                 "station", f"the place of the artefact at station {place} changed {when}; measure that station anew", gain, _price(6, of)
             )

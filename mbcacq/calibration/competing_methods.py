@@ -16,9 +16,9 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.adjustment import Adjustment, thin
+from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.solver import Weights, solve
-from mbcacq.estimation.variance_components import first_noise
+from mbcacq.estimation.solver import solve
 from mbcacq.model.json_text import AsJson, Vector
 from mbcacq.model.observations import Observations
 
@@ -111,17 +111,17 @@ def plain_least_squares(alone: Adjustment) -> Adjustment:
         Its noise of a point is the rms of the residuals times the root of the number of centres at a pose: what the model lacks is common
         to them, and its uncertainties take this into account. The joints repeat as the data sheet has it, for predictions.
     """
-    lineariser, obs = alone.lineariser, alone.lineariser.obs
-    every = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    obs = alone.lineariser.obs
+    every = alone.lineariser.everything
     still, sheet = np.full(obs.cell.robot.n, 1e-9), first_noise(obs.cell).joint
     solution, noise = alone.solution, Noise(np.ones(3), still, 1e-3)
     for _ in range(2):
-        solution = solve(lineariser, solution, noise, every)
+        solution = solve(solution, noise, every)
         square = np.mean(solution.linear.residual**2, axis=0)
         common = np.sqrt(obs.n_centres / obs.n_poses)
         turn = float(np.sqrt(np.mean(square[3:]))) * common if len(square) > 3 else 1e-3
         noise = Noise(np.full(3, float(np.sqrt(np.mean(square[:3]))) * common), still, turn)
-    return replace(alone, solution=solve(lineariser, solution, noise, every), noise=replace(noise, joint=sheet), weights=every)
+    return replace(alone, solution=solve(solution, noise, every), noise=replace(noise, joint=sheet), weights=every)
 
 
 def _blocks(obs: Observations) -> tuple[list[np.ndarray], bool]:

@@ -13,12 +13,15 @@ import numpy as np
 
 from mbcacq.calibration.causes import beyond_noise, exchanged_balls, fault_of, misdescribed
 from mbcacq.errors import CalibrationError
-from mbcacq.estimation import parameters, variance_components
+from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, Solution, system
+from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
-from mbcacq.estimation.solver import Solution, Weights, solve
+from mbcacq.estimation.solver import solve
+from mbcacq.estimation.variance_components import reml_score_and_information
 from mbcacq.model.cell import Cell
 from mbcacq.model.json_text import AsJson
 from mbcacq.model.observations import Observations
@@ -91,16 +94,16 @@ def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contra
         It was made with.
     """
     lineariser = at_allowed_sizes(adjustment.lineariser, options)
-    noise = variance_components.first_noise(lineariser.obs.cell)
-    solution = solve(lineariser, adjustment.solution.estimate, noise, adjustment.weights, tolerance=1e-2)
+    noise = first_noise(lineariser.obs.cell)
+    solution = solve(system(lineariser, adjustment.solution.estimate, noise, adjustment.weights), tolerance=1e-2)
     scanner, joint = noise_ratios(solution)
     link = link_ratio(solution, lineariser.layout)
     found = Contradiction(scanner, joint, link, float(np.mean(~adjustment.used)))
-    strict = solve(lineariser, solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
+    strict = solve(solution, noise, every_pose(adjustment.weights), tolerance=1e-2)
     if _beyond(found, lineariser.obs.cell):
         described = misdescribed(lineariser.obs)
-        return replace(found, cause=described or fault_of(lineariser, strict), misdescribed=bool(described))
-    fault = fault_of(lineariser, strict, known=rejected_poses(adjustment))
+        return replace(found, cause=described or fault_of(strict), misdescribed=bool(described))
+    fault = fault_of(strict, known=rejected_poses(adjustment))
     return replace(found, cause=fault) if fault else None
 
 
@@ -123,13 +126,13 @@ def every_pose(weights: Weights) -> Weights:
 def fault_while_recording(adjustment: Adjustment) -> str:
     """A sentence on a place, mount or joint that changed while an arm was recorded that is to be identified; '' where none explains the
     misfit, or where one pose does that was rejected already."""
-    lineariser, solution, rejected = adjustment.lineariser, adjustment.solution, rejected_poses(adjustment)
-    if exchanged := exchanged_balls(lineariser.obs):
+    obs, solution, rejected = adjustment.lineariser.obs, adjustment.solution, rejected_poses(adjustment)
+    if exchanged := exchanged_balls(obs):
         return exchanged
-    if not rejected and not beyond_noise(lineariser, solution, adjustment.stated_chi2):
+    if not rejected and not beyond_noise(solution, adjustment.stated_chi2):
         return ""  # the fit under that noise misses by even less
-    noise = variance_components.first_noise(lineariser.obs.cell)
-    return fault_of(lineariser, solve(lineariser, solution, noise, every_pose(adjustment.weights), tolerance=1e-2), known=rejected)
+    noise = first_noise(obs.cell)
+    return fault_of(solve(solution, noise, every_pose(adjustment.weights), tolerance=1e-2), known=rejected)
 
 
 def rejected_poses(adjustment: Adjustment) -> list[int]:
@@ -164,7 +167,7 @@ def noise_ratios(solution: Solution) -> tuple[float, float]:
     1971); the score by log sigma is their difference.
     """
     joints = len(solution.noise.joint)
-    score, _ = variance_components.reml_score_and_information(solution.system, solution.noise)
+    score, _ = reml_score_and_information(solution.system, solution.noise)
     seen, moved = 0.0, 0.0
     for block in solution.poses.blocks:
         seen += float(np.sum(block.share[:, None, None] * block.white_residual[:, :3] ** 2))

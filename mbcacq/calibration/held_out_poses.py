@@ -9,10 +9,10 @@ from mbcacq.calibration.verification import points_in_base
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.initial_guess import place_stations
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.initial_guess import with_all_stations
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.solver import Weights, solve
+from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
@@ -64,18 +64,17 @@ def _known_places(obs: Observations, test: np.ndarray) -> np.ndarray:
 def prediction_error(obs: Observations, cell: CellState | CalibratedCell) -> np.ndarray:
     """(M,) mm distance of measured centres from where a cell, with its effects where it has any, predicts them."""
     state, options = _as_it_is(obs, cell)
-    _, residual = Lineariser(obs, parameters.build(obs, options), options).residual(parameters.Estimate(state))
+    residual = Lineariser(obs, parameters.build(obs, options), options).evaluate(parameters.Estimate(state)).residual
     return np.linalg.norm(residual[:, :3], axis=1)
 
 
 def about_best_station(obs: Observations, cell: CellState | CalibratedCell) -> tuple[np.ndarray, int]:
     """(M,) mm distances of centres about the best pose of their stations, everything else fixed; and the degrees of freedom that took."""
     state, options = _as_it_is(obs, cell)
-    placed = place_stations(obs, state.chain.flange(obs.q), state.T_flange_scanner)
-    start = CellState(state.chain, state.T_flange_scanner, placed, state.balls)
+    start = with_all_stations(obs, state)
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
     noise = Noise(np.ones(3), np.full(obs.cell.robot.n, 1e-12), 1e-2)
-    solution = solve(lineariser, parameters.Estimate(start), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))
+    solution = solve(system(lineariser, parameters.Estimate(start), noise, lineariser.everything))
     return np.linalg.norm(solution.linear.residual[:, :3], axis=1), int(solution.normal.station_rank.sum())
 
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Solution
+from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.outliers import chi2_quantile
-from mbcacq.estimation.solver import Solution, solve
-from mbcacq.estimation.variance_components import first_noise
+from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import Cell
 
 
@@ -70,22 +70,21 @@ def joint_factor(noise: Noise, cell: Cell) -> float:
 
 
 def joint_noise_check(
-    lineariser: Lineariser, solution: Solution, noise: Noise, covariance: np.ndarray, options: InfluenceOptions | None = None
+    solution: Solution, noise: Noise, covariance: np.ndarray, options: InfluenceOptions | None = None
 ) -> dict[str, Any] | None:
     """Where the estimated joint noise is far beyond the arm's data sheet: by what factor, and the pose that explains it if one does.
 
     covariance: (g, g) of the parameters, as stated. None where the noise is credible or the data sheet is silent.
     """
-    options, obs = options or InfluenceOptions(), lineariser.obs
+    options, obs, names = options or InfluenceOptions(), solution.lineariser.obs, solution.lineariser.layout.names
     allowed = first_noise(obs.cell).joint
     factor = joint_factor(noise, obs.cell)
     if not obs.cell.robot.repeatability_mm or factor <= options.noise_factor:
         return None
     found: dict[str, Any] = {"joint_factor": factor, "allowed_joint_rad": allowed.tolist(), "pose": None}
-    strict = solve(lineariser, solution, replace(noise, joint=allowed), solution.weights, tolerance=1e-2)
-    names = lineariser.layout.names
+    strict = solve(solution, replace(noise, joint=allowed), tolerance=1e-2)
     hand_eye = np.array([i for i, name in enumerate(names) if name.startswith("hand_eye.")], dtype=int)
-    if (pose := _explaining_pose(lineariser, strict, deletions(strict, hand_eye), options)) is None:
+    if (pose := _explaining_pose(strict, deletions(strict, hand_eye), options)) is None:
         return found
     shift = deletions(solution, hand_eye).shift[pose]
     std = np.sqrt(np.diag(covariance))[hand_eye]
@@ -95,11 +94,11 @@ def joint_noise_check(
     return found
 
 
-def _explaining_pose(lineariser: Lineariser, strict: Solution, deleted: Deletion, options: InfluenceOptions) -> int | None:
+def _explaining_pose(strict: Solution, deleted: Deletion, options: InfluenceOptions) -> int | None:
     """Index of the pose whose deletion takes most of the misfit away, by an F test; None where there is none."""
-    weights, rows = strict.weights, lineariser.rows
+    weights, lineariser = strict.weights, strict.lineariser
     used = weights.centre * weights.pose[lineariser.obs.pose]
-    dof = rows.width * float(used.sum()) + strict.prior.rows - lineariser.layout.size - int(strict.normal.station_rank.sum())
+    dof = lineariser.rows.width * float(used.sum()) + strict.prior.rows - lineariser.layout.size - int(strict.normal.station_rank.sum())
     rest_dof = dof - deleted.rank
     judged = (deleted.rank > 0) & (rest_dof >= options.least_dof)
     if not judged.any():

@@ -85,7 +85,7 @@ def _calibrate(observations: Observations, options: CalibrationOptions) -> Calib
     refuse_insufficient(obs, options)
     fitted = _adjusted(obs, options)
     if options.kinematics:
-        fitted = with_random_links(fitted, options)
+        fitted = with_random_links(fitted)
         return _arm_and_hand_eye(obs, options, fitted)
     result = _collected(options, fitted)
     result = _hand_eye_alone(result, fitted) if options.discrepancy else result
@@ -166,7 +166,7 @@ def _unless_it_loses(
 
     def linked(some: Observations) -> Adjustment:
         if id(some) not in shared:  # three of the methods begin with it
-            shared[id(some)] = some, with_random_links(adjust_recording(some, lenient, links_follow=True), lenient)
+            shared[id(some)] = some, with_random_links(adjust_recording(some, lenient, links_follow=True))
         return shared[id(some)][1]
 
     fits: dict[str, Callable[[Observations], tuple[CalibratedCell, Adjustment]]] = {
@@ -210,7 +210,7 @@ def refuse_unusable(result: CalibratedCell) -> None:
 
 
 def _with_joint_noise_check(result: CalibratedCell, fitted: Adjustment) -> CalibratedCell:
-    found = joint_noise_check(fitted.lineariser, fitted.solution, fitted.noise, result.covariance)
+    found = joint_noise_check(fitted.solution, fitted.noise, result.covariance)
     if found is None:
         return result
     return _warned(replace(result, extra={**result.extra, "joint_noise_check": found}), joint_noise_sentence(found))

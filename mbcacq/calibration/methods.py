@@ -169,7 +169,6 @@ def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
     if np.bincount(obs.pose).max(initial=0) < LEAST_POSES or not np.any(np.abs(obs.xyz) > 1e-9):
         raise CalibrationError(TOO_FEW)
     from mbcacq.calibration.staged.ball_pairs import FLAT_MM, width
-    from mbcacq.estimation.initial_guess import fit_rigid_transforms
 
     enough = np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= LEAST_POSES)
     flat = [width(obs.cell.ball_centres[obs.ball[obs.pose == p]]) < FLAT_MM for p in enough]
@@ -178,7 +177,7 @@ def artefact_poses(obs: Observations) -> tuple[np.ndarray, np.ndarray]:
         raise CalibrationError(TOO_FEW)
     rows = np.isin(obs.pose, where)
     group = np.searchsorted(where, obs.pose[rows])
-    return where, fit_rigid_transforms(obs.cell.ball_centres[obs.ball[rows]], obs.xyz[rows], group, len(where))
+    return where, se3.fit_rigid_transforms(obs.cell.ball_centres[obs.ball[rows]], obs.xyz[rows], group, len(where))
 
 
 def _scanner_of_several_balls(obs: Observations) -> None:

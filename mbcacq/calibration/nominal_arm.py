@@ -13,7 +13,7 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import HAND_EYE, Estimate
 from mbcacq.estimation.solver import solve
@@ -38,7 +38,7 @@ def with_nominal_arm(result: CalibratedCell, lineariser: Lineariser) -> Calibrat
     chain = result.layout.blocks[0]
     left_out[: int(chain.free.sum())] = result.errors.reshape(-1)[chain.free]
     state = _replaced(replace(result.state, chain=result.nominal), lineariser, result)
-    _, residual = lineariser.residual(Estimate(state, result.fit.coefficients))
+    residual = lineariser.evaluate(Estimate(state, result.fit.coefficients)).residual
     covariance = result.covariance + np.outer(left_out, left_out)
     return replace(result, state=state, covariance=covariance, own_fit=replace(result.fit, residual=residual))
 
@@ -51,7 +51,8 @@ def _replaced(state: CellState, lineariser: Lineariser, result: CalibratedCell) 
     options = CalibrationOptions(kinematics=False, discrepancy=False, balls=False, hold=hold, displaced=lineariser.options.displaced)
     layout = parameters.build(lineariser.obs, options)
     noise = Noise(np.ones(3), np.full(result.nominal.n, 1e-12), 1e-2)
-    return solve(Lineariser(lineariser.obs, layout, options), Estimate(state), noise, result.fit.weights).estimate.state
+    at = system(Lineariser(lineariser.obs, layout, options), Estimate(state), noise, result.fit.weights)
+    return solve(at).estimate.state
 
 
 def _mounts(result: CalibratedCell) -> list[str]:

@@ -34,7 +34,7 @@ def arm_indices(layout: ParameterLayout, covariance: np.ndarray, poses: int) -> 
     """O1..O5 of the kinematic and hand-eye parameters, from so many poses, by the covariance (g, g) of all free parameters: the others are
     free as they were."""
     arm = int(layout.blocks[0].free.sum() + layout.blocks[1].free.sum())
-    scale = layout.gather("scale")[:arm]
+    scale = layout.scale[:arm]
     covariance = covariance[:arm, :arm] / scale / scale[:, None]
     if np.linalg.matrix_rank(covariance, hermitian=True) < arm:
         return {f"O{i}": 0.0 for i in range(1, 6)}

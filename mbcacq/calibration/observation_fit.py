@@ -9,7 +9,7 @@ import numpy as np
 
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.options import CalibrationOptions, Noise
-from mbcacq.estimation.solver import Weights
+from mbcacq.estimation.outliers import Weights
 from mbcacq.model.json_text import EveryKey
 from mbcacq.model.observations import Observations
 

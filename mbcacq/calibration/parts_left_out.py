@@ -12,11 +12,12 @@ from mbcacq.calibration.with_effects import some_poses
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, build
-from mbcacq.estimation.solver import Weights, solve, system
+from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import Term
 from mbcacq.model.observations import Observations
 
@@ -90,7 +91,8 @@ def _left_out(
     start = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
     residual, whitened = (np.zeros((obs.n_centres, 3)) for _ in range(2))
     for part in parts:
-        fitted = solve(lineariser, start, noise, _weights(obs, used & ~part)).estimate
+        at = system(lineariser, start, noise, _weights(obs, used & ~part))
+        fitted = solve(at).estimate
         predicted = _predicted(obs, options, fitted, noise, _weights(obs, used & part))
         residual[part], whitened[part] = predicted.residual[part], predicted.whitened[part]
     return CentreResiduals(residual[used], whitened[used])

@@ -22,13 +22,13 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import learnt_ranges
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.adjustment import Adjustment, adjust
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import HAND_EYE, Estimate, ParameterLayout, build
 from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.several_recordings import JointProblem, joint_problem
-from mbcacq.estimation.solver import Weights, system
 from mbcacq.estimation.terms import PER_POSE, Term
 from mbcacq.model.json_text import Number, fields_as_json
 from mbcacq.model.observations import Observations
@@ -105,7 +105,7 @@ def _fitted(problem: JointProblem, options: CalibrationOptions) -> CalibratedCel
     obs = problem.observations
     options = replace(options, start=problem.start)
     fitted = adjust(obs, options, links_follow=options.kinematics)
-    fitted = with_random_links(fitted, options) if options.kinematics else fitted
+    fitted = with_random_links(fitted) if options.kinematics else fitted
     result = adjusted_cell(options, fitted)
     return result if options.kinematics or not options.discrepancy else with_nominal_arm(result, fitted.lineariser)
 
@@ -125,7 +125,7 @@ def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
     options = replace(whole.fit.options, terms=tuple(built))
     layout = _as_held(build(obs, options), whole)
     at = system(Lineariser(obs, layout, options), Estimate(whole.state, tuple(start)), whole.noise, whole.fit.weights)
-    scale = layout.gather("scale")
+    scale = layout.scale
     H = scale[:, None] * at.normal.information * scale
     covariance = scale[:, None] * np.linalg.inv(H + 1e-14 * np.diag(H).max() * np.eye(len(H))) * scale
     step = covariance @ at.normal.gradient
@@ -210,13 +210,14 @@ def _share(whole: CalibratedCell, parts: Sequence[Adjustment], r: int, options: 
         iterations=whole.fit.iterations,
         undetermined=whole.fit.undetermined,
     )
+    noise = _own_noise(whole.noise, together, int(poses[0]))
     share = CalibratedCell.fitted(
         fit=fit,
         state=state,
         preliminary=part.preliminary,
         layout=layout,
         covariance=whole.covariance[np.ix_(index, index)],
-        noise=_own_noise(whole.noise, together, int(poses[0])),
+        noise=noise,
         extra=whole.extra,
     )
     return replace(share, effects=whole.effects)

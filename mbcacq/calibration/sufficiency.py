@@ -128,7 +128,7 @@ def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs:
     limit = POOR_ALONE_MM if alone else POOR_MM
     if expected_mm < limit or not (options.refuse and options.kinematics):
         return
-    size = np.where(np.isfinite(layout.gather("sigma")), 0.0, np.sqrt(np.diag(C)) / layout.gather("scale"))
+    size = np.where(np.isfinite(layout.sigma), 0.0, np.sqrt(np.diag(C)) / layout.scale)
     named = ", ".join(layout.names[i] for i in np.argsort(-size)[:4])
     advice = (
         "all poses are at one station: put the artefact at more places, at different heights and distances"

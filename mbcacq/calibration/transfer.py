@@ -22,11 +22,11 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import Weights, system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import AsJson, Number
 from mbcacq.model.observations import Observations
@@ -245,13 +245,11 @@ class _Trial:
         start = CellState(chain, cell.T_flange_scanner, placed, cell.ball_centres.copy())
         options = replace(options, hold=hold)
         lineariser = Lineariser(known, parameters.build(known, options), options)
-        every = Weights(np.ones(known.n_centres), np.ones(known.n_poses))
+        every = lineariser.everything
         at = system(lineariser, Estimate(start), self.cell.noise, every)
         distance = np.linalg.norm(at.linear.residual[:, :3], axis=1)
         weights = replace(every, centre=(distance <= GROSS * np.median(distance)).astype(float))
-        return adjusted_cell(
-            options, Adjustment(lineariser=lineariser, solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[])
-        )
+        return adjusted_cell(options, Adjustment(solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[]))
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them."""
@@ -308,7 +306,8 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     for name in cell.layout.names:
         layout = _freed(layout, name)
     lineariser = Lineariser(some, layout, options)
-    linear = lineariser(Estimate(fitted.state, (*model.coefficients, *(np.zeros(t.size) for t in differing))))
+    estimate = Estimate(fitted.state, (*model.coefficients, *(np.zeros(t.size) for t in differing)))
+    linear = lineariser.at(lineariser.evaluate(estimate))
     X = lineariser.rows.unpad(linear.X)[:, :3].reshape(-1, linear.X.shape[2])
     names = layout.names
     learnt = {name: j for j, name in enumerate(cell.layout.names)}

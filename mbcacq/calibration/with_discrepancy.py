@@ -23,10 +23,10 @@ from mbcacq.effects.effect_term import EffectTerm, LearntRecording
 from mbcacq.estimation import variance_components
 from mbcacq.estimation.adjustment import Adjustment, adjust
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
+from mbcacq.estimation.noise import NoisePrior, first_noise, noise_prior, pack
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.random_effect_sizes import gain_of_groups, sizes_of_groups, supported_groups
 from mbcacq.estimation.random_links import with_random_links
-from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
 MOST_POSES = 2400  # by which groups are found and sized: 3000 of a UR10 predict as well as all of them do so (104 um; by 1200 111 um)
@@ -75,7 +75,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
         None where geometry alone is as probable.
     """
     here = Covariates(obs)
-    prior = variance_components.noise_prior(obs.cell, options.noise)
+    prior = noise_prior(obs.cell, options.noise)
     nothing = _Groups(_some_of(alone), prior, (), (), alone.noise)
     best = _grown(nothing, (discrepancy.own_errors, *FURTHER), here)
     if best.terms and joint_factor(best.noise, obs.cell) < EXCESS:
@@ -89,7 +89,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     learnt = LearntRecording.of(obs)
     built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
     chosen = replace(options, terms=(*options.terms, *built))
-    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise), links_follow=True), chosen)
+    final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise), links_follow=True))
     # What the order of the poses explains belongs to this recording: it is in the uncertainties, and says nothing of other poses.
     of_the_arm = tuple(t for t in best.terms if t.variant != discrepancy.WANDER)
     model = EffectModel(obs.cell.robot, of_the_arm, learnt, obs.cell.measurement)
@@ -114,7 +114,7 @@ def _more_probable(one: _Groups, other: _Groups, least: float = LEAST_GAIN) -> _
 def _grown(best: _Groups, kinds: Sequence[Kind], here: Covariates, where_noisy: Collection[Kind] = FURTHER) -> _Groups:
     """The groups with those of further kinds, one kind after the other, where the evidence asks for them. where_noisy: the kinds that are
     tried only where the joints' noise is beyond the data sheet."""
-    allowed = variance_components.first_noise(here.obs.cell)
+    allowed = first_noise(here.obs.cell)
     for kind in kinds:
         if kind in where_noisy and joint_factor(best.noise, here.obs.cell) < EXCESS:
             break
@@ -231,7 +231,7 @@ class _Groups:
             earlier, (noise, _) = noise, variance_components.reml_step(system.after_fit(), noise, groups.prior)
             moved = max(abs(np.log(f)) for key, f in factor.items())
             groups = groups._resized(factor)
-            if max(moved, float(np.abs(variance_components.pack(noise) - variance_components.pack(earlier)).max())) < CONVERGED:
+            if max(moved, float(np.abs(pack(noise) - pack(earlier)).max())) < CONVERGED:
                 break
         return replace(groups, noise=noise)
 

@@ -18,16 +18,16 @@ from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
-from mbcacq.estimation.adjustment import Adjustment, most_probable_noise
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.adjustment import Adjustment
+from mbcacq.estimation.linearization import Lineariser, Solution, system
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
-from mbcacq.estimation.solver import Solution, Weights, reweighted, system
 from mbcacq.estimation.terms import Term
-from mbcacq.estimation.variance_components import noise_prior
+from mbcacq.estimation.variance_components import most_probable_noise
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.observations import Observations
 
@@ -126,7 +126,7 @@ def common_pattern_of(sized: _Stage, noise: Noise, parametric: EffectModel, unmo
     position = {name: j for j, name in enumerate(layout.names)}
     index = {joint_of(t): np.array([position[name] for name in t.names]) for t in own}
     sigma = {joint_of(t): size.get(t.key, OPTIONS.least_before_last * t.sigma) for t in own}
-    weight = layout.gather("sigma") ** -2.0
+    weight = layout.sigma**-2.0
     information = normal.information.copy()
     for columns in index.values():
         information[columns, columns] -= weight[columns]
@@ -178,14 +178,14 @@ def sized_groups(
     parametric effects free; groups that the data do not ask for are dropped.
     """
     obs = fitted.fit.observations
-    prior = noise_prior(obs.cell, options.noise)
     stage = _Stage.first(fitted, options, parametric, unmodelled, some_poses(obs, OPTIONS.most_poses))
     noise = start or fitted.noise
     at = stage.system(noise)
     turns = OPTIONS.turns if start is None else OPTIONS.turns_again
     for turn in range(turns):
         stage = stage.sized(at, last=turn == turns - 1)
-        at, noise = most_probable_noise(stage.reweighted, stage.system(noise), noise, prior, OPTIONS.noise_steps)
+        at = most_probable_noise(stage.reweighted, stage.system(noise), OPTIONS.noise_steps)
+        noise = at.noise
     return stage, noise
 
 
@@ -198,12 +198,7 @@ def with_groups(stage: _Stage, noise: Noise, parametric: EffectModel, unmodelled
     at = stage.system(noise)
     chosen = replace(stage.options, terms=stage.terms)
     adjusted = Adjustment(
-        lineariser=stage.lineariser,
-        solution=at,
-        noise=noise,
-        weights=fitted.fit.weights,
-        preliminary=fitted.preliminary,
-        found=list(fitted.fit.undetermined),
+        solution=at, noise=noise, weights=fitted.fit.weights, preliminary=fitted.preliminary, found=list(fitted.fit.undetermined)
     )
     result = adjusted_cell(chosen, adjusted)
     groups = tuple(replace(g, sigma=g.sigma * s) for g, s in zip(stage.groups, stage.scale, strict=True))
@@ -302,7 +297,7 @@ class _Stage:
 
     def reweighted(self, at: Solution, noise: Noise) -> Solution:
         """The normal equations at the same estimate under another noise."""
-        return reweighted(self.lineariser, at, noise, self.weights)
+        return at.reweighted(noise, self.weights)
 
     def sized(self, at: Solution, last: bool) -> _Stage:
         """The groups at the sizes that the linearised problem asks for, and the estimate after the step of that problem.
@@ -320,14 +315,12 @@ class _Stage:
         scale = group_scales(information, right, first, self.groups, self.scale, smallest)
         scale = scale if last else np.maximum(scale, smallest)
         prior = np.concatenate([g.sigma * s for g, s in zip(self.groups, scale, strict=True)])
-        size = np.concatenate([layout.gather("scale")[:first], prior])
+        size = np.concatenate([layout.scale[:first], prior])
         solved = size * np.linalg.solve(
             size[:, None] * information * size + np.diag(np.r_[np.zeros(first), np.ones(len(prior))]), size * right
         )
         step = solved - now
-        stations = np.zeros((len(self.estimate.state.T_base_station), 6))
-        stations[self.lineariser.rows.stations] = normal.station_step(step)
-        moved = self.estimate.moved(layout, step, stations)
+        moved = self.estimate.moved(layout, step, normal.station_step(step), self.lineariser.rows.stations)
         alive = np.r_[np.ones(len(self.named), bool), scale > 0]
         kept = Estimate(moved.state, tuple(c for c, keep in zip(moved.coefficients, alive, strict=True) if keep))
         return replace(

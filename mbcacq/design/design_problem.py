@@ -44,7 +44,7 @@ class DesignProblem:
         every[:, :, :g] = rows[:, :, :g]
         columns = g + 6 * place[:, None] + np.arange(6)
         every[np.arange(len(rows))[:, None, None], np.arange(rows.shape[1])[None, :, None], columns[:, None, :]] = rows[:, :, g:]
-        vague = np.concatenate([self.layout.gather("scale"), np.tile(OPTIONS.station_sigmas, len(used))])
+        vague = np.concatenate([self.layout.scale, np.tile(OPTIONS.station_sigmas, len(used))])
         known = every[: len(kept)].reshape(-1, every.shape[2])
         self.base = np.diag(1 / vague**2) + known.T @ known
         self.blocks = every[len(kept) :]
@@ -69,7 +69,7 @@ def pose_information(obs: Observations, state: CellState, layout: ParameterLayou
     """(P, 6, g + 6): whitened rows of each pose, in the order of ``obs``, by arm and hand-eye and by its own station, brought down to the
     six that a rigid view can have."""
     lineariser = Lineariser(obs, layout, CalibrationOptions(balls=False, refuse=False))
-    linear = lineariser(parameters.Estimate(state))
+    linear = lineariser.at(lineariser.evaluate(parameters.Estimate(state)))
     weights = np.ones(obs.n_centres), np.ones(obs.n_poses)
     X = Whitening(lineariser.rows, linear.J, noise, *weights)(linear.X)[..., :-1]
     value, vector = np.linalg.eigh(np.swapaxes(X, 1, 2) @ X)

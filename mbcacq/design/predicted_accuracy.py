@@ -18,10 +18,9 @@ from mbcacq.estimation import identifiability
 from mbcacq.estimation import parameters as blocks
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.identifiability import Undetermined
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import Weights, system
 from mbcacq.model.json_text import AsJson, keyed
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose
@@ -91,17 +90,15 @@ def predicted_calibration(
     options = options or CalibrationOptions(refuse=False)
     obs = select_phases(observations, options)
     state = planned_state(loaded)
-    weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
     layout, estimate = blocks.build(obs, options).resized(blocks.ORDINARY_LINKS), Estimate(state)
-    first = system(Lineariser(obs, layout, options), estimate, noise, weights)
+    lineariser = Lineariser(obs, layout, options)
+    weights = lineariser.everything
+    first = system(lineariser, estimate, noise, weights)
     layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
     if options.kinematics and options.random_links:
         layout = blocks.with_common_sizes(layout, blocks.usual_sizes(obs.cell))
-    lineariser = Lineariser(obs, layout, options)
-    solution = system(lineariser, estimate, noise, weights)
-    return adjusted_cell(
-        options, Adjustment(lineariser=lineariser, solution=solution, noise=noise, weights=weights, preliminary=state, found=found)
-    )
+    solution = system(lineariser.with_layout(layout), estimate, noise, weights)
+    return adjusted_cell(options, Adjustment(solution=solution, noise=noise, weights=weights, preliminary=state, found=found))
 
 
 def _calibration_share(calibration: CalibratedCell, observations: Observations) -> list[float]:
@@ -120,7 +117,7 @@ def _arm_parameters(calibration: CalibratedCell) -> list[str]:
 def _weakest(calibration: CalibratedCell, count: int = 3) -> tuple[tuple[str, float, str], ...]:
     """The least well determined parameters: those of the largest standard deviation in units of a plausible size."""
     std = np.sqrt(np.diag(calibration.covariance))
-    share = std / calibration.layout.gather("scale")
+    share = std / calibration.layout.scale
     unit = [u for b in calibration.layout.blocks for u, free in zip(b.units, b.free, strict=True) if free]
     identified = set(_arm_parameters(calibration))
     order = [i for i in np.argsort(-share) if calibration.names[i] in identified]

@@ -19,15 +19,14 @@ from mbcacq.effects.context import Context
 from mbcacq.effects.covariates import RECORDING
 from mbcacq.effects.effect import MOMENT, ON_THE_ARM, Candidate, HyperEstimate, ParameterEstimate, Parameters, StandstillRows
 from mbcacq.effects.functions import of, times
-from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
+from mbcacq.estimation.noise import NoisePrior
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.several_recordings import adjust_together
 from mbcacq.estimation.terms import Part
-from mbcacq.estimation.variance_components import NoisePrior, noise_prior
 from mbcacq.model.observations import Observations
 
 EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording
@@ -88,7 +87,8 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
         calibrated = (adjusted_cell(options, adjusted),)
         return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
     together = adjust_together(recordings, options)
-    calibrated = shares(adjusted_cell(options, together.adjusted), together.parts, options)
+    whole = adjusted_cell(options, together.adjusted)
+    calibrated = shares(whole, together.parts, options)
     problem = problem_of(together.observations, options, together.adjusted)
     return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
 
@@ -102,7 +102,7 @@ def prepared(obs: Observations, options: CalibrationOptions) -> tuple[DiagnosisP
 def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustment) -> DiagnosisProblem:
     """The problem of adjusted observations, without the cells of geometry alone."""
     keep = adjusted.used | not_grossly_off(adjusted.solution.linear.residual)
-    linear = LinearProblem.of(obs, adjusted.state, keep, layout=parameters.build(obs, options), given=options.displaced)
+    linear = LinearProblem.of(obs, adjusted.state, keep, layout=adjusted.lineariser.asked, given=options.displaced)
     context = Context(obs, adjusted.state, linear.prediction)
     candidates, dropped = catalogue.candidates(context)
     return DiagnosisProblem(
@@ -111,7 +111,7 @@ def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustm
         candidates=[*candidates, *differing(candidates, obs)],
         dropped=dropped,
         noise=adjusted.noise,
-        prior_noise=noise_prior(obs.cell, options.noise),
+        prior_noise=adjusted.lineariser.noise_prior,
         design_blocks=DesignBlocks(context),
         undetermined=tuple(adjusted.found),
     )

@@ -88,6 +88,17 @@ class Prediction:
             out[:, 3:, 3:] = R
         return out
 
+    @cached_property
+    def ball_rotation(self) -> np.ndarray:
+        """(P, 3, 3): derivative of a centre by a shift of its ball in the artefact's frame, or of a reflector in the target's."""
+        scanner, station = self.T_base_scanner[:, :3, :3], self.T_base_station[:, :3, :3]
+        here, there = (station, scanner) if self.measurement == TARGET_IN_BASE else (scanner, station)
+        return np.swapaxes(here, 1, 2) @ there
+
+    def by_twists(self, twists: np.ndarray) -> np.ndarray:
+        """(M, R, k): derivative by coefficients whose spatial twists of the arm are given (P, k, 6)."""
+        return self.gradient @ np.swapaxes(twists, -1, -2)[self.pose]
+
 
 def hand_eye_of_poses(observations: Observations, state: CellState) -> np.ndarray:
     """T_flange_scanner (4, 4), or that of each pose (P, 4, 4) where there are several recordings."""
@@ -135,20 +146,3 @@ def residual(observations: Observations, prediction: Prediction) -> np.ndarray:
         return difference
     turn = observations.rotation @ np.swapaxes(prediction.rotation, -1, -2)
     return np.concatenate([difference, se3.rotation_log(turn)], axis=1)
-
-
-def arm_jacobian(observations: Observations, prediction: Prediction, twists: np.ndarray) -> np.ndarray:
-    """Derivative of the prediction by coefficients whose spatial twists are given: (P, k, 6) -> (M, R, k)."""
-    return prediction.gradient @ np.swapaxes(twists, -1, -2)[observations.pose]
-
-
-def ball_jacobian(observations: Observations, prediction: Prediction) -> np.ndarray:
-    """By a shift of the ball in its artefact's frame, or of a reflector in the target's: (M, 3, 3)."""
-    return ball_rotation(observations, prediction)[observations.pose]
-
-
-def ball_rotation(observations: Observations, prediction: Prediction) -> np.ndarray:
-    """The same of each pose (P, 3, 3): it is a rotation, whichever the ball."""
-    scanner, station = prediction.T_base_scanner[:, :3, :3], prediction.T_base_station[:, :3, :3]
-    here, there = (station, scanner) if observations.cell.measurement == TARGET_IN_BASE else (scanner, station)
-    return np.swapaxes(here, 1, 2) @ there

@@ -47,8 +47,8 @@ def hold_undetermined(
 ) -> tuple[ParameterLayout, list[Undetermined]]:
     """Hold one parameter after another until the reduced information (g, g) determines the rest."""
     found: list[Undetermined] = []
-    scale, names = layout.gather("scale"), np.array(layout.names)
-    arm = np.flatnonzero(~np.isfinite(layout.gather("sigma")))
+    scale, names = layout.scale, np.array(layout.names)
+    arm = np.flatnonzero(~np.isfinite(layout.sigma))
     H = scale[:, None] * information * scale
     reference = None
     kept = np.arange(len(names))
@@ -76,7 +76,7 @@ def hold_undetermined(
 
 def determines(layout: ParameterLayout, information: np.ndarray) -> bool:
     """Whether the reduced information (g, g) determines every direction; as its smallest eigenvalue says, but cheaper."""
-    scale = layout.gather("scale")
+    scale = layout.scale
     try:
         np.linalg.cholesky(scale[:, None] * information * scale - np.eye(len(scale)) / LIMIT**2)
     except np.linalg.LinAlgError:
@@ -107,11 +107,11 @@ def workspace_information(
 ) -> np.ndarray:
     """(g, g): mean square displacement in mm of measured points, over postures within the joint limits, per unit of the free parameters;
     what a rigid motion of everything would explain is taken out, since the base is wherever the stations put it."""
-    rng = np.random.default_rng(seed)
+    rng, measured = np.random.default_rng(seed), typical_points(obs)
     low, high = state.chain.drawn_between(obs.cell.robot.limits)
     q = rng.uniform(low, high, size=(postures, obs.cell.robot.n))
     twists, T = _twists(layout, state, q)
-    points = se3.apply(T[:, None], typical_points(obs)[None])  # (P, K, 3)
+    points = se3.apply(T[:, None], measured[None])  # (P, K, 3)
     # The points of a posture move by D twist, D = [1, -x]; the same columns, of the base, are those of a rigid motion of everything.
     D = np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), -se3.skew(points)], axis=3).reshape(len(q), -1, 6)
     squares = np.swapaxes(D, 1, 2) @ D

@@ -12,15 +12,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mbcacq.estimation import forward_model, parameters, terms
+from mbcacq.estimation import parameters, terms
 from mbcacq.estimation.forward_model import CellState, Prediction
-from mbcacq.estimation.linearization import Lineariser
-from mbcacq.estimation.normal_equations import Normal, PoseSystem, Prior
+from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.normal_equations import Normal, PoseSystem
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.pose_columns import PoseColumns
 from mbcacq.estimation.pose_information import PoseInformation, WeightedRows
-from mbcacq.estimation.solver import Weights, known_placement, solve
+from mbcacq.estimation.prior import Prior, known_placement
+from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import PER_POSE, Part, Term
 from mbcacq.estimation.whitening import CentreWhitening, PoseRows
 from mbcacq.model.observations import Observations
@@ -67,34 +69,33 @@ class LinearProblem:
         layout: which parameters are free (default: all of the arm, the hand-eye and the certified balls, without those that act alike).
         given: further effects, at the means of their coefficients.
         """
-        options = CalibrationOptions(terms=tuple(one for one, _ in given))
+        displaced = (*zip(effects, coefficients, strict=True), *given)
+        options = CalibrationOptions(terms=tuple(one for one, _ in given), displaced=displaced)
         layout = parameters.build(obs, options) if layout is None else with_terms(layout, options.terms)
-        every = [*zip(effects, coefficients, strict=True), *given]
-        displaced = terms.accumulate(obs, *zip(*every, strict=True)) if every else None
-        prediction = forward_model.predict(obs, state, displaced)
         # Residual, effects and geometry are of one scale: covariances that single measurements state count in the adjustment alone.
         lineariser = Lineariser(replace(obs, covariance=None), layout, options)
-        residual = forward_model.residual(obs, prediction)
-        linear = lineariser.at(state.chain, prediction, residual)
+        there = lineariser.evaluate(Estimate(state, tuple(np.zeros(one.size) for one, _ in given)))
         whole = cls(
             obs=obs,
             state=state,
             keep=np.ones(obs.n_centres, bool),
             layout=layout,
             rows=lineariser.rows,
-            prediction=prediction,
-            residual=residual,
-            columns_by_pose=linear.columns,
+            prediction=there.prediction,
+            residual=there.residual,
+            columns_by_pose=lineariser.at(there).columns,
             given=tuple(given),
         )
         # Priors are about the nominal arm and the certificates, so the linear problem is for the whole deviation from them: what the state
         # holds of it already is added back.
-        residual = residual + whole.rows.unpad(linear.columns.change(_deviation(obs, state, layout), np.zeros((obs.n_poses, 6))))
+        off = there.prior.offset
+        residual = there.residual + whole.rows.unpad(whole.columns_by_pose.change(off, np.zeros((obs.n_poses, 6))))
         for one, values in zip(effects, coefficients, strict=True):
-            residual = residual + terms.columns(obs, prediction, one) @ values
-        for s in whole.given_stations:
-            here = obs.station[obs.pose] == s
-            residual[here] += whole.station[here] @ _given(obs, state, s)[1]
+            residual = residual + terms.columns(obs, there.prediction, one) @ values
+        for s, offset in zip(whole.rows.stations, there.prior.station_offset, strict=True):
+            if s in whole.given_stations:
+                here = obs.station[obs.pose] == s
+                residual[here] += whole.station[here] @ offset
         return whole.with_residual(residual).restricted(whole.keep if keep is None else keep)
 
     @property
@@ -192,7 +193,7 @@ class LinearProblem:
     @property
     def sigma(self) -> np.ndarray:
         """(g,) prior sigma of the free parameters: of a certificate, else the size that such an error may plausibly have."""
-        sigma, scale = self.layout.gather("sigma"), self.layout.gather("scale")
+        sigma, scale = self.layout.sigma, self.layout.scale
         return np.where(np.isfinite(sigma), sigma, scale)
 
     @property
@@ -209,7 +210,7 @@ class LinearProblem:
         out, flat = self.station * STATION_SIGMA, self.station.reshape(-1, 6)
         for s, rows in zip(self.rows.stations, self.rows_of_stations, strict=True):
             if s in self.given_stations:
-                root = np.linalg.cholesky(_given(self.obs, self.state, int(s))[0])
+                root = np.linalg.cholesky(_given(self.obs, self.state, int(s)))
                 out.reshape(-1, 6)[rows] = flat[rows] @ np.linalg.inv(root).T
         return out
 
@@ -231,7 +232,7 @@ class LinearProblem:
             local = self.station[here]
             if s in given:
                 # In units of the uncertainty of the given place.
-                local = local @ np.linalg.inv(np.linalg.cholesky(_given(obs, self.state, int(s))[0])).T
+                local = local @ np.linalg.inv(np.linalg.cholesky(_given(obs, self.state, int(s)))).T
             else:
                 sigma[j] = STATION_SIGMA
             out[here, :, 6 * j : 6 * j + 6] = local
@@ -260,7 +261,7 @@ class LinearProblem:
         information = np.zeros((len(self.rows.stations), 6, 6))
         for j, s in enumerate(self.rows.stations):
             if s in self.given_stations:
-                information[j] = _given(self.obs, self.state, int(s))[0]
+                information[j] = _given(self.obs, self.state, int(s))
         prior = Prior(widths, np.zeros(len(widths)), information, np.zeros((len(information), 6)))
         weighted = WeightedRows(self.rows, every, self.keep.astype(float), np.ones(self.rows.n_poses))
         return ExtendedProblem(every, weighted, prior)
@@ -274,7 +275,7 @@ class LinearProblem:
         weights = Weights(self.keep.astype(float), np.ones(self.obs.n_poses))
         start = Estimate(self.state, tuple(np.zeros(e.size) for e in every))
         lineariser = Lineariser(self.obs, self._with_priors(every), options)
-        found = solve(lineariser, start, noise, weights, tolerance=0.1, limit=10).estimate
+        found = solve(system(lineariser, start, noise, weights), tolerance=0.1, limit=10).estimate
         of_effects = found.coefficients[len(self.given) :]
         return LinearProblem.of(self.obs, found.state, self.keep, effects, of_effects, self.layout, self.given)
 
@@ -302,24 +303,12 @@ def with_terms(layout: ParameterLayout, effects: Sequence[Term]) -> ParameterLay
     return ParameterLayout((*layout.blocks[:3], *(parameters.term_block(e) for e in effects)))
 
 
-def _deviation(obs: Observations, state: CellState, layout: ParameterLayout) -> np.ndarray:
-    """(g,) of the free parameters: arm from nominal (from the centre of its prior), balls from their certificates, hand-eye and given
-    effects none.
-    """
-    arm = (state.chain.rows - obs.cell.robot.chain.rows).reshape(-1)
-    if (centre := layout.blocks[0].centre) is not None:
-        arm = arm - centre
-    full = [arm, np.zeros(len(layout.blocks[1].names)), (state.balls - obs.cell.ball_centres).reshape(-1)]
-    full += [np.zeros(len(b.names)) for b in layout.blocks[3:]]
-    return np.concatenate([values[b.free] for values, b in zip(full, layout.blocks, strict=True)])
-
-
-def _given(obs: Observations, state: CellState, s: int) -> tuple[np.ndarray, np.ndarray]:
-    """Information (6, 6) and offset (6,) of a station whose place was given."""
+def _given(obs: Observations, state: CellState, s: int) -> np.ndarray:
+    """Information (6, 6) of a station whose place was given."""
     given = obs.cell.stations[s].T_base_station
     assert given is not None, "asked of stations with a given place only"
-    information, offset = known_placement(obs.cell, s, given, state.T_base_station[s])
-    return information + np.diag(STATION_SIGMA**-2), offset  # one or two balls leave a direction of the place open
+    information, _ = known_placement(obs.cell, s, given, state.T_base_station[s])
+    return information + np.diag(STATION_SIGMA**-2)  # one or two balls leave a direction of the place open
 
 
 def as_slice(index: np.ndarray) -> slice | np.ndarray:

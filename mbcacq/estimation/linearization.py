@@ -1,24 +1,44 @@
-"""The problem linearised at an estimate: residual and analytic columns of every free parameter, grouped by pose."""
+"""The problem linearised at an estimate: residual and analytic columns of every free parameter, grouped by pose, and its whitened normal
+equations under a noise and weights."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from mbcacq.estimation import forward_model, terms
-from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.identifiability import determines
+from mbcacq.estimation.noise import NoisePrior, first_noise, noise_prior, stated_weights
+from mbcacq.estimation.normal_equations import Normal, PoseSystem
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.own_columns import OwnColumns
 from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.pose_columns import WIDE, PoseColumns, WideColumns
-from mbcacq.estimation.variance_components import first_noise
-from mbcacq.estimation.whitening import PoseRows
+from mbcacq.estimation.pose_information import PoseInformation
+from mbcacq.estimation.prior import Prior, prior_rows
+from mbcacq.estimation.whitening import PoseRows, Whitening
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
+
+# Rotations (rad) over which the problem is as good as linear: their second order moves a point 1 m away by 20 nm.
+LINEAR_ROTATION = 2e-4
+
+
+@dataclass(frozen=True)
+class EvaluatedEstimate:
+    """The recording at one estimate. residual: (M, R); rows: (P, B R) the same as the poses have it, with the covariances that measurements
+    state taken out; prior: what is known beforehand."""
+
+    estimate: Estimate
+    prediction: forward_model.Prediction
+    residual: np.ndarray
+    rows: np.ndarray
+    prior: Prior
 
 
 @dataclass(frozen=True)
@@ -40,22 +60,42 @@ class Linearization:
 
 
 class Lineariser:
-    """Evaluates residuals and columns of one recording; keeps what does not depend on the estimate."""
+    """Evaluates residuals and columns of one recording; keeps what does not depend on the estimate.
+
+    rows: its rows, pose by pose. first_noise: as it is stated. everything: weights with which all of it takes part. layout: the
+    parameters; asked: as it was at first, before the data left any of them undetermined.
+    """
 
     def __init__(self, observations: Observations, layout: ParameterLayout, options: CalibrationOptions):
-        self.obs, self.layout, self.options = observations, layout, options
-        width = 3 if observations.rotation is None else 6
-        self.rows = PoseRows(observations, width)
+        self.obs, self.options = observations, options
+        self.rows = PoseRows(observations, 3 if observations.rotation is None else 6)
+        self.first_noise = first_noise(observations.cell)
+        self.own_weight = stated_weights(observations, self.first_noise)
+        self.everything = Weights(np.ones(observations.n_centres), np.ones(observations.n_poses))
+        self.asked = layout
+        self._set(layout)
+
+    @cached_property
+    def noise_prior(self) -> NoisePrior:
+        """Prior of the noise, as the options ask for it."""
+        return noise_prior(self.obs.cell, self.options.noise)
+
+    def with_layout(self, layout: ParameterLayout) -> Lineariser:
+        """The same recording with other parameters free, or other priors of the same."""
+        out = copy(self)
+        out._set(layout)
+        return out
+
+    def _set(self, layout: ParameterLayout) -> None:
+        self.layout = layout
         free = layout.blocks[2].free.reshape(-1, 3)
         whole = free.all(axis=1)
-        # A ball of which some coordinates are held has no common pattern: then all columns are written out.
-        self.free_balls = int(whole.sum()) if np.array_equal(whole, free.any(axis=1)) else 0
+        # A ball of which some coordinates are held has no common pattern, nor have the balls of a pose whose measurements state covariances
+        # of their own: then all columns are written out.
+        alike = self.own_weight is None and np.array_equal(whole, free.any(axis=1))
+        self.free_balls = int(whole.sum()) if alike else 0
         number = np.where(whole, np.cumsum(whole) - 1, self.free_balls) if self.free_balls else np.zeros(len(free), int)
         self.ball = self._in_slots(number, self.free_balls)
-        self.own_weight = stated_weights(observations)
-        if self.own_weight is not None:  # then the balls of a pose have no common pattern either
-            self.free_balls = 0
-            self.ball = self._in_slots(np.zeros(len(free), int), 0)
 
     def weighted(self, rows: np.ndarray) -> np.ndarray:
         """Rows (M, R) or (M, R, k) with the covariances that the measurements state taken out; as they are where none does."""
@@ -67,28 +107,21 @@ class Lineariser:
         """The inverse of ``weighted``, of rows (M, R)."""
         return rows if self.own_weight is None else np.linalg.solve(self.own_weight, rows[..., None])[..., 0]
 
-    def with_layout(self, layout: ParameterLayout) -> Lineariser:
-        """The same recording with other priors of the same free parameters."""
-        out = copy(self)
-        out.layout = layout
-        return out
-
-    def residual(self, estimate: Estimate) -> tuple[forward_model.Prediction, np.ndarray]:
-        """Prediction and residual (M, R) at an estimate."""
+    def evaluate(self, estimate: Estimate) -> EvaluatedEstimate:
+        """Prediction and residual at an estimate, and its distance from what is known beforehand."""
         moved = None
         if self.options.terms or self.options.displaced:
             known = self.options.displaced
             every = (*self.options.terms, *(term for term, _ in known))
             moved = terms.accumulate(self.obs, every, (*estimate.coefficients, *(values for _, values in known)))
         prediction = forward_model.predict(self.obs, estimate.state, moved)
-        return prediction, forward_model.residual(self.obs, prediction)
+        residual = forward_model.residual(self.obs, prediction)
+        prior = prior_rows(self.obs.cell, self.layout, estimate, self.rows.stations)
+        return EvaluatedEstimate(estimate, prediction, residual, self.rows.pad(self.weighted(residual)), prior)
 
-    def __call__(self, estimate: Estimate) -> Linearization:
-        prediction, residual = self.residual(estimate)
-        return self.at(estimate.state.chain, prediction, residual)
-
-    def at(self, chain: Chain, prediction: forward_model.Prediction, residual: np.ndarray) -> Linearization:
-        """The columns at a prediction by an arm ``chain``, next to any residual (M, R)."""
+    def at(self, there: EvaluatedEstimate) -> Linearization:
+        """The columns there."""
+        chain, prediction = there.estimate.state.chain, there.prediction
         rows, f = self.rows, int(self.layout.blocks[0].free.sum() + self.layout.blocks[1].free.sum())
         moved, of_station, jointly = (np.empty((rows.n_poses, 6, k)) for k in (f, 6, chain.n))
         for block in rows.blocks:
@@ -101,25 +134,16 @@ class Lineariser:
             # No more rows than a twist has components: the rows themselves are the shorter basis, in which effects are twists as well.
             moved, of_station, jointly = basis @ moved, basis @ of_station, basis @ jointly
             basis = np.broadcast_to(np.eye(size), (len(basis), size, size))
-        other = np.zeros((rows.n_poses, size, 0))
-        wide: tuple[WideColumns, ...] = ()
-        if by_rows and not self.free_balls:
-            moved, wide = self._beside(moved, prediction), self._wide(prediction)
-        else:
-            other = self._beside(other, prediction)
-        own = OwnColumns(self._turn(prediction), self.ball, self.free_balls, other)
+        none = np.zeros((rows.n_poses, size, 0))
+        as_twists, turn = by_rows and not self.free_balls, self._turn(prediction)
+        beside, wide = self._beside(moved if as_twists else none, prediction, turn, as_twists)
+        own = OwnColumns(turn, self.ball, self.free_balls, none if as_twists else beside)
+        moved = beside if as_twists else moved
         return Linearization(
             prediction,
-            residual,
+            there.residual,
             PoseColumns(
-                basis=basis,
-                twists=moved,
-                station=of_station,
-                joints=jointly,
-                own=own,
-                residual=rows.pad(self.weighted(residual)),
-                by_rows=by_rows,
-                wide=wide,
+                basis=basis, twists=moved, station=of_station, joints=jointly, own=own, residual=there.rows, by_rows=by_rows, wide=wide
             ),
         )
 
@@ -134,45 +158,43 @@ class Lineariser:
         moving = np.concatenate([arm, self._of_recordings(mount, poses)[:, mount_free]], axis=1)
         return moving, station, twists[:, :, 0] * chain.sign[:, None]
 
-    def _others(self, prediction: forward_model.Prediction) -> Iterator[np.ndarray]:
-        """(P, B R, k) columns of the balls where these are written out, then of each effect."""
-        rows, free = self.rows, self.layout.blocks[2].free
-        if free.any() and self.own_weight is not None:
-            yield rows.pad(self.weighted(_shifts(self.obs, prediction, rows.width)))[..., free]
-        elif free.any() and not self.free_balls:
-            every, none = np.arange(len(free) // 3), np.zeros((rows.n_poses, rows.depth * rows.width, 0))
-            yield OwnColumns(self._turn(prediction), self._in_slots(every, len(every)), len(every), none).dense[..., free]
-        for one in self.options.terms:
-            yield rows.pad(self.weighted(terms.columns(self.obs, prediction, one)))
-
-    def _beside(self, first: np.ndarray, prediction: forward_model.Prediction) -> np.ndarray:
-        """(P, B R, k): the others, ``_others``, after the first columns (P, B R, f). All of them are in memory once only."""
-        written = 0 if self.free_balls else int(self.layout.blocks[2].free.sum())
-        end = first.shape[2]
-        out = np.empty((*first.shape[:2], end + written + sum(one.size for one in self.options.terms)))
+    def _beside(
+        self, first: np.ndarray, prediction: forward_model.Prediction, turn: np.ndarray, as_twists: bool
+    ) -> tuple[np.ndarray, tuple[WideColumns, ...]]:
+        """(P, B R, k): columns of the balls where these are written out, and of each effect, after the first columns (P, B R, f); as
+        twists, those of the effects that have many functions of one direction. All columns are in memory once only."""
+        rows, end = self.rows, first.shape[2]
+        wide: tuple[WideColumns, ...] = ()
+        balls = 0 if self.free_balls else int(self.layout.blocks[2].free.sum())
+        out = np.empty((*first.shape[:2], end + balls + sum(one.size for one in self.options.terms)))
         out[:, :, :end] = first
-        for columns in self._others(prediction):
-            out[:, :, end : end + columns.shape[2]] = columns
-            end += columns.shape[2]
-        return out
+        if balls:
+            out[:, :, end : end + balls] = self._of_balls(prediction, turn)
+            end += balls
+        for term in self.options.terms:
+            place, one = slice(end, end + term.size), term.parts[0]
+            columns = terms.columns(self.obs, prediction, term)
+            if as_twists and len(term.parts) == 1 and one.place in terms.PER_POSE and term.size >= WIDE:
+                unit = terms.unit(self.obs, prediction, one.place, one.index, one.component)
+                wide = (WideColumns(place, rows.pad(self.weighted(unit)), one.basis[rows.order]), *wide)
+            out[:, :, place] = rows.pad(self.weighted(columns))
+            end = place.stop
+        return out, wide
 
-    def _wide(self, prediction: forward_model.Prediction) -> tuple[WideColumns, ...]:
-        """Those of the effects, the last of all columns, that have many functions of one direction."""
-        rows, end, out = self.rows, self.layout.size, []
-        for term in reversed(self.options.terms):
-            start, end = end - term.size, end - term.size
-            one = term.parts[0]
-            if len(term.parts) == 1 and one.place in terms.PER_POSE and term.size >= WIDE:
-                unit = rows.pad(self.weighted(terms.unit(self.obs, prediction, one.place, one.index, one.component)))
-                out.append(WideColumns(slice(start, start + term.size), unit, one.basis[rows.order]))
-        return tuple(out)
+    def _of_balls(self, prediction: forward_model.Prediction, turn: np.ndarray) -> np.ndarray:
+        """(P, B R, k) columns of the free coordinates of the balls."""
+        rows, free = self.rows, self.layout.blocks[2].free
+        if self.own_weight is not None:
+            return rows.pad(self.weighted(_shifts(self.obs, prediction, rows.width)))[..., free]
+        every, none = np.arange(len(free) // 3), np.zeros((rows.n_poses, rows.depth * rows.width, 0))
+        return OwnColumns(turn, self._in_slots(every, len(every)), len(every), none).dense[..., free]
 
     def _turn(self, prediction: forward_model.Prediction) -> np.ndarray:
         """(P, R, 3): derivative of a centre's rows by the shift of its ball; zero where no ball is free."""
         turn = np.zeros((self.rows.n_poses, self.rows.width, 3))
         if self.layout.blocks[2].free.any():
             # A measured orientation does not depend on a reflector's place.
-            turn[:, :3] = forward_model.ball_rotation(self.obs, prediction)[self.rows.order]
+            turn[:, :3] = prediction.ball_rotation[self.rows.order]
         return turn
 
     def _in_slots(self, number: np.ndarray, none: int) -> np.ndarray:
@@ -194,19 +216,170 @@ class Lineariser:
 def _shifts(obs: Observations, prediction: forward_model.Prediction, width: int) -> np.ndarray:
     """(M, R, 3 K): derivative of each centre's rows by the shift of each of the K balls."""
     out = np.zeros((obs.n_centres, width, len(obs.cell.ball_ids), 3))
-    out[np.arange(obs.n_centres), :3, obs.ball] = forward_model.ball_jacobian(obs, prediction)
+    out[np.arange(obs.n_centres), :3, obs.ball] = prediction.ball_rotation[obs.pose]
     return out.reshape(obs.n_centres, width, -1)
 
 
-def stated_weights(obs: Observations) -> np.ndarray | None:
-    """(M, R, R) that give rows with the stated covariances the noise that is stated of the instrument as a whole; None where none are.
+@dataclass(frozen=True)
+class SolverStep:
+    """A step (g,) of the parameters and (S', 6) of the stations in use, from a solution within its linear problem."""
 
-    The inverse square root of each correlation matrix, so that every row stays as near to its own axis as it can.
+    start: Solution
+    parameters: np.ndarray
+    stations: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """An estimate and the whitened system at it. X: (P, B R, g + 7) whitened; cost: chi square with the prior rows.
+
+    lineariser: of the recording and its parameters. origin: estimate at which the residual was evaluated. step: what led from there here
+    within the linear problem; None where the residual is that of the estimate itself. turned: rad, at most, of any rotation since the
+    columns were made.
     """
-    if obs.covariance is None:
-        return None
-    sigma = np.sqrt(np.einsum("mii->mi", obs.covariance))
-    value, vector = np.linalg.eigh(obs.covariance / sigma[:, :, None] / sigma[:, None, :])
-    root = (vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2)
-    noise = first_noise(obs.cell).row_sigma(sigma.shape[1])
-    return noise[:, None] * root / sigma[:, None, :]
+
+    lineariser: Lineariser
+    origin: Estimate
+    linear: Linearization
+    poses: PoseInformation
+    normal: Normal
+    prior: Prior
+    noise: Noise
+    weights: Weights
+    iterations: int
+    turned: float = 0.0
+    step: SolverStep | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether the residual was evaluated at the estimate."""
+        return self.step is None
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data determine every free parameter."""
+        return determines(self.lineariser.layout, self.normal.information)
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        if self.step is None:
+            return self.origin
+        lineariser, step = self.lineariser, self.step
+        return self.origin.moved(lineariser.layout, step.parameters, step.stations, lineariser.rows.stations)
+
+    @property
+    def cost(self) -> float:
+        return self.normal.cost
+
+    @property
+    def system(self) -> PoseSystem:
+        return PoseSystem(self.poses, self.normal)
+
+    @cached_property
+    def whitening(self) -> Whitening:
+        return Whitening(self.normal.rows, self.linear.J, self.noise, self.weights.centre, self.weights.pose)
+
+    @cached_property
+    def X(self) -> np.ndarray:
+        return self.whitening(self.linear.X)
+
+    @property
+    def whitened_residual(self) -> np.ndarray:
+        """(M, R) of unit variance."""
+        rows = self.normal.rows
+        return rows.unpad(self.whitening(self.linear.columns.residual[..., None]))[..., 0]
+
+    def reweighted(self, noise: Noise, weights: Weights) -> Solution:
+        """The system with other noise or weights, at the estimate where the residual was evaluated."""
+        if noise is self.noise and weights is self.weights:
+            return self
+        at = self if self.step is None else self.step.start
+        poses = at.poses_under(noise, weights)
+        normal = Normal(self.lineariser.rows, poses.normal_equations(), at.prior)
+        return replace(at, poses=poses, normal=normal, noise=noise, weights=weights)
+
+    def poses_under(self, noise: Noise, weights: Weights) -> PoseInformation:
+        """The poses of an exact solution with other noise or weights."""
+        if weights is self.weights:
+            return self.poses.with_noise(noise)
+        return PoseInformation.of(self.lineariser.rows, self.linear.columns, noise, weights.centre, weights.pose)
+
+    def with_priors(self, layout: ParameterLayout) -> Solution:
+        """The system with other priors of the same parameters, at the estimate where the residual was evaluated."""
+        at = self if self.step is None else self.step.start
+        lineariser = at.lineariser.with_layout(layout)
+        prior = replace(at.prior, sigma=layout.sigma)
+        return replace(at, lineariser=lineariser, prior=prior, normal=at.normal.with_prior(prior, at.prior))
+
+    def stepped(self, step: np.ndarray) -> Solution:
+        """The same linear problem after a step (g,) of the parameters and the best stations; of an exact solution."""
+        rows, station_step = self.lineariser.rows, self.normal.station_step(step)
+        residual = self.poses.residual_after(step, station_step)
+        columns = replace(self.linear.columns, residual=residual)
+        return replace(
+            self,
+            linear=replace(self.linear, residual=self.lineariser.unweighted(rows.unpad(residual)), columns=columns),
+            poses=self.poses.with_residual(columns),
+            normal=self.normal.after(step),
+            prior=replace(self.prior, offset=self.prior.offset + step, station_offset=self.prior.station_offset + station_step),
+            step=SolverStep(self, step, station_step),
+        )
+
+    def evaluated(self) -> Solution:
+        """The system with the residual at its estimate; its columns are made anew where a rotation since they were made is not small."""
+        if self.step is None:
+            return self
+        turned = self.turned + largest_rotation(self.lineariser.layout, self.step.parameters, self.step.stations)
+        there = self.lineariser.evaluate(self.estimate)
+        return self.moved(there, turned, self.iterations)
+
+    def moved(self, there: EvaluatedEstimate, turned: float, iterations: int, reuse: float = LINEAR_ROTATION) -> Solution:
+        """The system at another estimate, under the same noise and weights. turned: rad, at most, of any rotation since the columns were
+        made; within ``reuse`` they stay as they are."""
+        if turned >= reuse:
+            linear = self.lineariser.at(there)
+            return _whitened(self.lineariser, there, linear, self.noise, self.weights, iterations)
+        columns = replace(self.linear.columns, residual=there.rows)
+        poses = self.poses.with_residual(columns)
+        return replace(
+            self,
+            origin=there.estimate,
+            linear=Linearization(there.prediction, there.residual, columns),
+            poses=poses,
+            normal=self.normal.with_right_hand_side(*poses.right_hand_side(), there.prior),
+            prior=there.prior,
+            turned=turned,
+            step=None,
+            iterations=iterations,
+        )
+
+
+def system(lineariser: Lineariser, estimate: Estimate, noise: Noise, weights: Weights) -> Solution:
+    """The whitened normal equations at an estimate."""
+    there = lineariser.evaluate(estimate)
+    linear = lineariser.at(there)
+    return _whitened(lineariser, there, linear, noise, weights, 0)
+
+
+def _whitened(
+    lineariser: Lineariser, there: EvaluatedEstimate, linear: Linearization, noise: Noise, weights: Weights, iterations: int
+) -> Solution:
+    poses = PoseInformation.of(lineariser.rows, linear.columns, noise, weights.centre, weights.pose)
+    return Solution(
+        lineariser=lineariser,
+        origin=there.estimate,
+        linear=linear,
+        poses=poses,
+        normal=Normal(lineariser.rows, poses.normal_equations(), there.prior),
+        prior=there.prior,
+        noise=noise,
+        weights=weights,
+        iterations=iterations,
+    )
+
+
+def largest_rotation(layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray) -> float:
+    """Largest rotation (rad) of the arm's links, the hand-eye or a station in a step."""
+    turning = layout.turning
+    largest = np.abs(step[: len(turning)][turning]).max(initial=0.0)
+    return float(max(largest, np.abs(station_step[:, 3:]).max(initial=0.0)))

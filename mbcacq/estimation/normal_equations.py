@@ -10,31 +10,12 @@ from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessI
 
 from mbcacq.estimation.pose_block import NormalBlocks
 from mbcacq.estimation.pose_information import PoseInformation
+from mbcacq.estimation.prior import Prior
 from mbcacq.estimation.whitening import PoseRows
 
 # Share of a station's largest information below which a direction is unobservable: balls on one line but for a lever 3000 times smaller.
 UNOBSERVABLE = 1e-7
 STATION_SCALE = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Zero-mean rows in addition to the measured ones. sigma: (g,), inf = none; offset: (g,) present value minus the prior's centre.
-    station_information: (S', 6, 6) and station_offset: (S', 6), of placements that were given with an uncertainty."""
-
-    sigma: np.ndarray
-    offset: np.ndarray
-    station_information: np.ndarray
-    station_offset: np.ndarray
-
-    @property
-    def cost(self) -> float:
-        x = self.offset / self.sigma
-        return float(x @ x + np.einsum("si,sij,sj->", self.station_offset, self.station_information, self.station_offset))
-
-    @property
-    def rows(self) -> int:
-        return int(np.isfinite(self.sigma).sum()) + int(sum(np.linalg.matrix_rank(i) for i in self.station_information if i.any()))
 
 
 class Normal:
@@ -96,6 +77,14 @@ class Normal:
         out = copy(self)
         out.information = self.information + np.diag(weight)
         return out
+
+    def gauss_newton_step(self, scale: np.ndarray, damping: float = 0.0) -> np.ndarray:
+        """(g,) of the parameters: Gauss-Newton without ``damping``, Levenberg-Marquardt with it (relative to each parameter's own
+        information). scale: (g,) plausible sizes."""
+        H = scale[:, None] * self.information * scale
+        diagonal, on = np.diag(H).copy(), np.arange(len(H))
+        H[on, on] += damping * diagonal + 1e-14 * diagonal.max(initial=0.0)
+        return scale * np.linalg.solve(H, scale * self.gradient)
 
     def decrease(self, step: np.ndarray) -> float:
         """Decrease of the cost that the linear system predicts for this step and the best stations."""

@@ -11,7 +11,6 @@ import numpy as np
 
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.pose_information import PoseInformation
-from mbcacq.estimation.solver import Weights
 
 # Median and 1e-7 tail of chi square for 3..7 degrees of freedom are interpolated by Wilson and Hilferty's cube root.
 TAIL = 5.2
@@ -21,6 +20,14 @@ def chi2_quantile(dof: np.ndarray, z: float) -> np.ndarray:
     """Quantile of chi square at the normal deviate z (Wilson, Hilferty 1931)."""
     dof = np.maximum(dof, 1e-9)
     return dof * (1 - 2 / (9 * dof) + z * np.sqrt(2 / (9 * dof))) ** 3
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weight of each centre (M,) and each pose (P,): 1 full, 0 rejected."""
+
+    centre: np.ndarray
+    pose: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -34,12 +41,12 @@ class OutlierDistances:
     pose_dof: np.ndarray
 
 
-def outlier_distances(poses: PoseInformation, residual: np.ndarray, noise: Noise, weights: Weights) -> OutlierDistances:
-    """poses: with these weights of the centres; residual: (M, R). Every centre and pose is judged, rejected or not."""
+def outlier_distances(poses: PoseInformation, noise: Noise, weights: Weights) -> OutlierDistances:
+    """poses: with this noise and these weights of the centres. Every centre and pose is judged, rejected or not."""
     rows = poses.rows
     # The twist of each pose that its joints' noise explains best moves its rows by so much.
-    explained = rows.unpad(poses.by_pose(lambda of: (of.columns.basis @ (of.joints @ of.residual_joint[..., None]))[..., 0]))
-    remaining = np.sum(((residual - explained) / rows.row_sigma(noise)) ** 2, axis=1)
+    explained = poses.by_pose(lambda of: (of.columns.basis @ (of.joints @ of.residual_joint[..., None]))[..., 0])
+    remaining = np.sum((rows.unpad(poses.columns.residual - explained) / rows.row_sigma(noise)) ** 2, axis=1)
     pose = rows.pose_of_centre
     # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.
     used = np.bincount(pose, remaining * weights.centre, minlength=rows.n_poses)

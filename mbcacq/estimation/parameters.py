@@ -77,15 +77,15 @@ class ParameterLayout:
     def size(self) -> int:
         return sum(int(b.free.sum()) for b in self.blocks)
 
-    def gather(self, attribute: str) -> np.ndarray:
-        """(g,) 'sigma' or 'scale' of the free parameters."""
-        if attribute not in self._gathered:
-            self._gathered[attribute] = np.concatenate([getattr(b, attribute)[b.free] for b in self.blocks])
-        return self._gathered[attribute]
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """(g,) of the free parameters."""
+        return np.concatenate([b.sigma[b.free] for b in self.blocks])
 
     @cached_property
-    def _gathered(self) -> dict[str, np.ndarray]:
-        return {}
+    def scale(self) -> np.ndarray:
+        """(g,) of the free parameters."""
+        return np.concatenate([b.scale[b.free] for b in self.blocks])
 
     @cached_property
     def sized(self) -> dict[str, np.ndarray]:
@@ -101,6 +101,15 @@ class ParameterLayout:
                 b = replace(b, sigma=b.sigma * np.array([factor.get(g, 1.0) for g in b.group]))
             blocks.append(b)
         return ParameterLayout(tuple(blocks))
+
+    @cached_property
+    def link_kinds(self) -> tuple[str, ...]:
+        """Kinds of link errors that may have a size in common; none where the links have a prior of their own."""
+        chain = self.blocks[0]
+        if chain.group is not None or np.isfinite(chain.sigma[chain.free]).any():
+            return ()
+        kind = np.array([KINDS[p] for p in PARAMETERS] * (len(chain.names) // len(PARAMETERS)))
+        return tuple(name for name in KINDS_START if np.sum(chain.free & (kind == name)) >= LEAST_OF_A_KIND)
 
     @cached_property
     def turning(self) -> np.ndarray:
@@ -208,14 +217,11 @@ def with_common_sizes(layout: ParameterLayout, sizes: Mapping[str, float] = KIND
     ParameterLayout
         The same where the links have a prior of their own, or too few of them are free.
     """
+    if not layout.link_kinds:
+        return layout
     chain = layout.blocks[0]
-    if chain.group is not None or np.isfinite(chain.sigma[chain.free]).any():
-        return layout
-    kind = np.array([KINDS[p] for p in PARAMETERS] * (len(chain.names) // len(PARAMETERS)))
-    common = {name for name in KINDS_START if np.sum(chain.free & (kind == name)) >= LEAST_OF_A_KIND}
-    if not common:
-        return layout
-    group = tuple(name if name in common else "" for name in kind)
+    kind = [KINDS[p] for p in PARAMETERS] * (len(chain.names) // len(PARAMETERS))
+    group = tuple(name if name in layout.link_kinds else "" for name in kind)
     sigma = np.array([sizes[g] if g else np.inf for g in group])
     block: ParameterBlock = replace(chain, sigma=sigma, group=group)
     return ParameterLayout((block, *layout.blocks[1:]))
@@ -277,14 +283,18 @@ class Estimate:
     state: CellState
     coefficients: tuple[np.ndarray, ...] = ()
 
-    def moved(self, layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray) -> Estimate:
-        """After a step (g,) of the free parameters and (S, 6) local twists of the stations."""
+    def moved(
+        self, layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray, stations: np.ndarray | slice = slice(None)
+    ) -> Estimate:
+        """After a step (g,) of the free parameters and local twists (S', 6) of some stations, of all if not said."""
+        twists = np.zeros((len(self.state.T_base_station), 6))
+        twists[stations] = station_step
         chain_step, mount_step, ball_step, *term_steps = layout.spread(step)
         state = self.state
         moved = CellState(
             state.chain.with_errors(chain_step.reshape(-1, 5)),
             state.T_flange_scanner @ se3.exp(mount_step.reshape(*state.T_flange_scanner.shape[:-2], 6)),
-            state.T_base_station @ se3.exp(station_step),
+            state.T_base_station @ se3.exp(twists),
             state.balls + ball_step.reshape(-1, 3),
         )
         return Estimate(moved, tuple(c + s for c, s in zip(self.coefficients, term_steps, strict=True)))

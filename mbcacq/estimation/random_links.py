@@ -10,32 +10,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mbcacq.estimation.adjustment import Adjustment, made_exact, settle_variances
-from mbcacq.estimation.options import CalibrationOptions
+from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.parameters import with_common_sizes
-from mbcacq.estimation.solver import with_prior_of
+from mbcacq.estimation.variance_components import made_exact, settle_variances
 
 
-def with_random_links(fitted: Adjustment, options: CalibrationOptions) -> Adjustment:
+def with_random_links(fitted: Adjustment) -> Adjustment:
     """An adjustment with random errors of the links in the place of free ones.
 
     Parameters
     ----------
     fitted : Adjustment
         With free links; what it holds stays held, and its rejections are where the new ones begin.
-    options : CalibrationOptions
-        It was made with.
 
     Returns
     -------
     Adjustment
         The same where the links are to be free, have a prior of their own, or too few of them are free.
     """
-    layout = with_common_sizes(fitted.lineariser.layout) if options.random_links else fitted.lineariser.layout
-    if layout is fitted.lineariser.layout:
+    layout = fitted.lineariser.layout
+    if not (fitted.lineariser.options.random_links and layout.link_kinds):
         return fitted
-    lineariser = fitted.lineariser.with_layout(layout)
-    free = with_prior_of(lineariser, fitted.solution)
-    lineariser, solution, noise, weights = settle_variances(lineariser, free, fitted.noise, fitted.weights, options, sizes_first=True)
-    solution, noise, weights = made_exact(lineariser, solution, noise, weights, options)
-    return replace(fitted, lineariser=lineariser, solution=solution, noise=noise, weights=weights)
+    solution = settle_variances(fitted.solution.with_priors(with_common_sizes(layout)), sizes_first=True)
+    solution = made_exact(solution)
+    return replace(fitted, solution=solution, noise=solution.noise, weights=solution.weights)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import computed_field
 
-from mbcacq.estimation.initial_guess import fit_rigid_transforms
+from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE, Cell
 from mbcacq.model.observations import Observations
 
@@ -100,7 +100,7 @@ def _of_artefact(obs: Observations, used: np.ndarray, a: int, noise: float) -> t
         return None
     poses, group = np.unique(obs.pose[rows], return_inverse=True)
     known, measured = cell.ball_centres[obs.ball[rows]], obs.xyz[rows]
-    rotation = fit_rigid_transforms(known, measured, group, len(poses))[:, :3, :3]
+    rotation = se3.fit_rigid_transforms(known, measured, group, len(poses))[:, :3, :3]
     known, measured = _centred(known, group), _centred(measured, group)
     size = np.bincount(group, np.sum(known**2, axis=1))
     scale = np.bincount(group, np.sum(measured * np.einsum("mij,mj->mi", rotation[group], known), axis=1)) / size - 1

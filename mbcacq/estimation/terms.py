@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbcacq.estimation.forward_model import Displacements, Prediction, ball_jacobian
+from mbcacq.estimation.forward_model import Displacements, Prediction
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
 
@@ -104,7 +104,7 @@ def unit(observations: Observations, prediction: Prediction, place: str, index: 
         return np.einsum("mrc,mc->mr", prediction.gradient, unit_twist(obs, prediction, place, index, component)[obs.pose])
     out = np.zeros(prediction.gradient.shape[:2])
     if place == "ball":
-        out[:, :3] = ball_jacobian(obs, prediction)[:, :, component]
+        out[:, :3] = prediction.ball_rotation[prediction.pose][:, :, component]
     elif place == "point":
         out[:, component] = 1.0
     elif place == "orientation":

@@ -1,4 +1,4 @@
-"""Noise estimated from the data: restricted maximum likelihood (REML) of variance components, with broad log-normal priors.
+"""Noise, and sizes of random effects, estimated from the data by turns with the fit: restricted maximum likelihood (REML).
 
 Components: scanner noise along each axis, turn of a measured orientation, repeatability of each joint. Stated figures are priors.
 Average-information scoring (Gilmour, Thompson, Cullis 1995) on the logarithms; degrees of freedom spent on the geometry are
@@ -8,81 +8,103 @@ accounted for through the traces.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.blas import dtrmm  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
 
+from mbcacq.estimation.linearization import Solution
+from mbcacq.estimation.noise import LEAST_JOINT, LEAST_POINT, LEAST_TURN, NoisePrior, between, pack, unpack
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, inverse_of_lower
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.parameters import usual_sizes
 from mbcacq.estimation.pose_block import PoseBlock, flat_product
-from mbcacq.model.cell import Cell
-from mbcacq.model.joint_resolution import rounding_noise
+from mbcacq.estimation.random_effect_sizes import sizes_of_groups
+from mbcacq.estimation.solver import COARSE, robust_solve, solve
 
-# Standard deviations of logarithms.
-STATED = 0.7  # a stated instrument noise is right within a factor of two
-GUESSED = 1.5  # of an instrument of which nothing is stated only the order of magnitude is known
-AXIS = 0.25  # deviation of an axis of the instrument from the level that all axes share
-COMMON = 1.0  # the level that all joints of an arm share
-JOINT = 0.15  # deviation of a joint from that level
-EXACT = 1e-3  # a figure that is taken as it is
 LARGEST_STEP = 0.45  # of a scored log sigma, which may not reach 1/2; the noise grows by at most 3.2 at a time
-# No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
-LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
+FINE = 1e-7  # tolerance of chi square of what is published
+NOISE_TURNS, NOISE_ROUNDS, HALVINGS = 8, 30, 6  # turns of noise and outliers; steps of the noise in each; halvings of a step
+NOISE_GAIN = 0.01  # of the log posterior: then the noise is within 0.14 of its own standard deviation before the last step
+# Sizes of random effects, as factors of their sigma at the start, which is large already.
+LEAST_SIZE, LARGEST_SIZE, SIZE_CONVERGED = 1e-4, 4.0, 0.05
+SIZE_TURNS, SIZE_ROUNDS = 12, 60  # turns of noise and sizes; steps of the fixed point in each
 
 
-@dataclass(frozen=True)
-class NoisePrior:
-    """Normal prior of the logarithms of (point (3), joint (n), turn (1)): centre (K,), precision (K, K)."""
-
-    centre: np.ndarray
-    precision: np.ndarray
-
-    def log_density(self, noise: Noise) -> float:
-        """Log density of a noise, up to a constant."""
-        off = pack(noise) - self.centre
-        return -0.5 * float(off @ self.precision @ off)
-
-
-def first_noise(cell: Cell) -> Noise:
-    """Stated figures, or guesses: 0.02 mm a centre, and the repeatability of the data sheet turned into angles at the arm's reach, with
-    what the joints were rounded by."""
-    point = np.full(3, 0.02) if cell.noise_mm is None else np.maximum(cell.noise_mm, LEAST_POINT)
-    joint = cell.robot.chain.expected_noise(cell.robot.repeatability_mm or 0.06)
-    return Noise(point, np.hypot(joint, rounding_noise(cell.joint_step)) if cell.joint_step else joint, cell.noise_rad or 1e-4)
-
-
-def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:
-    """Prior about ``first_noise``. option: 'auto', 'given' or 'estimate'.
-
-    Joints share an unknown common level and differ from it by JOINT.
+def settle_variances(solution: Solution, *, sizes_first: bool = False, noise_gain: float = NOISE_GAIN) -> Solution:
+    """Noise, and the sizes of the random effects that have none of their own, by turns until both are settled; the solution's layout has
+    them as priors. Sizes begin large: the noise then holds only what no random effect explains. sizes_first: the noise is settled with
+    the same effects free, which is as large as they can be. noise_gain: as ``settle_noise`` has it.
     """
-    noise = first_noise(cell)
-    n = len(noise.joint)
-    level = {"auto": STATED, "given": EXACT, "estimate": GUESSED}[option] if cell.noise_mm is not None else GUESSED
-    common, single = (EXACT, EXACT) if option == "given" and cell.robot.repeatability_mm else (COMMON, JOINT)
-    precision = np.zeros((n + 4, n + 4))
-    axis = EXACT if level == EXACT else AXIS
-    precision[:3, :3] = np.linalg.inv(axis**2 * np.eye(3) + level**2)
-    lever = cell.robot.chain.lever
-    alike = lever[:, None] == lever  # joints of one kind; of poses of the flange, displacements and rotations
-    precision[3:-1, 3:-1] = np.linalg.inv(single**2 * np.eye(n) + common**2 * alike)
-    precision[-1, -1] = 1 / (STATED if cell.noise_rad and option != "estimate" else GUESSED) ** 2
-    return NoisePrior(pack(noise), precision)
+    first = solution.lineariser.layout
+    size, cell = dict.fromkeys(first.sized, 1.0), solution.lineariser.obs.cell
+    for turn in range(SIZE_TURNS if size else 1):
+        if turn or not sizes_first:
+            solution = settle_noise(solution, noise_gain)
+        if not size:
+            break
+        before, limits = size, (LEAST_SIZE / min(size.values()), LARGEST_SIZE)
+        groups = solution.lineariser.layout.sized
+        factor = sizes_of_groups(solution.normal, solution.prior, groups, limits, SIZE_ROUNDS, usual_sizes(cell))
+        size = {name: float(np.clip(factor[name] * s, LEAST_SIZE, LARGEST_SIZE)) for name, s in size.items()}
+        layout = first.resized(size)
+        solution = solution.with_priors(layout)
+        solution = solve(solution, tolerance=COARSE, within_linear=True)
+        if max(abs(np.log(size[name] / before[name])) for name in size) < SIZE_CONVERGED:
+            break
+    return solution
 
 
-def pack(noise: Noise) -> np.ndarray:
-    return np.log(np.concatenate([noise.point, noise.joint, [noise.turn]]))
+def settle_noise(solution: Solution, noise_gain: float = NOISE_GAIN) -> Solution:
+    """Estimate the noise by REML and refit, by turns, until its log posterior can rise by less than ``noise_gain``; reject outliers
+    again, and where that changes what takes part, all of it once more."""
+    for _ in range(NOISE_TURNS):
+        before = solution.weights
+        solution = most_probable_noise(refitted, solution, enough=noise_gain)
+        solution = robust_solve(solution, COARSE)
+        if solution.weights is before:
+            break
+    return solution
 
 
-def unpack(theta: np.ndarray) -> Noise:
-    value = np.exp(theta)
-    return Noise(value[:3], value[3:-1], float(value[-1]))
+def made_exact(solution: Solution) -> Solution:
+    """A settled solution solved to the end with residuals at its estimate; settled again where the problem is less linear than its last
+    steps promised."""
+    exact = solution.evaluated()
+    if exact.normal.decrease(exact.normal.gauss_newton_step(exact.lineariser.layout.scale)) > COARSE:
+        exact = robust_solve(exact, COARSE)
+        exact = settle_noise(exact)
+    return solve(exact, tolerance=FINE)
 
 
-def between(noise: Noise, other: Noise) -> Noise:
-    """The noise halfway between two, of the logarithms."""
-    return unpack((pack(noise) + pack(other)) / 2)
+def refitted(at: Solution, noise: Noise) -> Solution:
+    """The fit under another noise."""
+    return solve(at, noise, tolerance=COARSE, within_linear=True)
+
+
+def most_probable_noise(
+    refit: Callable[[Solution, Noise], Solution], solution: Solution, rounds: int = NOISE_ROUNDS, enough: float = NOISE_GAIN
+) -> Solution:
+    """The fit with the noise by REML. refit: the fit under another noise, from the one before. enough: gain of the log posterior, with a
+    step that promises less than which it ends.
+
+    A step that would lower the log posterior is halved: variance components that share one excess would all take it up at once, and give
+    it back in the next step.
+    """
+    prior = solution.lineariser.noise_prior
+    reached = log_restricted_posterior(solution.system, solution.noise, prior)
+    for _ in range(rounds):
+        before = solution
+        proposed, gain = reml_step(before.system, before.noise, prior)
+        for _ in range(HALVINGS):
+            there = refit(before, proposed)
+            value = log_restricted_posterior(there.system, there.noise, prior)
+            if value > reached - NOISE_GAIN:
+                solution, reached = there, value
+                break
+            proposed = between(before.noise, proposed)
+        if gain < enough or solution is before:
+            break
+    return solution
 
 
 def restricted_maximum_likelihood(

@@ -1,4 +1,4 @@
-"""Rotations and rigid transforms as arrays (..., 3, 3) and (..., 4, 4).
+"""Rotations and rigid transforms as arrays (..., 3, 3) and (..., 4, 4), and their robust fits to points.
 
 A twist is (..., 6) = (v, w): translation in mm first, rotation in rad second.
 """
@@ -8,6 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 POINTS_AT_ONCE = 8192  # the transforms gathered for so many stay in a processor's caches
+ROUNDS = 6  # of reweighting
+ALIKE = 10.0  # times the median distance: without an outlier beyond it, other weights would change little
+LEAST_DETERMINED = 1e-7  # eigenvalue of the scaled normal equations below which a direction counts as undetermined
 
 
 def skew(w: np.ndarray) -> np.ndarray:
@@ -136,3 +139,61 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     u = u.copy()
     u[..., :, 2] *= sign[..., None]
     return u @ vt
+
+
+def fit_rigid_transforms(a: np.ndarray, b: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Rigid transforms (count, 4, 4) that bring the points a (M, 3) of each group onto b (Kabsch), reweighted against outliers."""
+    R, ca, cb = _kabsch(a, b, np.ones(len(a)), group, count)
+    for _ in range(ROUNDS - 1):
+        off = np.linalg.norm(b - cb[group] - np.einsum("mij,mj->mi", R[group], a - ca[group]), axis=1)
+        if off.max(initial=0.0) < ALIKE * np.median(off):
+            break
+        R, ca, cb = _kabsch(a, b, 1.0 / np.maximum(off, 0.5 * np.median(off) + 1e-9), group, count)
+    return transform(R, cb - np.einsum("sij,sj->si", R, ca))
+
+
+def _kabsch(a: np.ndarray, b: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weighted best rotations (count, 3, 3) of a (M, 3) onto b (M, 3) by group (Kabsch 1976), and both weighted means (count, 3)."""
+    ca, cb = _means(a, weight, group, count), _means(b, weight, group, count)
+    da, db = a - np.take(ca, group, axis=0), b - np.take(cb, group, axis=0)
+    product = np.einsum("mi,mj->mij", db, weight[:, None] * da).reshape(-1, 9)
+    return nearest_rotation(_sums(product, group, count).reshape(-1, 3, 3)), ca, cb
+
+
+def least_distances(columns: np.ndarray, target: np.ndarray, group: np.ndarray) -> np.ndarray | None:
+    """x that minimises the sum of lengths of ``columns x - target`` (M, 3), each group about a free mean; None where undetermined."""
+    count = group.max(initial=0) + 1
+    weight = np.ones(len(columns))
+    x = None
+    for _ in range(ROUNDS):
+        A, b = _centred(columns, weight, group, count), _centred(target, weight, group, count)
+        flat = (A * weight[:, None, None]).reshape(-1, A.shape[2])
+        normal = flat.T @ A.reshape(-1, A.shape[2])
+        scale = np.sqrt(np.diag(normal))
+        if not np.all(scale > 0):
+            return None
+        scaled = normal / scale[:, None] / scale
+        if np.linalg.eigvalsh(scaled)[0] < LEAST_DETERMINED:
+            return None
+        x = np.linalg.solve(scaled, flat.T @ b.reshape(-1) / scale) / scale
+        off = np.linalg.norm(A @ x - b, axis=1)
+        weight = 1.0 / np.maximum(off, 0.2 * np.median(off) + 1e-9)
+    return x
+
+
+def _centred(values: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """values (M, ...) less the weighted mean of their group."""
+    flat = values.reshape(len(values), -1)
+    return (flat - _means(flat, weight, group, count)[group]).reshape(values.shape)
+
+
+def _sums(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Sums (count, k) of values (M, k) by group."""
+    k = values.shape[1]
+    return np.bincount((group[:, None] * k + np.arange(k)).ravel(), values.ravel(), count * k).reshape(count, k)
+
+
+def _means(values: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Weighted means (count, k); zero for an empty group."""
+    total = np.bincount(group, weight, count)
+    return _sums(values * weight[:, None], group, count) / np.where(total > 0, total, 1.0)[:, None]

@@ -80,7 +80,7 @@ def _daily(
     obs: Observations, state: CellState, prediction: Prediction, stations: list[np.ndarray], standing: bool, days: UsualChanges
 ) -> np.ndarray:
     """(R, d): what one standard deviation of each change from day to day does."""
-    joints = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * days.joint
+    joints = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * days.joint
     mount = twist_columns(obs, prediction, "frame", obs.cell.robot.n) * np.repeat([days.mount_mm, days.mount_rad], 3)
     placed = [part * np.repeat([days.station_mm, days.station_rad], 3) for part in stations] if standing else []
     return np.concatenate([rows_of(joints), rows_of(mount), *placed], axis=1)

@@ -11,7 +11,7 @@ from mbcacq.effects.catalogue import candidates
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import parts_of
 from mbcacq.effects.effect import FADING, MOMENT
-from mbcacq.estimation import forward_model, terms
+from mbcacq.estimation import terms
 from mbcacq.estimation.forward_model import CellState, Prediction
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.interim_check.options import OPTIONS
@@ -64,7 +64,7 @@ def rows_of(each: np.ndarray) -> np.ndarray:
 
 
 def _masterings(obs: Observations, state: CellState, prediction: Prediction) -> list[PossibleChange]:
-    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames))
+    J = prediction.by_twists(state.chain.joint_twists(prediction.frames))
     usual = np.array([OPTIONS.mastering])
     return [
         PossibleChange(
@@ -116,7 +116,7 @@ def _links(obs: Observations, state: CellState, prediction: Prediction) -> list[
     chosen = [PARAMETERS.index(p) for p in ("d", "a", "alpha")]
     usual = np.array([OPTIONS.link_mm, OPTIONS.link_mm, OPTIONS.link_rad])
     for i in range(state.chain.n):
-        columns = forward_model.arm_jacobian(obs, prediction, twists[:, i, chosen]) * usual
+        columns = prediction.by_twists(twists[:, i, chosen]) * usual
         out.append(
             PossibleChange(
                 name="link",
@@ -177,7 +177,7 @@ def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
     """A tool of another weight, through the elasticity of the joints: each bends by its own share."""
     if not context.masses_known:
         return []
-    J = forward_model.arm_jacobian(context.obs, prediction, context.state.chain.joint_twists(prediction.frames))
+    J = prediction.by_twists(context.state.chain.joint_twists(prediction.frames))
     bent = np.stack([context.value(f"payload_torque_{i + 1}_mass") for i in range(context.n)], axis=1)
     usual = OPTIONS.tool_kg * OPTIONS.elastic
     columns = rows_of(J * (bent * usual)[context.obs.pose][:, None, :])
@@ -197,7 +197,7 @@ def _tool(context: Context, prediction: Prediction) -> list[PossibleChange]:
 
 def _unnamed(obs: Observations, state: CellState, prediction: Prediction) -> PossibleChange:
     """Every joint at every pose by itself: what no name on the list describes, and still stays from day to day."""
-    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * OPTIONS.unnamed
+    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * OPTIONS.unnamed
     n = J.shape[2]
     k = obs.n_poses * n
     columns = np.zeros((J.shape[0], J.shape[1], k))
@@ -227,7 +227,7 @@ def _unnamed_centres(obs: Observations) -> PossibleChange:
 
 def jitter(obs: Observations, state: CellState, prediction: Prediction, point: np.ndarray, joint: np.ndarray) -> np.ndarray:
     """(R, R) covariance of the rows by the noise of a centre (3,) mm and of the joints (n,) rad, which moves all of a pose together."""
-    J = forward_model.arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames)) * joint
+    J = prediction.by_twists(state.chain.joint_twists(prediction.frames)) * joint
     flat = J.reshape(-1, J.shape[2])
     pose = np.repeat(obs.pose, J.shape[1])
     return (flat @ flat.T) * (pose[:, None] == pose) + np.diag(np.tile(np.asarray(point, dtype=float) ** 2, len(obs.pose)))

@@ -10,7 +10,6 @@ from pydantic import Field
 from scipy.special import logsumexp
 
 from mbcacq.errors import DeviceFault
-from mbcacq.estimation.forward_model import arm_jacobian
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.interim_check.e_process import EProcess, Level, weight_of
 from mbcacq.interim_check.history import CheckHistory
@@ -177,7 +176,7 @@ def _of_calibration(check: PlannedCheck, evidence: Evidence) -> np.ndarray:
     T = prediction.T_base_scanner[obs.pose][:, :3, :3]
     A = np.swapaxes(T, 1, 2) @ cell.point_columns(obs.q[obs.pose], prediction.xyz)
     A = A.reshape(-1, A.shape[2])[evidence.keep]
-    J = arm_jacobian(obs, prediction, check.state.chain.joint_twists(prediction.frames)) * OPTIONS.discrepancy
+    J = prediction.by_twists(check.state.chain.joint_twists(prediction.frames)) * OPTIONS.discrepancy
     J = J.reshape(-1, J.shape[2])[evidence.keep]
     pose = np.repeat(obs.pose, 3)[evidence.keep]
     return A @ cell.covariance @ A.T + (J @ J.T) * (pose[:, None] == pose)

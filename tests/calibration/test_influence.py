@@ -10,7 +10,8 @@ from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.influence import deletions
 from mbcacq.cli.tables import remarks
 from mbcacq.estimation.adjustment import adjust
-from mbcacq.estimation.solver import Weights, solve
+from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.solver import solve
 
 
 def ten_poses(seed):
@@ -43,14 +44,14 @@ def test_a_recording_without_a_wrong_pose_has_no_new_key(seed):
 def test_the_linearised_deletion_is_that_of_a_fit_without_the_pose():
     obs = scanner_cell(np.random.default_rng(1), stations=3, per_station=6).observations
     fitted = adjust(obs, CalibrationOptions(refuse=False))
-    solution = solve(fitted.lineariser, fitted.solution, fitted.noise, fitted.weights, tolerance=1e-10)
+    solution = solve(fitted.solution, tolerance=1e-10)
     names = fitted.lineariser.layout.names
     hand_eye = np.array([i for i, name in enumerate(names) if name.startswith("hand_eye.")])
     deleted = deletions(solution, hand_eye)
     for pose in (0, 7, 17):
         weight = np.ones(obs.n_poses)
         weight[pose] = 0.0
-        without = solve(fitted.lineariser, solution, fitted.noise, Weights(fitted.weights.centre, weight), tolerance=1e-10)
+        without = solve(solution, weights=Weights(fitted.weights.centre, weight), tolerance=1e-10)
         assert solution.cost - without.cost == pytest.approx(deleted.chi2[pose], rel=0.02)
         moved = np.linalg.inv(solution.estimate.state.T_flange_scanner) @ without.estimate.state.T_flange_scanner
         np.testing.assert_allclose(moved[:3, 3], deleted.shift[pose][:3], rtol=0.1, atol=2e-4)

@@ -7,7 +7,7 @@ import pytest
 from cells import scanner_cell
 
 from mbcacq.calibration import calibrate
-from mbcacq.estimation.variance_components import first_noise, noise_prior
+from mbcacq.estimation.noise import first_noise, noise_prior
 from mbcacq.model.joint_resolution import joint_step
 from mbcacq.recording import load_observations, write_observation_set
 

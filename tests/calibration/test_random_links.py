@@ -6,8 +6,8 @@ from cells import kr10, random_errors, scanner_cell
 
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.estimation.adjustment import adjust_recording
+from mbcacq.estimation.noise import pack
 from mbcacq.estimation.random_links import with_random_links
-from mbcacq.estimation.variance_components import pack
 from mbcacq.geometry import se3
 
 FREE = CalibrationOptions(random_links=False, discrepancy=False, refuse=False)
@@ -82,7 +82,7 @@ def test_noise_that_was_settled_roughly_with_free_links_is_settled_with_random_o
     obs = cell(4, 8e-6, stations=8, per_station=8).observations
     rough, fine = (adjust_recording(obs, RANDOM, links_follow=follow) for follow in (True, False))
     assert not np.allclose(pack(rough.noise), pack(fine.noise), atol=1e-5)
-    found, same = with_random_links(rough, RANDOM), with_random_links(fine, RANDOM)
+    found, same = with_random_links(rough), with_random_links(fine)
     np.testing.assert_allclose(pack(found.noise), pack(same.noise), atol=2e-3)
     off = (found.state.chain.rows - same.state.chain.rows).ravel()[found.lineariser.layout.blocks[0].free]
     sigma = np.sqrt(np.diag(np.linalg.inv(same.solution.normal.information)))[: len(off)]

@@ -60,8 +60,8 @@ def test_columns_are_derivatives_of_what_is_measured(orientation):
     lineariser = Lineariser(obs, layout, options)
     at, still = parameters.Estimate(truth), np.zeros((1, 6))
     assert layout.blocks[2].free.all()
-    columns = lineariser.rows.unpad(lineariser(at).X)
+    columns = lineariser.rows.unpad(lineariser.at(lineariser.evaluate(at)).X)
     for j, name in enumerate(layout.names):
         step = 1e-4 * (np.arange(layout.size) == j)
-        ends = [lineariser.residual(at.moved(layout, s * step, still))[1] for s in (-1, 1)]
+        ends = [lineariser.evaluate(at.moved(layout, s * step, still)).residual for s in (-1, 1)]
         np.testing.assert_allclose(columns[..., j], (ends[0] - ends[1]) / 2e-4, atol=1e-3, rtol=1e-5, err_msg=name)

@@ -5,14 +5,17 @@ import pytest
 from cells import iiwa, scanner_cell, tracker_cell
 
 from mbcacq.calibration import CalibrationOptions, Noise
+from mbcacq.estimation import noise as noise_model
 from mbcacq.estimation import parameters, variance_components, whitening
-from mbcacq.estimation.adjustment import NOISE_GAIN, adjust_recording, most_probable_noise
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.adjustment import adjust_recording
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.normal_equations import Normal
+from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.pose_block import NormalBlocks
-from mbcacq.estimation.solver import Weights, evaluated, gauss_newton_step, reweighted, solve, stepped, system
+from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import Part, term
+from mbcacq.estimation.variance_components import NOISE_GAIN, most_probable_noise
 
 
 def simulated(kind, rng, more=1):
@@ -36,7 +39,7 @@ def test_columns_of_every_parameter_are_derivatives(kind):
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     at = Estimate(cell.truth, (np.zeros(2),))
-    linear = lineariser(at)
+    linear = lineariser.at(lineariser.evaluate(at))
     g = layout.size
     columns = lineariser.rows.unpad(linear.X)
     stations = len(cell.truth.T_base_station)
@@ -44,15 +47,16 @@ def test_columns_of_every_parameter_are_derivatives(kind):
         step = np.zeros(g)
         step[j] = 1e-4
         difference = (
-            lineariser.residual(at.moved(layout, -step, np.zeros((stations, 6))))[1]
-            - lineariser.residual(at.moved(layout, step, np.zeros((stations, 6))))[1]
+            lineariser.evaluate(at.moved(layout, -step, np.zeros((stations, 6)))).residual
+            - lineariser.evaluate(at.moved(layout, step, np.zeros((stations, 6)))).residual
         )
         np.testing.assert_allclose(columns[..., j], difference / 2e-4, atol=1e-3, rtol=1e-5, err_msg=name)
     for c in range(6):
         twist = np.zeros((stations, 6))
         twist[:, c] = 1e-4
         difference = (
-            lineariser.residual(at.moved(layout, np.zeros(g), -twist))[1] - lineariser.residual(at.moved(layout, np.zeros(g), twist))[1]
+            lineariser.evaluate(at.moved(layout, np.zeros(g), -twist)).residual
+            - lineariser.evaluate(at.moved(layout, np.zeros(g), twist)).residual
         )
         np.testing.assert_allclose(columns[..., g + c], difference / 2e-4, atol=1e-3, rtol=1e-5)
 
@@ -90,7 +94,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
     layout = parameters.build(obs, options)
     lineariser = Lineariser(obs, layout, options)
     noise = Noise(np.array([0.01, 0.02, 0.03]), np.full(obs.cell.robot.n, 1e-5), 1e-4)
-    now = system(lineariser, Estimate(cell.truth), noise, Weights(np.ones(obs.n_centres), np.ones(obs.n_poses)))
+    now = system(lineariser, Estimate(cell.truth), noise, lineariser.everything)
     g, stations = layout.size, len(lineariser.rows.stations)
     dense = np.zeros((now.X.shape[0], now.X.shape[1], g + 6 * stations))
     dense[..., :g] = now.X[..., :g]
@@ -101,7 +105,7 @@ def test_elimination_of_stations_gives_the_step_and_covariance_of_the_dense_syst
     r = now.X[..., -1].reshape(-1)
     H = A.T @ A + np.diag(np.concatenate([1 / now.prior.sigma**2, np.zeros(6 * stations)]))
     expected = np.linalg.solve(H, A.T @ r - np.concatenate([now.prior.offset / now.prior.sigma**2, np.zeros(6 * stations)]))
-    step = gauss_newton_step(now.normal, layout.gather("scale"), 0.0)
+    step = now.normal.gauss_newton_step(layout.scale, 0.0)
     np.testing.assert_allclose(step, expected[:g], rtol=1e-5, atol=1e-10)
     np.testing.assert_allclose(now.normal.station_step(step).reshape(-1), expected[g:], rtol=1e-5, atol=1e-9)
     C = np.linalg.inv(H)
@@ -204,7 +208,7 @@ def test_twists_of_the_poses_give_the_normal_equations_of_the_whitened_rows(kind
     np.testing.assert_allclose(normal.information / np.outer(size, size), rows.information / np.outer(size, size), rtol=0, atol=1e-9)
     np.testing.assert_allclose(normal.gradient / size, rows.gradient / size, rtol=0, atol=1e-9 * np.sqrt(rows.cost))
     np.testing.assert_allclose(normal.cost, rows.cost, rtol=1e-12)
-    step = gauss_newton_step(normal, np.ones(normal.size), 1e-3)
+    step = normal.gauss_newton_step(np.ones(normal.size), 1e-3)
     np.testing.assert_allclose(normal.station_step(step), rows.station_step(step), rtol=1e-6, atol=1e-9)
 
 
@@ -213,8 +217,8 @@ def test_twists_of_the_poses_give_the_normal_equations_of_the_whitened_rows(kind
 def test_blocks_of_poses_give_what_all_poses_at_once_give(kind, part, monkeypatch):
     def of_blocks():
         lineariser, at, _ = weighted_system(kind, np.random.default_rng(10), more=2)
-        step = gauss_newton_step(at.normal, lineariser.layout.gather("scale"), 1e-3)
-        moved = stepped(lineariser, at, step)
+        step = at.normal.gauss_newton_step(lineariser.layout.scale, 1e-3)
+        moved = at.stepped(step)
         sizes = np.sqrt(np.diag(at.normal.information))
         scores = variance_components.reml_score_and_information(at.system, at.noise)
         found = at.normal.information / np.outer(sizes, sizes), at.normal.gradient / sizes, moved.step.stations, *scores
@@ -243,8 +247,8 @@ def test_noise_scores_are_those_of_the_dense_covariance(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(kind):
     lineariser, at, _ = weighted_system(kind, np.random.default_rng(6))
-    step = 1e-3 * gauss_newton_step(at.normal, lineariser.layout.gather("scale"), 1e-3)
-    there = stepped(lineariser, at, step)
+    step = 1e-3 * at.normal.gauss_newton_step(lineariser.layout.scale, 1e-3)
+    there = at.stepped(step)
     again = Normal(lineariser.rows, there.poses.normal_equations(), there.prior)
     size = np.sqrt(np.diag(again.information))
     np.testing.assert_allclose(there.normal.gradient / size, again.gradient / size, rtol=0, atol=1e-8 * np.sqrt(at.cost))
@@ -255,15 +259,15 @@ def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(k
 @pytest.mark.parametrize("kind", KINDS)
 def test_noise_scores_are_derivatives_of_the_log_posterior(kind):
     lineariser, at, _ = weighted_system(kind, np.random.default_rng(7), kinematics=False)
-    prior = variance_components.noise_prior(lineariser.obs.cell)
-    theta = variance_components.pack(at.noise)
+    prior = noise_model.noise_prior(lineariser.obs.cell)
+    theta = noise_model.pack(at.noise)
 
     def fitted(theta):
-        there = reweighted(lineariser, at, variance_components.unpack(theta), at.weights)
-        return stepped(lineariser, there, gauss_newton_step(there.normal, lineariser.layout.gather("scale"), 0.0)).system
+        there = at.reweighted(noise_model.unpack(theta), at.weights)
+        return there.stepped(there.normal.gauss_newton_step(lineariser.layout.scale, 0.0)).system
 
     def log_posterior(theta):
-        return variance_components.log_restricted_posterior(fitted(theta), variance_components.unpack(theta), prior)
+        return variance_components.log_restricted_posterior(fitted(theta), noise_model.unpack(theta), prior)
 
     score, _ = variance_components.reml_score_and_information(fitted(theta), at.noise)
     difference = [(log_posterior(theta + e) - log_posterior(theta - e)) / 2e-4 for e in 1e-4 * np.eye(len(theta))]
@@ -274,14 +278,14 @@ def test_the_adjusted_noise_is_where_its_log_posterior_is_largest():
     # Joints a hundred times as noisy as the data sheet says: far from where the search begins.
     obs = scanner_cell(np.random.default_rng(8), stations=6, joint_rad=1e-3).observations
     found = adjust_recording(obs, CalibrationOptions(refuse=False))
-    prior = variance_components.noise_prior(obs.cell)
-    theta = variance_components.pack(found.noise)
+    prior = noise_model.noise_prior(obs.cell)
+    theta = noise_model.pack(found.noise)
 
     def log_posterior(theta):
-        noise = variance_components.unpack(theta)
-        there = reweighted(found.lineariser, found.solution, noise, found.weights)
-        step = gauss_newton_step(there.normal, found.lineariser.layout.gather("scale"), 0.0)
-        return variance_components.log_restricted_posterior(stepped(found.lineariser, there, step).system, noise, prior)
+        noise = noise_model.unpack(theta)
+        there = found.solution.reweighted(noise, found.weights)
+        step = there.normal.gauss_newton_step(found.lineariser.layout.scale, 0.0)
+        return variance_components.log_restricted_posterior(there.stepped(step).system, noise, prior)
 
     here = log_posterior(theta)
     assert all(log_posterior(theta + s * e) < here + NOISE_GAIN for e in np.eye(len(theta)) for s in (-0.2, -0.02, 0.02, 0.2))
@@ -289,14 +293,14 @@ def test_the_adjusted_noise_is_where_its_log_posterior_is_largest():
 
 def test_columns_are_kept_while_nothing_turns_and_made_anew_otherwise():
     lineariser, begin, _ = weighted_system("scanner", np.random.default_rng(9), kinematics=False)
-    at = system(lineariser, solve(lineariser, begin, begin.noise, begin.weights).estimate, begin.noise, begin.weights)
-    step = lineariser.layout.gather("scale")
-    near, far = stepped(lineariser, at, 1e-6 * step), stepped(lineariser, at, 0.02 * step)
+    at = system(lineariser, solve(begin).estimate, begin.noise, begin.weights)
+    step = lineariser.layout.scale
+    near, far = at.stepped(1e-6 * step), at.stepped(0.02 * step)
     for there, kept in ((near, True), (far, False)):
-        again = evaluated(lineariser, there)
+        again = there.evaluated()
         assert again.exact
         assert (again.linear.columns.basis is at.linear.columns.basis) == kept
-        np.testing.assert_allclose(again.linear.residual, lineariser.residual(again.estimate)[1], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(again.linear.residual, lineariser.evaluate(again.estimate).residual, rtol=0, atol=1e-12)
         normal = system(lineariser, again.estimate, at.noise, at.weights).normal
         np.testing.assert_allclose(again.cost, normal.cost, rtol=1e-7)
 
@@ -305,17 +309,17 @@ def test_noise_that_was_taken_far_too_large_comes_down_without_swinging():
     """Components that share one excess overshoot together; at a given estimate their steps swing by more each time unless they are halved."""
     cell = simulated("tracker", np.random.default_rng(9), more=4)
     found = adjust_recording(cell.observations, CalibrationOptions())
-    prior = variance_components.noise_prior(cell.observations.cell)
+    prior = noise_model.noise_prior(cell.observations.cell)
     large = Noise(30 * found.noise.point, 30 * found.noise.joint, 30 * found.noise.turn)
 
     def refit(at, noise):
-        return reweighted(found.lineariser, at, noise, found.weights)
+        return at.reweighted(noise, found.weights)
 
-    at, noise = system(found.lineariser, found.solution.estimate, large, found.weights), large
-    reached = [variance_components.log_restricted_posterior(at.system, noise, prior)]
+    at = system(found.lineariser, found.solution.estimate, large, found.weights)
+    reached = [variance_components.log_restricted_posterior(at.system, at.noise, prior)]
     for _ in range(10):
-        at, noise = most_probable_noise(refit, at, noise, prior, 1)
-        reached.append(variance_components.log_restricted_posterior(at.system, noise, prior))
+        at = most_probable_noise(refit, at, 1)
+        reached.append(variance_components.log_restricted_posterior(at.system, at.noise, prior))
     assert np.all(np.diff(reached) > -NOISE_GAIN)
     assert reached[-1] - reached[-2] < NOISE_GAIN
-    assert np.all(variance_components.pack(large) - variance_components.pack(noise) > 2.0)
+    assert np.all(noise_model.pack(large) - noise_model.pack(at.noise) > 2.0)

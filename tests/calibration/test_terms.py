@@ -90,7 +90,7 @@ def test_products_of_many_functions_of_one_direction_are_those_of_their_columns(
     several = (*several, term("other", [Part("joint", 0, 0, rng.normal(size=(80, WIDE + 1)))], sigma=1.0))
     options = CalibrationOptions(terms=several)
     lineariser = Lineariser(obs, parameters.build(obs, options), options)
-    found = lineariser(parameters.Estimate(cell.truth, tuple(np.zeros(t.size) for t in several))).columns
+    found = lineariser.at(lineariser.evaluate(parameters.Estimate(cell.truth, tuple(np.zeros(t.size) for t in several)))).columns
     noise = Noise(np.full(3, 0.02), np.full(6, 1e-5), 1e-4)
 
     products = [

@@ -14,9 +14,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mbcacq.calibration.staged.ball_pairs import PairDistances
-from mbcacq.estimation.initial_guess import fit_rigid_transforms
+from mbcacq.estimation.noise import LEAST_POINT
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.variance_components import LEAST_POINT
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations
@@ -43,7 +42,7 @@ def scanner_noise(obs: Observations) -> np.ndarray:
     """(3,) mm: sigma of a centre along the scanner's axes, from the shape of each scan against the certificate; as the stated
     noise among the axes, or alike. Poses with fewer than three balls are not used."""
     stated = np.ones(3) if obs.cell.noise_mm is None else np.maximum(obs.cell.noise_mm, LEAST_POINT)
-    T = fit_rigid_transforms(obs.cell.ball_centres[obs.ball], obs.xyz, obs.pose, obs.n_poses)
+    T = se3.fit_rigid_transforms(obs.cell.ball_centres[obs.ball], obs.xyz, obs.pose, obs.n_poses)
     known = se3.apply(T[obs.pose], obs.cell.ball_centres[obs.ball])
     squares, expected = 0.0, 0.0
     for p in np.flatnonzero(np.bincount(obs.pose, minlength=obs.n_poses) >= 3):

@@ -17,11 +17,10 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation import identifiability, parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
-from mbcacq.estimation.linearization import Lineariser
+from mbcacq.estimation.linearization import Lineariser, system
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.parameters import Estimate, ParameterBlock, ParameterLayout
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.solver import Weights, system
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
@@ -85,7 +84,7 @@ def identify(
         refuse_one_station(obs)
     found = distance_constraint.identify(first.chain, first.T_flange_scanner, obs, at, free, measured)
     if found.unobservable.shape[1] and options.refuse:
-        scale = layout.gather("scale")
+        scale = layout.scale
         basis = np.linalg.qr(found.unobservable / scale[:, None])[0]
         reference = scale[:, None] * identifiability.workspace_information(obs, first, layout) * scale
         effect, vector = np.linalg.eigh(basis.T @ reference @ basis)
@@ -119,7 +118,7 @@ def published_layout(obs: Observations, options: CalibrationOptions) -> Paramete
 
 def _as_cell(obs, options, layout, state, first, found, stages) -> CalibratedCell:
     lineariser = Lineariser(obs, layout, replace(options, terms=()))
-    weights = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
+    weights = lineariser.everything
     at = system(lineariser, Estimate(state), found.noise, weights)
     rank = int(found.free.sum()) - found.unobservable.shape[1] + 6 * len(lineariser.rows.stations)
     whitened = at.whitened_residual

@@ -21,8 +21,8 @@ from mbcacq.effects import catalogue
 from mbcacq.effects.effect import FADING, Candidate
 from mbcacq.effects.in_words import odds_in_words
 from mbcacq.effects.periods import periods_covered
+from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.variance_components import first_noise
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import micrometres, p_value, significant, with_unit
 

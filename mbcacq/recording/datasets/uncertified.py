@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.estimation.initial_guess import fit_rigid_transforms, hand_eye_from_fixed_points
+from mbcacq.estimation.initial_guess import hand_eye_from_fixed_points
 from mbcacq.estimation.scan_scale import measured_length
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE, Artefact
@@ -78,7 +78,7 @@ def _laid_over(ball: np.ndarray, xyz: np.ndarray, pose: np.ndarray, count: int) 
         known = np.isfinite(centres[ball, 0])
         enough = np.bincount(group, known, minlength=len(poses)) >= 3
         use = known & enough[group]
-        T = fit_rigid_transforms(xyz[use], centres[ball[use]], group[use], len(poses))
+        T = se3.fit_rigid_transforms(xyz[use], centres[ball[use]], group[use], len(poses))
         laid = se3.apply_each(T, group, xyz)
         take = enough[group]
         weight = np.bincount(ball[take], minlength=count)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbcacq.effects.effect_model import EffectModel
-from mbcacq.estimation.forward_model import CellState, arm_jacobian, predict, residual
+from mbcacq.estimation.forward_model import CellState, predict, residual
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
@@ -34,7 +34,7 @@ def residuals(
     deviation = residual(obs, prediction)[:, :3]
     weighted = None
     if point_mm is not None and joint_rad is not None:
-        J = arm_jacobian(obs, prediction, state.chain.joint_twists(prediction.frames))[:, :3]
+        J = prediction.by_twists(state.chain.joint_twists(prediction.frames))[:, :3]
         sigma = np.sqrt(np.asarray(point_mm) ** 2 + np.sum((J * np.asarray(joint_rad)) ** 2, axis=2))
         weighted = deviation / sigma
     pose, ball = obs.pose_id[obs.pose], np.array(obs.cell.ball_ids)[obs.ball]
