@@ -10,7 +10,7 @@ from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_ev
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.between_recordings import between_recordings
+from mbcacq.diagnosis.output.between_recordings import between_recordings, with_common_values
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
 from mbcacq.diagnosis.output.evidence_summary import summarized
@@ -81,6 +81,8 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit, limits: Limits | None = No
     advice = separating(setup.context, fit.pairs) if too_little is None else revealing(setup.context, limited)
     reported = with_significance(fit.effects, setup, full)
     evidence = summarized(setup, full.evidence)
+    recordings = between_recordings(full)
+    reported = with_common_values(reported, recordings)
     effects, mismatch = with_classes(reported, fit.mismatch, classes(full.geometry_only.linear.obs, fit.not_separable))
     return Diagnosis(
         verdict=verdict,
@@ -105,7 +107,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit, limits: Limits | None = No
             *evidence.untried,
         ),
         exclusion_limits=(limits or exclusion_limits(full, setup.candidates, there))(),
-        between_recordings=between_recordings(full),
+        between_recordings=recordings,
         model=kept_model(full) or None,
         evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),

@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 
 from mbcacq.model.json_text import Number
 
+DIFFERENT = 0.01  # p-value below which recordings are said to differ
 GRID = np.r_[0.0, np.geomspace(1e-2, 1e2, 81)]  # standard deviation between recordings, in the mean standard deviation of one value
 
 
@@ -52,6 +53,11 @@ class BetweenRecordings:
             p_value=float(chdtrc(len(values) - 1, np.sum((values - fixed) ** 2 / std**2))),
             **further,
         )
+
+    @property
+    def differs(self) -> bool:
+        """Whether the values are more unlike than their standard deviations allow."""
+        return self.p_value <= DIFFERENT
 
 
 def weighted_mean(values: np.ndarray, variance: np.ndarray) -> tuple[float, float]:

@@ -7,6 +7,8 @@ import pytest
 import simulated
 
 from mbcacq.calibration.several import calibrate_together
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.output.between_recordings import with_common_values
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.meta_analysis import BetweenRecordings
@@ -57,6 +59,25 @@ def test_recordings_of_different_arms_are_refused(plan):
 
     with pytest.raises(ConfigError, match="other links"):
         prepare([simulated.observe(plan, 1), simulated.observe(other, 2)])
+
+
+def test_what_differs_from_day_to_day_is_no_more_certain_than_that(plan):
+    days = [simulated.observe(plan, 400 + day, [("joint_compliance", ("A2",), [4e-6], None)], arm=7) for day in range(2)]
+    key = "A2.compliance_rad_per_Nm"
+
+    found = diagnose(days)
+
+    (alike,) = (b for b in found.between_recordings if b.parameter == key)
+    assert not alike.differs
+    (effect,) = with_common_values(found.effects, [alike])
+    assert effect == found.effects[0]
+    assert abs(effect.parameters[key].value - 4e-6) < 4 * effect.parameters[key].std
+
+    unlike = BetweenRecordings.of(effect.name, effect.where, key, np.array([4e-6, 7e-6]), np.array([2e-8, 2e-8]))
+    (stated,) = (e.parameters[key] for e in with_common_values([effect], [unlike]))
+    assert unlike.differs
+    assert stated.value == pytest.approx(5.5e-6)
+    assert all(abs(stated.value - value) < 2 * stated.std for value in (4e-6, 7e-6))
 
 
 def test_the_variance_between_recordings_is_that_of_the_values():

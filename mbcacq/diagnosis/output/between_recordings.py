@@ -7,14 +7,16 @@ variance between recordings, by restricted maximum likelihood (as in meta-analys
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import EACH_RECORDING
+from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.search.projected_solve import prior_weight
-from mbcacq.effects.effect import Candidate
+from mbcacq.effects.effect import Candidate, ParameterEstimate
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 
 
@@ -30,6 +32,26 @@ def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
             if np.all(std[name] > 0):
                 out.append(BetweenRecordings.of(candidate.name, candidate.where, name, value, std[name]))
     return tuple(out)
+
+
+def with_common_values(effects: Sequence[PoseEffect], each: Sequence[BetweenRecordings]) -> list[PoseEffect]:
+    """The effects, whose parameters that differ between the recordings are what these have in common, as uncertain as they differ: a fit to
+    all of them is more certain of its value than another day allows.
+    """
+    differing: dict[tuple[str, str], list[BetweenRecordings]] = {}
+    for one in each:
+        differing.setdefault((one.name, one.parameter), []).append(one)
+    out = []
+    for effect in effects:
+        common = {
+            key: ParameterEstimate(found[0].common, found[0].common_std)
+            for key, stated in effect.parameters.items()
+            if not isinstance(stated.value, tuple)  # several lines of a gear, or a value for each recording
+            and len(found := differing.get((effect.name, key), [])) == 1
+            and found[0].differs
+        }
+        out.append(replace(effect, parameters={**effect.parameters, **common}))
+    return out
 
 
 def values_of_recordings(full: ModelFit, effects: Sequence[Member]) -> list[tuple[Candidate, dict[str, np.ndarray], dict[str, np.ndarray]]]:

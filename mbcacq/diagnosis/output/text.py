@@ -28,7 +28,6 @@ VERDICTS = {
 }
 NOT_TOLD_APART = "Cannot tell: these poses do not tell apart what could be behind the mismatch."
 OPEN = "Cannot tell: these poses leave open whether there is an effect."
-DIFFERENT = 0.01  # p-value below which recordings are said to differ
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
 NOT_DETERMINED = "is not determined"
@@ -206,7 +205,7 @@ def difference(b: BetweenRecordings) -> str:
     words, unit, factor = split_unit(b.parameter)
     each = ", ".join(measured(factor * v, K * factor * s) for v, s in zip(b.values, b.stds, strict=True))
     said = f"{words} in the recordings: {each}; common {measured(factor * b.common, K * factor * b.common_std, unit)} (± is U, k = 2)"
-    if b.p_value > DIFFERENT:
+    if not b.differs:
         return f"{said}, no difference between them ({p_value(b.p_value)})"
     causes = "another tool or another stated mass, the temperature, wear"
     between = f"standard deviation between recordings {uncertainty(factor * b.between_std)} {unit}".rstrip()
