@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.nonparametric.joint_model import JointModel
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEffectsModel
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.posterior import Posterior
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,26 @@ class ModelFit:
     def random_effects(self) -> RandomEffectsModel | None:
         """The random effects with their coefficients; None where there are none."""
         return self.estimated or (self.joint.random_effects if self.random else None)
+
+    def stated(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (k,) of a parametric effect and their covariance (k, k), with the random effects at all locations unknown beside it:
+        what these could do as well is in the uncertainty. A group at its own place of its own covariate is left out: what both have in
+        common is the effect.
+        """
+        candidate, own = self.model.members[number].candidate, self.model.slices()[number]
+        if not self.everywhere:
+            return self.model.coefficients[own], self.model.covariance[own, own]
+        joint, place = self.joint, (candidate.where[0], candidate.depends_on)
+        if place not in self._beside:
+            others = [g for g, one in enumerate(self.random) if (one.location, one.depends_on) != place]
+            index = joint.index(range(len(joint.effects)), others)
+            self._beside[place] = Posterior(joint.sigma[index], joint.products.of_columns(index))
+        at = np.arange(joint.effects[number].start, joint.effects[number].stop)
+        return self._beside[place].solution[at], self._beside[place].covariance_of(at)
+
+    @cached_property
+    def _beside(self) -> dict[tuple[str, str], Posterior]:
+        return {}
 
     @property
     def everywhere(self) -> bool:

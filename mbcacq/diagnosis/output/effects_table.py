@@ -81,8 +81,7 @@ def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float
 def merged_parameters(full: ModelFit, members: list[int]) -> dict[str, ParameterEstimate]:
     """Parameters of these effects; a name that occurs several times (several orders at one joint) gets a tuple of values."""
     model = full.model
-    each = ((model.members[j], model.slices()[j]) for j in members)
-    out = joined_parameters(m.candidate.parameters(model.coefficients[p], model.covariance[p, p], m.hyper) for m, p in each)
+    out = joined_parameters(model.members[j].candidate.parameters(*full.stated(j), model.members[j].hyper) for j in members)
     found = (model.members[j].candidate for j in members)
     for name, joint in dict.fromkeys((c.name, c.where[0]) for c in found if catalogue.declaration(c.name).refines is not None):
         out |= parameters_of_branches(full, name, joint)
