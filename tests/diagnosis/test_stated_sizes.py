@@ -41,14 +41,14 @@ def test_a_size_is_that_of_least_squares_with_the_random_effects_as_correlated_n
     effect = candidate_columns(linear, member.candidate, member.hyper)
     group = linear.columns(RandomEffect.of(Covariates(linear.obs), own).parts) * (0.1 * own.sigma)
     G, X, E, y = (whiten(one).reshape(-1, one.shape[-1]) for one in (group, geometry, effect, linear.residual[..., None]))
-    prior = found.joint.sigma[: geometry.shape[2]]
-    # Random effects are noise of covariance G G', and so is what is known of the geometry.
-    noise = np.eye(len(y)) + G @ G.T + (X * prior) @ (X * prior).T
-    weighted = np.linalg.solve(noise, np.c_[E, y])
-    precision = E.T @ weighted[:, :1] + found.joint.sigma[found.joint.effects[0]] ** -2.0
+    noise = np.eye(len(y)) + G @ G.T  # random effects are noise of covariance G G'
+    sigma = found.joint.sigma[: geometry.shape[2] + 1]
+    columns = np.c_[X, E] * sigma
+    weighted = np.linalg.solve(noise, np.c_[columns, y])
+    inverse = np.linalg.inv(columns.T @ weighted[:, :-1] + np.eye(len(sigma)))
 
-    np.testing.assert_allclose(covariance, 1 / precision, rtol=2e-4)  # the wide priors of the geometry leave 3e-5 to rounding
-    np.testing.assert_allclose(stated, (E.T @ weighted[:, 1:] / precision).ravel(), rtol=2e-4)
+    np.testing.assert_allclose(covariance[0, 0], sigma[-1] ** 2 * inverse[-1, -1], rtol=1e-6)
+    np.testing.assert_allclose(stated[0], sigma[-1] * (inverse @ columns.T @ weighted[:, -1])[-1], rtol=1e-6)
     assert abs(stated[0] - SOFT) < 4 * np.sqrt(covariance[0, 0])
     assert covariance[0, 0] > 1.3 * found.model.covariance[0, 0]
 

@@ -162,12 +162,30 @@ def test_no_set_point_accelerates_beyond_the_limit_on_the_path_that_the_controll
             one.stop() if event == "stop" else one.move(START)
         else:
             HARMLESS[event](one)
+            one.delay += event == "lost" and counts_missing
             path.append(one.sent[-1])
             given.append(len(one.sent) > used)
     new = np.array(given)
     assert np.abs(np.diff(path, axis=0)).max() <= SPEED * T * 1.001 + 2e-6
     acceleration = np.abs(np.diff(path, 2, axis=0)).max(axis=1)[-len(given) :]
     assert acceleration[new].max(initial=0.0) <= ACCELERATION * T**2 * 1.001 + 4e-6
+
+
+@pytest.mark.parametrize("moving", [5, 14, 60])
+def test_a_lost_telegram_behind_a_discarded_answer_starts_no_jump(bench, moving):
+    """Both are counted by Delay: the arm stood for two cycles, and goes on from rest."""
+    one = bench()
+    one.move((0.0, *START[1:]))
+    for _ in range(moving):
+        one.cycle()
+    one.cycle(accepted=False)
+    one.ipoc, one.delay = one.ipoc + 4, one.delay + 1
+    path = [one.sent[-1]] * 3
+    for _ in range(40):
+        one.cycle()
+        path.append(one.sent[-1])
+    assert np.abs(np.diff(path, 2, axis=0)).max() <= ACCELERATION * T**2 * 1.001 + 4e-6
+    assert path[-1] != path[0]
 
 
 def test_a_restarted_program_is_never_answered(bench):
