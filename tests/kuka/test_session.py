@@ -175,7 +175,7 @@ def test_no_set_point_accelerates_beyond_the_limit_on_the_path_that_the_controll
 def test_a_lost_telegram_behind_a_discarded_answer_starts_no_jump(bench, moving):
     """Both are counted by Delay: the arm stood for two cycles, and goes on from rest."""
     one = bench()
-    one.move((0.0, *START[1:]))
+    one.move((100.0, *START[1:]))
     for _ in range(moving):
         one.cycle()
     one.cycle(accepted=False)
