@@ -137,7 +137,7 @@ def spread_of_breakpoint(hypothesis: Hypothesis, member: Member) -> float:
         std = spread(hypothesis, member, member.hyper * np.exp(np.linspace(-reach, reach, OPTIONS.fine)))
         step = member.hyper * 2 * reach / (OPTIONS.fine - 1)
         if std >= step or reach < SHARPEST:
-            return max(std, step if reach < SHARPEST else 0.0)
+            return max(std, step) if reach < SHARPEST else std
         reach /= 4.0  # four steps on either side, within which what is sharper lies
 
 

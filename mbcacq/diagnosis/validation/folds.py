@@ -93,19 +93,20 @@ def evaluated_fold(
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
-    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two. Where a recording has a single one, that
-    would leave nothing of it: each recording is cut into blocks of its order of measurement.
+    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two, unless that leaves nothing of one of
+    several recordings or there is one station: then each recording is cut into blocks of its order of measurement.
     """
     obs = linear.obs
     stations = np.unique(obs.station)
     recording = np.zeros(obs.n_poses, int) if obs.recording is None else obs.recording
-    if all(len(np.unique(obs.station[recording == r])) >= 2 for r in np.unique(recording)):
-        size = np.bincount(obs.station, minlength=len(obs.cell.stations))
-        kind = np.array([[a.id for a in obs.cell.artefacts].index(s.artefact) for s in obs.cell.stations])
-        ranked = sorted(stations, key=lambda k: (kind[k], -size[k], k))
-        fold = np.zeros(len(obs.cell.stations), int)
-        fold[ranked] = np.arange(len(ranked)) % min(folds, len(ranked))
-        return fold[obs.station], "station"
+    size = np.bincount(obs.station, minlength=len(obs.cell.stations))
+    kind = np.array([[a.id for a in obs.cell.artefacts].index(s.artefact) for s in obs.cell.stations])
+    ranked = sorted(stations, key=lambda k: (kind[k], -size[k], k))
+    of_station = np.zeros(len(obs.cell.stations), int)
+    of_station[ranked] = np.arange(len(ranked)) % min(folds, len(ranked))
+    fold = of_station[obs.station]
+    if all(len(np.unique(fold[recording == r])) >= 2 for r in np.unique(recording)):
+        return fold, "station"
     measured = np.arange(obs.n_poses) if obs.time_s is None else np.argsort(np.argsort(obs.time_s, kind="stable"))
     blocks = np.zeros(obs.n_poses, int)
     for r in np.unique(recording):
