@@ -8,6 +8,7 @@ import numpy as np
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import ObservationFit, Rejected
+from mbcacq.estimation import unknown_noise
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.linearization import Solution
 from mbcacq.estimation.options import CalibrationOptions
@@ -17,7 +18,7 @@ from mbcacq.model.observations import Observations
 CORRELATED = 0.95
 
 
-def adjusted_cell(options: CalibrationOptions, adjustment: Adjustment) -> CalibratedCell:
+def adjusted_cell(options: CalibrationOptions, adjustment: Adjustment, known_noise: bool = False) -> CalibratedCell:
     """The calibrated cell of an adjustment.
 
     Parameters
@@ -26,11 +27,12 @@ def adjusted_cell(options: CalibrationOptions, adjustment: Adjustment) -> Calibr
         Under which the observations were adjusted.
     adjustment : Adjustment
         Converged.
+    known_noise : bool
+        Whether the noise is known before the recording, not estimated by it.
     """
     lineariser, solution, weights = adjustment.lineariser, adjustment.solution, adjustment.weights
     obs, layout, normal = lineariser.obs, lineariser.layout, solution.normal
-    scale = layout.scale
-    C = scale[:, None] * positive_inverse(scale[:, None] * normal.information * scale) * scale
+    C = unknown_noise.under_the_noise(solution) if known_noise else unknown_noise.covariance(solution)
     station_covariance = np.zeros((len(obs.cell.stations), 6, 6))
     station_covariance[lineariser.rows.stations] = normal.station_covariance(C)
     rank = layout.size + int(normal.station_rank.sum())
@@ -53,13 +55,6 @@ def adjusted_cell(options: CalibrationOptions, adjustment: Adjustment) -> Calibr
     return CalibratedCell.fitted(
         fit=fit, state=solution.estimate.state, preliminary=adjustment.preliminary, layout=layout, covariance=C, noise=adjustment.noise
     )
-
-
-def positive_inverse(H: np.ndarray) -> np.ndarray:
-    """Inverse (g, g) of a symmetric matrix that is positive but for rounding: a variance never comes out negative, as it may from a plain
-    inverse where the largest and the smallest information are 16 digits apart. Such directions get the variance of the rounding."""
-    value, vector = np.linalg.eigh(H)
-    return (vector / np.maximum(value, 1e-15 * len(H) * value[-1])) @ vector.T if len(H) else H
 
 
 def _rejected(obs: Observations, solution: Solution, weights: Weights) -> tuple[Rejected, ...]:

@@ -249,7 +249,9 @@ class _Trial:
         at = system(lineariser, Estimate(start), self.cell.noise, every)
         distance = np.linalg.norm(at.linear.residual[:, :3], axis=1)
         weights = replace(every, centre=(distance <= GROSS * np.median(distance)).astype(float))
-        return adjusted_cell(options, Adjustment(solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[]))
+        return adjusted_cell(
+            options, Adjustment(solution=at, noise=self.cell.noise, weights=weights, preliminary=start, found=[]), known_noise=True
+        )
 
     def _known(self, obs: Observations) -> Observations:
         """The recording with tool and stations where the calibrated cell has them."""

@@ -98,7 +98,9 @@ def predicted_calibration(
     if options.kinematics and options.random_links:
         layout = blocks.with_common_sizes(layout, blocks.usual_sizes(obs.cell))
     solution = system(lineariser.with_layout(layout), estimate, noise, weights)
-    return adjusted_cell(options, Adjustment(solution=solution, noise=noise, weights=weights, preliminary=state, found=found))
+    return adjusted_cell(
+        options, Adjustment(solution=solution, noise=noise, weights=weights, preliminary=state, found=found), known_noise=True
+    )
 
 
 def _calibration_share(calibration: CalibratedCell, observations: Observations) -> list[float]:

@@ -11,7 +11,7 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.memory import freed_memory_kept
-from mbcacq.diagnosis.model_fit import completed, fit_model, searched
+from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
@@ -99,12 +99,11 @@ def _diagnose(
     def begin_again(linear: LinearProblem, unmodelled: bool) -> RepeatedSearch:
         return RepeatedSearch.begin(replace(problem, linear=linear, budget=budget), folds or usual, pool, unmodelled)
 
-    variations, found = [], searched(problem, pool)
-    if is_long(obs):  # the random effects of the fit take seconds, in which another process repeats the search
-        again = begin_again(found.linear, True)
-        full = completed(problem, found)
+    if is_long(obs):  # its search takes seconds, in which other processes repeat it without each part
+        again, variations = begin_again(problem.linear, True), []
+        full = fit_model(problem)
     else:
-        full = completed(problem, found)
+        full = fit_model(problem)
         variations = noise_variations(full)
         if variations and not problem.budget.spent:
             progress("searching for effects again, with the noise as it depends on the place")

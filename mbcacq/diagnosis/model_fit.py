@@ -20,7 +20,6 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare, thinned, transferred
 from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.search.effect_set import EffectSet
-from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects import unmodelled
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.noise import NoisePrior, pack
@@ -47,13 +46,13 @@ def fit_model(problem: DiagnosisProblem) -> ModelFit:
     return completed(problem, searched(problem))
 
 
-def searched(problem: DiagnosisProblem, pool: WorkerPool | None = None) -> SearchedEffects:
-    """The effects of all centres; of a long recording they are searched in a part of it. pool: of processes that share that search."""
+def searched(problem: DiagnosisProblem) -> SearchedEffects:
+    """The effects of all centres; of a long recording they are searched in a part of it."""
     if not is_long(problem.linear.obs):
         fit = with_untried_rivals(problem, fit_evidence(problem))
         return SearchedEffects(fit=fit, best=reported_hypothesis(fit), linear=fit.linear)
     part = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
-    fit = with_untried_rivals(part, compared(part, part.linear, pack(part.noise), alternatives=True, staged=True, pool=pool))
+    fit = with_untried_rivals(part, compared(part, part.linear, pack(part.noise), alternatives=True, staged=True))
     found = reported_hypothesis(fit)
     whole = on_the_whole(problem, part, found)
     return SearchedEffects(fit=fit, best=whole, linear=whole.point.linear, part=part, found=found)

@@ -72,21 +72,22 @@ class WorkerPool:
         """
         return self.begin(function, *arguments)(answered)
 
-    def begin(self, function: Callable[..., Any], *arguments: Iterable[Any]) -> Callable[..., list[Any]]:
+    def begin(self, function: Callable[..., Any], *arguments: Iterable[Any], elsewhere: bool = False) -> Callable[..., list[Any]]:
         """A function that returns what ``map`` does, of ``answered`` if that is wanted. The other processes begin with their calls at once,
-        this one with its own when the answers are asked for.
+        this one with its own when the answers are asked for. elsewhere: the others make all of the calls, where there are others.
         """
         # Not pool.map: it cancels what is left over when Ctrl-C comes, which loky's own thread then cannot end without a stack trace.
         # All calls of a process go together: what they share, and what is computed from it once, it has once.
-        calls, step = list(zip(*arguments, strict=True)), self._others + 1
-        others = [self.beside(lambda share: [function(*call) for call in share], calls[k::step]) for k in range(1, step)]
+        calls, own = list(zip(*arguments, strict=True)), int(not (elsewhere and self._others))
+        step = self._others + own
+        others = [self.beside(lambda share: [function(*call) for call in share], calls[k::step]) for k in range(own, step)]
 
         def answers(answered: Callable[[int], None] = lambda count: None) -> list[Any]:
-            own = []
-            for call in calls[::step]:
-                own.append(function(*call))
-                answered(min(len(own) * step, len(calls)))
-            each = [own, *(answer() for answer in others)]
+            here = []
+            for call in calls[::step] if own else []:
+                here.append(function(*call))
+                answered(min(len(here) * step, len(calls)))
+            each = [*([here] if own else []), *(answer() for answer in others)]
             return [each[k % step][k // step] for k in range(len(calls))]
 
         return answers

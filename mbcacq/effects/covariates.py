@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -40,6 +40,10 @@ class Covariates:
     """Everything of a recording that an effect may depend on."""
 
     obs: Observations
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is computed when first asked for: other processes compute what they need of it."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @property
     def n(self) -> int:

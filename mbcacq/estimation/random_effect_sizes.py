@@ -13,6 +13,9 @@ import numpy as np
 from mbcacq.estimation.normal_equations import Normal, Prior, inverse_of_lower
 
 CONVERGED = 0.05  # change of a logarithm of a variance
+# Rise of the log marginal likelihood in a round after which the sizes stay: it decides nothing, while groups that shrink to nothing do so
+# for forty rounds more, in which no other moves.
+LEAST_RISE = 0.01
 # Coefficients of other specimens that a usual size stands for: the size is then uncertain by half of itself before anything was measured.
 OTHERS = 3.0
 LEAST_DETERMINED = 1e-4  # coefficients of a group that the data determine: fewer are none
@@ -43,17 +46,20 @@ def sizes_by_marginal_likelihood(
     others_square = others * usual**2
     alive = np.flatnonzero(variance > 0)
     normal, right, count = _equations_of(S, b, slices, alive)
+    reached = -np.inf
     for _ in range(rounds):
         if not len(alive):
             break
         before, first = variance[alive], np.cumsum(count) - count
         mean, half = posterior_of(normal, right, np.repeat(before, count))
+        likelihood = 0.5 * float(right @ mean) + float(np.log(np.diag(half)).sum()) - 0.5 * float(count @ np.log(before))
+        rise, reached = likelihood - reached, likelihood
         determined = count - np.add.reduceat(np.einsum("ij,ij->j", half, half), first) / before + others[alive]
         asked = (np.add.reduceat(mean**2, first) + others_square[alive]) / np.maximum(determined, 1e-3)
         after = np.where(determined > LEAST_DETERMINED, np.minimum(asked, most**2), 0.0)
         after = np.where(kept[alive], before, np.where(after > floor[alive], after, 0.0))
         variance[alive] = after
-        if np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
+        if 0 <= rise < LEAST_RISE or np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
             break
         if not after.all():
             alive = alive[after > 0]

@@ -44,6 +44,16 @@ def test_a_pickled_linear_problem_has_the_same_columns(linear):
     np.testing.assert_array_equal(received.unit("frame", 2, 4), linear.unit("frame", 2, 4))
 
 
+def test_a_pickled_context_has_the_same_covariates_and_computes_them_anew(plan):
+    context = prepare(plan).context
+    context.computed_once(("not to be sent",), lambda: lambda: None)
+
+    received = pickle.loads(pickle.dumps(context))
+
+    for name in ("q2", "gravity_torque_2", "time", "axis_z"):
+        np.testing.assert_array_equal(received.value(name), context.value(name))
+
+
 @pytest.mark.parametrize("shown", [1, 2])
 def test_effects_as_twists_of_a_pose_of_few_rows_give_what_their_own_columns_give(plan, shown):
     """One or two centres a pose have no more rows than a twist has components."""

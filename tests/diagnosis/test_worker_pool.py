@@ -12,13 +12,11 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.evidence.evidence_fit import compared
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
 from mbcacq.diagnosis.output.next_measurements import elsewhere
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.errors import CalibrationError
-from mbcacq.estimation.noise import pack
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +108,12 @@ def test_another_process_begins_before_answers_are_asked_for(pool, tmp_path):
     assert (tmp_path / "own").exists()
 
 
+def test_calls_that_are_for_others_are_made_here_only_where_there_are_none(pool):
+    home = os.getpid()
+    assert home not in pool.begin(lambda k: os.getpid(), range(4), elsewhere=True)()
+    assert set(WorkerPool(1).begin(lambda k: os.getpid(), range(4), elsewhere=True)()) == {home}
+
+
 def test_what_nobody_asks_for_is_not_waited_for(tmp_path):
     with WorkerPool(2) as pool:
         pool.beside(lambda path: path.touch() or threading.Event().wait(), tmp_path / "begun")
@@ -142,15 +146,6 @@ def test_two_workers_give_the_same_cross_validation_as_one(fitted, pool):
 
     assert one.after.chi2_dof < 0.7 * one.before.chi2_dof
     assert two == one
-
-
-def test_two_workers_compare_the_same_sets_as_one(plan, pool):
-    effects = [("joint_compliance", (at,), [2.5e-6], None) for at in ("A2", "A3")]
-    setup = model_fit.prepare(simulated.observe(plan, 161, effects))
-    one, two = (compared(setup, setup.linear, pack(setup.noise), alternatives=True, staged=True, pool=p) for p in (None, pool))
-
-    assert len(one.best.members) > 1
-    assert {h.key: h.log_posterior for h in two.hypotheses} == pytest.approx({h.key: h.log_posterior for h in one.hypotheses}, rel=1e-9)
 
 
 def test_two_workers_state_the_same_limits_as_one(fitted, pool):

@@ -18,7 +18,6 @@ from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.noise import pack
 
@@ -58,10 +57,9 @@ def compared(
     alternatives: bool = False,
     narrow: bool = False,
     staged: bool = False,
-    pool: WorkerPool | None = None,
 ) -> EvidenceFit:
     """The hypotheses of a linearisation as it is. theta: noise of the empty set, to begin with. begin: a set from which the search goes on;
-    alternatives, narrow, staged, pool: of the search (see there).
+    alternatives, narrow, staged: of the search (see there).
     """
     blocks = UnmodelledEffects(problem.design_blocks)
     prior = SetPrior.of(problem.candidates, blocks.locations)
@@ -74,7 +72,6 @@ def compared(
         context=problem.context,
         given=problem.given,
         staged=staged,
-        pool=pool,
         budget=problem.budget,
     )
     ranked = search.run(NoisePoint(linear, problem.prior_noise, theta), begin)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value, without_each
+from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
 from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through
@@ -16,7 +14,6 @@ from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import GivenEffect
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects import catalogue
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import EffectCoupling
@@ -30,7 +27,6 @@ class PoseSearch(EvidenceSearch):
 
     given: effects that are in the problem from the beginning. staged: one set is followed, and first the effects that every arm has
     (elastic joints), so that what they explain is not given to slow periodic errors, then the rest of the catalogue, and none unmodelled.
-    pool: of processes that share the exchanges.
     """
 
     candidates: list[Candidate]
@@ -38,7 +34,6 @@ class PoseSearch(EvidenceSearch):
     context: Context
     given: Sequence[GivenEffect] = ()
     staged: bool = False
-    pool: WorkerPool | None = None
 
     def begun(self, best: Hypothesis) -> Hypothesis:
         return self.relieved(best)
@@ -184,22 +179,4 @@ class PoseSearch(EvidenceSearch):
 
     def exchange(self, best: Hypothesis) -> None:
         self.generalise(best)
-        if self.pool is None:
-            super().exchange(best)
-            return
-        count, rests = self.pool.workers, without_each(best.members)
-        search = replace(self, pool=None)
-        found = self.pool.map(search.exchanged_for, [best] * count, [rests[k::count] for k in range(count)])
-        for h in (one for share in found for one in share if one.key not in self.known):
-            same = np.array_equal(h.point.theta, best.point.theta)
-            self.known[h.key] = replace(h, point=best.point if same else replace(best.point, theta=h.point.theta))
-        self.out_of_time()
-
-    def exchanged_for(self, best: Hypothesis, rests: Sequence[tuple[Member, ...]]) -> list[Hypothesis]:
-        """The sets that are new among those without, or with another effect in the place of, what is not in each of the rests."""
-        before = set(self.known)
-        for rest in rests:
-            if self.out_of_time():
-                break
-            self.exchanged(rest, best)
-        return [h for key, h in self.known.items() if key not in before]
+        super().exchange(best)

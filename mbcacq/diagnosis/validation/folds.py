@@ -38,7 +38,8 @@ class RepeatedSearch:
         fold, how = split(problem.linear, folds)
         left_out = [fold == k for k in range(int(fold.max()) + 1)]
         calls = zip(*((problem, test, unmodelled) for test in left_out), strict=True)
-        return cls(problem=problem, left_out=left_out, how=how, models=pool.begin(model_without, *calls))
+        models = pool.begin(model_without, *calls, elsewhere=is_long(problem.linear.obs))
+        return cls(problem=problem, left_out=left_out, how=how, models=models)
 
 
 def model_without(problem: DiagnosisProblem, test: np.ndarray, unmodelled: bool) -> Model:
