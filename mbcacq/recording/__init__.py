@@ -29,7 +29,7 @@ __all__ = [
     "Trajectory",
     "find_gaps",
     "load_observations",
-    "load_trajectories",
+    "load_whole_trajectories",
     "log_result",
     "poses_done",
     "read_observation_set",
@@ -100,7 +100,7 @@ def _load_observations(path: Path) -> Observations:
     raise ConfigError(f"{path} is not a recording or an observation set; give {ACCEPTED}")
 
 
-def load_trajectories(paths: Path | str | Iterable[Path | str]) -> list[Trajectory]:
+def load_whole_trajectories(paths: Path | str | Iterable[Path | str]) -> list[Trajectory]:
     """Read one trajectory for each path: a trajectory-set folder, or the controller cycles of a run folder or .rrd file.
 
     Raises ConfigError if a path is none of these or its content is wrong, RecordingError if a recording is torn.
@@ -126,7 +126,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def __getattr__(name: str):
-    """Import the room's classes and functions only when asked for: rerun takes a quarter of a second."""
+    """Import the classes and functions only when asked for: rerun takes a quarter of a second."""
     if name in _LAZY:
         return getattr(importlib.import_module(f"mbcacq.recording.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
