@@ -222,7 +222,7 @@ def print_evidence(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, o
         write_file(out, text + "\n")
     echo(text if as_json else evidence_in_words(evidence))
     if not as_json:
-        say_next("let what it names be proven on held-out poses", command_line("diagnose", *data))
+        say_next("test what it names on held-out poses", command_line("diagnose", *data))
 
 
 def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:
