@@ -64,8 +64,22 @@ ACCEPTED = (
 def load_observations(path: Path | str) -> Observations:
     """Read the observations in a run folder, a .rrd file or an observation-set folder.
 
-    Their cell says to what the joint angles are rounded. Raises ConfigError if it is none of these or its content is wrong, RecordingError
-    if a recording is torn.
+    Parameters
+    ----------
+    path
+        The folder or file.
+
+    Returns
+    -------
+    Observations
+        Their cell says to what the joint angles are rounded.
+
+    Raises
+    ------
+    ConfigError
+        The path is none of these, or its content is wrong.
+    RecordingError
+        A recording is torn.
     """
     from mbcacq.model.joint_resolution import with_joint_step
 
@@ -101,9 +115,24 @@ def _load_observations(path: Path) -> Observations:
 
 
 def load_whole_trajectories(paths: Path | str | Iterable[Path | str]) -> list[Trajectory]:
-    """Read one trajectory for each path: a trajectory-set folder, or the controller cycles of a run folder or .rrd file.
+    """Read one whole trajectory for each path; ``mbcacq.load_trajectories`` gives the moving stretches of a run instead.
 
-    Raises ConfigError if a path is none of these or its content is wrong, RecordingError if a recording is torn.
+    Parameters
+    ----------
+    paths
+        Trajectory-set folders, or run folders or .rrd files with controller cycles.
+
+    Returns
+    -------
+    list of Trajectory
+        In the order of the paths.
+
+    Raises
+    ------
+    ConfigError
+        A path is none of these, or its content is wrong.
+    RecordingError
+        A recording is torn.
     """
     return [_load_trajectory(Path(path)) for path in ([paths] if isinstance(paths, Path | str) else paths)]
 
