@@ -131,7 +131,7 @@ def sum_of_shares(mismatch: Sequence[PoseMismatch], before: PredictiveScore, aft
     explained = min(max((before.chi2 - after.chi2) / max(before.chi2 - before.dof, 1e-9), 0.0), 1.0)
     said = []
     if explained > total + UNSAID:
-        said.append(f"several places explain another {explained - total:.0%} alike")
+        said.append(f"several locations explain another {explained - total:.0%} alike")
     elif total > explained + UNSAID:
         said.append(f"together they explain {explained:.0%}, because some compensate others" if explained > UNSAID else "none is confirmed")
     if explained < 1 - UNSAID:
