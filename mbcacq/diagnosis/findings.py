@@ -62,7 +62,7 @@ class EffectFound:
     """An effect that a diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
 
     parameters: by name, with the unit as its suffix. held_out_gain: share of the held-out excess over the noise floor that the effect
-    removes, 0 to 1. trend: why it is a trend, without a reliable figure; empty for a finding.
+    removes, 0 to 1. trend: why it is a trend, of which no figure may be relied on; empty for a finding.
     """
 
     name: str

@@ -33,15 +33,15 @@ SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 Ranked = tuple[bool, float, PoseEffect]  # whether it stands in front, chi2 that it explains beyond all others, the effect
 
 
-def effects_by_contribution(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[PoseEffect]:
+def effects_by_contribution(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[PoseEffect]:
     """All effects, named and unmodelled, those first that explain most of what the others cannot. An effect that shows only through another
     one (a wrong payload through elastic joints) stands in front of all others.
     """
-    ranked = parametric_effects(full, contributions, validation) + unmodelled_effects(full, contributions, validation)
+    ranked = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
     return [effect for *_, effect in sorted(ranked, key=lambda item: (-item[0], -item[1]))]
 
 
-def parametric_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[Ranked]:
+def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[Ranked]:
     """The effects gathered by name (several joints of one effect make one entry)."""
     model = full.model
     grouped: dict[str, list[int]] = {}
@@ -58,19 +58,19 @@ def parametric_effects(full: ModelFit, contributions: Contributions, validation:
             where=tuple(dict.fromkeys(w for j in members for w in model.members[j].candidate.where)),
             parameters=merged_parameters(full, members),
             p_value=likelihood_ratio_p(full, members, gain),
-            held_out_gain=(removed := gain_left_out(validation, model, members)),
-            held_out_gain_std=validation.gain_std(removed),
+            held_out_gain=(removed := gain_left_out(proof, model, members)),
+            held_out_gain_std=proof.gain_std(removed),
             depends_on=first.depends_on,
         )
         out.append((catalogue.declaration(first.name).coupling is not None, gain, effect))
     return out
 
 
-def gain_left_out(validation: CrossValidation, model: EffectSet, members: list[int]) -> float:
+def gain_left_out(proof: CrossValidation, model: EffectSet, members: list[int]) -> float:
     """Share of the held-out excess that an entry removes: of an effect with entries at several locations, the entry at its own."""
     first = model.members[members[0]].candidate
     everywhere = sum(m.candidate.name == first.name for m in model.members) == len(members)
-    return validation.gain(first.name if everywhere else first.label)
+    return proof.gain(first.name if everywhere else first.label)
 
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
@@ -124,7 +124,7 @@ def covariance_with_free_breakpoints(full: ModelFit) -> np.ndarray:
     return (np.linalg.inv(S * np.outer(size, size) + 1e-12 * np.eye(len(S))) * np.outer(size, size))[:k, :k]
 
 
-def unmodelled_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[Ranked]:
+def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[Ranked]:
     """One entry for each location of the unmodelled effects. In a long recording they act at all locations: there is one entry then, at the
     location of the largest evidence.
     """
@@ -140,8 +140,8 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
             where=(first.location,),
             parameters=parameters,
             p_value=p_value,
-            held_out_gain=validation.unmodelled_gain,
-            held_out_gain_std=validation.gain_std(validation.unmodelled_gain),
+            held_out_gain=proof.unmodelled_gain,
+            held_out_gain_std=proof.gain_std(proof.unmodelled_gain),
             depends_on=first.depends_on,
         )
         return [(False, contributions.of(contributions.unmodelled), effect)]
@@ -149,14 +149,14 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, validation:
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
         evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
-        gain = validation.gain(f"{UNKNOWN}:{at}")
+        gain = proof.gain(f"{UNKNOWN}:{at}")
         effect = PoseEffect(
             name=UNKNOWN,
             where=(at,),
             parameters=_rms_parameters(size, mine),
             p_value=_bayes_p(evidence),
             held_out_gain=gain,
-            held_out_gain_std=validation.gain_std(gain),
+            held_out_gain_std=proof.gain_std(gain),
             depends_on=mine[0][1],
         )
         out.append((False, contributions.of(contributions.groups_at(full, at)), effect))

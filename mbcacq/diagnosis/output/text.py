@@ -26,7 +26,7 @@ VERDICTS = {
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
     "cannot_tell": "Cannot tell: these poses do not separate the candidates, or do not show them.",
 }
-NOT_SEPARATED = "Cannot tell: these poses do not separate the possible causes of the mismatch."
+NOT_TOLD_APART = "Cannot tell: these poses do not separate the possible causes of the mismatch."
 OPEN = "Cannot tell: these poses leave open whether there is an effect."
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
@@ -59,7 +59,7 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
 def first_sentence(d: Diagnosis, floor: NoiseFloor) -> str:
     """The verdict; of one that cannot tell, what of."""
     if d.verdict == "cannot_tell" and d.not_separable:
-        return NOT_SEPARATED
+        return NOT_TOLD_APART
     return OPEN if d.verdict == "cannot_tell" and not d.effects else verdict_in_words(d.verdict, floor)
 
 
