@@ -8,7 +8,7 @@ from typing import Any
 from mbcacq.quantities import K
 
 NOT_SIZES = ("order", "phase_deg", "at_pose", "time_constant_s", "transition_Nm", "breakpoint_Nm", "zero_deg")
-UNCERTAIN = "no figure exceeds its expanded uncertainty (k = 2)"
+UNCERTAIN = "no figure is beyond its expanded uncertainty (k = 2)"
 REMOVES_NOTHING = "held-out data are predicted as well without it"
 NOTHING = 0.0005  # a share that is written as 0.0 %
 

@@ -39,7 +39,7 @@ def test_a_trend_stands_behind_the_findings_without_a_number():
     }
     content["effects"] = [weak, *content["effects"]]
     shown = diagnosis_content(content, None)
-    said = [("Joint compliance at A2", ""), ("Trend: scanner warmup at scanner", "no figure exceeds its expanded uncertainty (k = 2)")]
+    said = [("Joint compliance at A2", ""), ("Trend: scanner warmup at scanner", "no figure is beyond its expanded uncertainty (k = 2)")]
     assert [(e.title, e.trend) for e in shown.effects] == said
     assert shown.effects[1].parameters == []
     cards = diagnosis_cards(shown)

@@ -16,7 +16,7 @@ CHANNELS = {
     "q_set": "actual angle against set point",
     "tau": "torque against the rigid arm",
 }
-CANNOT_TELL = "Cannot tell: these motions do not separate some of the candidates, or show an effect too weakly."
+CANNOT_TELL = "Cannot tell: these motions do not let some of the candidates be separated, or show an effect too weakly."
 MOST_ROWS = 12  # of the mismatch
 
 
