@@ -119,7 +119,22 @@ class CalibratedCell:
         noise: Noise,
         extra: Mapping[str, Any] | None = None,
     ) -> CalibratedCell:
-        """The cell of these observations with what a fit found of it."""
+        """The cell of these observations with what a fit found of it.
+
+        Parameters
+        ----------
+        fit
+            The observations with residuals and weights.
+        state, preliminary, layout, covariance, noise
+            As the attributes.
+        extra
+            What else result.json will hold.
+
+        Returns
+        -------
+        CalibratedCell
+            With ``own_fit``.
+        """
         cell = fit.observations.cell
         return cls(
             robot=cell.robot.name,
@@ -139,8 +154,25 @@ class CalibratedCell:
 
     @classmethod
     def from_dict(cls, content: dict[str, Any], source: str = THE_RESULT) -> CalibratedCell:
-        """The cell of a result's content. source: how a message calls it. Raises ConfigError where this is no result of a calibration, or
-        a damaged one."""
+        """The cell of a result's content.
+
+        Parameters
+        ----------
+        content
+            Content of a result.json.
+        source
+            What a message calls it.
+
+        Returns
+        -------
+        CalibratedCell
+            Without observations.
+
+        Raises
+        ------
+        ConfigError
+            The content is no result of a calibration, or a damaged one.
+        """
         file = result_of(content, source)
         if file.preliminary is None:
             raise damaged(source, "the key 'preliminary' is missing", CURE)
@@ -163,15 +195,38 @@ class CalibratedCell:
 
     @classmethod
     def from_json(cls, source: str | Path, *, any_of_them: bool = False) -> CalibratedCell:
-        """The cell of a result's JSON text, of a result.json, or of a run folder that holds one; of one of several recordings by its number
-        (``result.json#2``), or without where ``any_of_them`` will do, since they share the arm. Raises ConfigError."""
+        """The cell of a result's JSON text, of a result.json, or of a run folder that holds one.
+
+        Parameters
+        ----------
+        source
+            The text or the path. ``result.json#2`` is the second of several recordings.
+        any_of_them
+            Take any of several recordings without a number; they share the arm.
+
+        Returns
+        -------
+        CalibratedCell
+            Without observations.
+
+        Raises
+        ------
+        ConfigError
+            The content is no result of a calibration, or a damaged one.
+        """
         if isinstance(source, str) and source.lstrip().startswith("{"):
             content = read_json(source, THE_RESULT, "give the content of a result.json")
             return cls.from_dict(unsealed(content, Path(THE_RESULT)))
         return cls.from_dict(result_io.read_result(Path(source), any_of_them=any_of_them), str(source))
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of result.json, format 'mbcacq-result/1'; see ``mbcacq.calibration.result_file``."""
+        """The content of result.json; see ``mbcacq.calibration.result_file``.
+
+        Returns
+        -------
+        dict
+            Format 'mbcacq-result/1'.
+        """
         return dict(self.extra) if self.own_fit is None else {**fields_as_json(self.file), **self.extra}
 
     @property
@@ -221,7 +276,13 @@ class CalibratedCell:
         )
 
     def to_json(self) -> str:
-        """``to_dict`` as JSON text, with its checksum."""
+        """``to_dict`` as JSON text, with its checksum.
+
+        Returns
+        -------
+        str
+            Text that ``from_json`` takes.
+        """
         return sealed_text(self.to_dict())
 
     @property
@@ -261,56 +322,179 @@ class CalibratedCell:
         return arm_indices(self.layout, self.covariance, self.fit.used_poses)
 
     def frames(self, q: np.ndarray) -> np.ndarray:
-        """(P, n+1, 4, 4) frames of the arm, with its effects, at joint angles q (P, n) rad as the controller reports them."""
+        """Frames of the arm, with its effects, in the base frame.
+
+        Parameters
+        ----------
+        q : (P, n) ndarray
+            Joint angles as the controller reports them, rad.
+
+        Returns
+        -------
+        (P, n+1, 4, 4) ndarray
+            Lengths in mm.
+        """
         return self.effects.frames(self.state.chain, q) if self.effects else self.state.chain.frames(q)
 
     def to_base(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """Scanner points xyz (P, 3) mm seen from postures q (P, n) rad, in the base frame (P, 3) mm."""
+        """Scanner points in the base frame.
+
+        Parameters
+        ----------
+        q : (P, n) ndarray
+            Joint angles at which each point was seen, rad.
+        xyz : (P, 3) ndarray
+            Points in the scanner frame, mm.
+
+        Returns
+        -------
+        (P, 3) ndarray
+            Points in the base frame, mm.
+        """
         return se3.apply(self.frames(q)[:, -1] @ self.state.T_flange_scanner, self.corrected_points(q, xyz))
 
     def corrected_points(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """Scanner points xyz (P, 3) mm without what effects of the scanner add to them. The bias is taken at the measured point: it changes
-        by a millionth of itself over its own size.
+        """Scanner points without the bias that effects of the scanner add to them.
+
+        The bias is taken at the measured point: over a distance of its own size it changes by a millionth of itself.
+
+        Parameters
+        ----------
+        q : (P, n) ndarray
+            Joint angles at which each point was seen, rad.
+        xyz : (P, 3) ndarray
+            Points in the scanner frame, mm.
+
+        Returns
+        -------
+        (P, 3) ndarray
+            Points in the scanner frame, mm.
         """
         moved = self.effects.displacements(single_points(self.effects, q, xyz)) if self.effects else None
         return xyz if moved is None or moved.point is None else xyz - moved.point
 
     def point_columns(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """Derivative (P, 3, g) of the base position of xyz (P, 3) mm, seen from q (P, n) rad, by the free parameters, effects included."""
+        """Derivatives of base positions by the free parameters, effects included.
+
+        Parameters
+        ----------
+        q : (P, n) ndarray
+            Joint angles at which each point was seen, rad.
+        xyz : (P, 3) ndarray
+            Points in the scanner frame, mm.
+
+        Returns
+        -------
+        (P, 3, g) ndarray
+            In mm over the unit of each of the g parameters.
+        """
         A = identifiability.base_columns(self.layout, self.state, q, xyz[:, None])[0]
         if self.effects:
             fill_effect_columns(A, self.names, self.state, self.effects, q, xyz)
         return A
 
     def point_covariance(self, q: np.ndarray, xyz: np.ndarray, *, measuring: bool = False) -> np.ndarray:
-        """(P, 3, 3) mm^2 covariance in the base of scanner points xyz (P, 3) mm seen from postures q (P, n) rad, by the calibrated
-        parameters; with ``measuring`` also by the scanner's noise and the joints' repeatability of one measurement. The base is where the
-        held parameters (theta_1, d_1) put it."""
+        """Covariance of base positions by the calibrated parameters. The base is where the held parameters (theta_1, d_1) put it.
+
+        Parameters
+        ----------
+        q : (P, n) ndarray
+            Joint angles at which each point was seen, rad.
+        xyz : (P, 3) ndarray
+            Points in the scanner frame, mm.
+        measuring
+            Add the scanner's noise and the joints' repeatability of one measurement.
+
+        Returns
+        -------
+        (P, 3, 3) ndarray
+            In mm^2, base frame.
+        """
         A = self.point_columns(q, xyz)
         covariance = A @ self.covariance @ np.swapaxes(A, 1, 2)
         return covariance + self.measuring_covariance(q, xyz) if measuring else covariance
 
     def measuring_covariance(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """(P, 3, 3) mm^2 in the base: scanner noise and joint repeatability of one measurement."""
+        """Covariance of one measurement by scanner noise and joint repeatability.
+
+        Parameters
+        ----------
+        q : (P, n) ndarray
+            Joint angles at which each point was seen, rad.
+        xyz : (P, 3) ndarray
+            Points in the scanner frame, mm.
+
+        Returns
+        -------
+        (P, 3, 3) ndarray
+            In mm^2, base frame.
+        """
         seen, moved = measuring_terms(self.state, self.noise, q, xyz)
         return seen + moved
 
     def distance_columns(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (P, 3) from points a (P, 3) mm seen from qa (P, n) rad to b seen from qb, and derivatives (P, g) of their distance by
-        the free parameters."""
+        """Directions from points a to points b, and derivatives of their distances by the free parameters.
+
+        Parameters
+        ----------
+        qa : (P, n) ndarray
+            Joint angles at which points a were seen, rad.
+        a : (P, 3) ndarray
+            Points in the scanner frame, mm.
+        qb, b : (P, n) and (P, 3) ndarray
+            The same of points b.
+
+        Returns
+        -------
+        tuple of ndarray
+            Unit vectors (P, 3) in the base frame; derivatives (P, g) in mm over the unit of each parameter.
+        """
         pa, pb = self.to_base(qa, a), self.to_base(qb, b)
         u = (pb - pa) / np.linalg.norm(pb - pa, axis=1, keepdims=True)
         return u, np.einsum("pi,pig->pg", u, self.point_columns(qb, b) - self.point_columns(qa, a))
 
     def distance_uncertainty(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """(P,) mm standard uncertainty, by the calibrated parameters, of the distance between points a (P, 3) mm seen from qa and b from
-        qb; the noise of measuring the ends is not in it."""
+        """Standard uncertainty of distances by the calibrated parameters; the noise of measuring the ends is not included.
+
+        Parameters
+        ----------
+        qa : (P, n) ndarray
+            Joint angles at which points a were seen, rad.
+        a : (P, 3) ndarray
+            Points in the scanner frame, mm.
+        qb, b : (P, n) and (P, 3) ndarray
+            The same of points b.
+
+        Returns
+        -------
+        (P,) ndarray
+            In mm, k = 1.
+        """
         row = self.distance_columns(qa, a, qb, b)[1]
         return np.sqrt(np.einsum("pg,gh,ph->p", row, self.covariance, row))
 
     def expected_accuracy(self, postures: int = 300, seed: int = 1) -> float:
-        """rms (mm) over postures within the joint limits of the uncertainty of a measured point, effects included, a rigid motion of
-        everything aside. Raises ConfigError as ``fit``."""
+        """The rms uncertainty of a measured point over postures within the joint limits.
+
+        The effects are included. A rigid motion of all points together is not.
+
+        Parameters
+        ----------
+        postures
+            Number of random postures.
+        seed
+            Seed of the postures.
+
+        Returns
+        -------
+        float
+            In mm (3D, k = 1).
+
+        Raises
+        ------
+        ConfigError
+            The cell was read from result.json, which holds no observations.
+        """
         obs = self.fit.observations
         if not self.effects:
             information = identifiability.workspace_information(obs, self.state, self.layout, postures, seed)
@@ -323,18 +507,42 @@ class CalibratedCell:
         return float(np.sqrt(max(np.sum((A @ self.covariance) * A), 0.0) / len(q)))
 
     def took_part(self, observations: Observations) -> bool | None:
-        """Whether any of these poses took part in the calibration. A cell that was read from result.json does not list its poses: False
-        where none of these stations is its own, else None."""
+        """Whether any of these poses took part in the calibration.
+
+        Parameters
+        ----------
+        observations
+            The poses.
+
+        Returns
+        -------
+        bool or None
+            A cell that was read from result.json does not list its poses: False if none of these stations is its own, else None.
+        """
         if self.own_fit is not None:
             return self.own_fit.holds(observations)
         measured = {observations.cell.stations[s].id for s in np.unique(observations.station)}
         return None if measured & set(self.stations) else False
 
     def verify(self, observations: Observations, *, limit_mm: float | None = None) -> Verification:
-        """Sphere spacing errors of a recording, at its verification poses; where no phases are recorded, of all two-ball artefacts.
+        """Sphere spacing errors of a recording at its verification poses; if no phases are recorded, of all two-ball artefacts.
 
-        Each has the uncertainty that is expected of it, and that by which it is held against the limit. Raises ConfigError where the
-        recording is of another arm.
+        Parameters
+        ----------
+        observations
+            The recording.
+        limit_mm
+            Largest error permitted, mm.
+
+        Returns
+        -------
+        Verification
+            Each error has the uncertainty that is expected of it, and that by which it is compared with the limit.
+
+        Raises
+        ------
+        ConfigError
+            The recording is of another arm.
         """
         obs = verification_poses(observations)
         refuse_other_arm("the result is of", self.robot, self.nominal, obs.cell.robot, "the recording")
@@ -367,8 +575,24 @@ class CalibratedCell:
         return replace(found, figures=tuple(figures))
 
     def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> CalibratedCell:
-        """The same recording calibrated with effects as terms of the cell. found: a model of effects, or a diagnosis that holds one.
-        hold: keep their coefficients as they are. Raises ConfigError where there are none, or they are of another arm.
+        """Calibrate the same recording with effects as terms of the cell.
+
+        Parameters
+        ----------
+        found
+            A model of effects, or a diagnosis that holds one.
+        hold
+            Keep the coefficients of the effects as they are.
+
+        Returns
+        -------
+        CalibratedCell
+            The cell with its effects.
+
+        Raises
+        ------
+        ConfigError
+            There are no effects, they are of another arm, or the cell was read from result.json.
         """
         model = found if isinstance(found, EffectModel) else found.model
         if not model:
@@ -386,7 +610,13 @@ class CalibratedCell:
         )
 
     def plot(self) -> Figure:
-        """The errors of the arm's parameters that were identified, each with its U (k = 2), as a figure."""
+        """The identified errors of the arm's parameters.
+
+        Returns
+        -------
+        Figure
+            Each error with its U (k = 2).
+        """
         content = self.to_dict()
         return notebook.parameter_figure(f"{content['robot']['name']}: errors against the data sheet", content["parameters"])
 

@@ -43,7 +43,13 @@ class ComparisonRow:
 
 @dataclass(frozen=True, repr=False)
 class Comparison(AsJson, Sequence[ComparisonRow]):
-    """The rows of a comparison, in the order of the methods; a sequence of them."""
+    """The rows of a comparison, in the order of the methods; a sequence of them.
+
+    Attributes
+    ----------
+    rows
+        One row for each method.
+    """
 
     format: Literal["mbcacq-comparison/1"] = field(default="mbcacq-comparison/1", kw_only=True)
     rows: tuple[ComparisonRow, ...]

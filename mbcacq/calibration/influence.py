@@ -121,6 +121,6 @@ def joint_noise_sentence(found: dict[str, Any]) -> str:
     if found["pose"] is None:
         return f"{text}; something is not in the model, or poses do not belong to it. mbcacq diagnose looks for it."
     return (
-        f"{text}. Pose {found['pose']} is the first to look at: without it most of the misfit goes, and the hand-eye moves by "
+        f"{text}. Look at pose {found['pose']} first: without it most of the misfit vanishes, and the hand-eye moves by "
         f"{found['hand_eye_sigmas']:.1f} of its stated standard uncertainties. Measure it again before it is left out."
     )

@@ -30,9 +30,8 @@ HAND_EYE_ALONE = (
 
 
 FLANGE_POSES_ALONE = (
-    "the poses are given by the flange and not by joint angles: the hand-eye transform alone is calibrated, and what the arm's links "
-    "are off "
-    "by is noise of these poses; for the arm, give joint angles"
+    "the poses are given by the flange and not by joint angles: the hand-eye transform alone is calibrated, and the errors of the "
+    "arm's links are noise of these poses; for the arm, give joint angles"
 )
 
 

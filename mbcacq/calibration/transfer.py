@@ -95,7 +95,7 @@ class NormalisedError:
 
     @property
     def in_words(self) -> str:
-        usual = " ({:.2f} to {:.2f} where it is true)".format(*self.usual) if self.usual else ""
+        usual = " ({:.2f} to {:.2f} if it is true)".format(*self.usual) if self.usual else ""
         return f"{self.rms:.2f} rms{usual}, {self.quantile_95:.2f} at 95 %, {self.share_below_3:.1%} below 3"
 
 
@@ -130,7 +130,7 @@ class Transfer(AsJson):
         if left := self.parts_left_out:
             out.append(
                 f"  on parts left out of the fit: {micrometres(left.as_learnt.rms_mm)} with base, tool and stations of the other parts; "
-                f"{micrometres(left.drawn_anew.rms_mm)} where these also teach what the recording learnt from could not"
+                f"{micrometres(left.drawn_anew.rms_mm)} where these also determine what the first recording could not"
             )
         out += [
             f"  {e.name} at {', '.join(e.where)}: without it {micrometres(e.without_mm)} ({e.gain:+.0%} of the geometry's mean square)"

@@ -82,10 +82,26 @@ class JudgedFigure:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Verification(EveryKey):
-    """Sphere spacing errors at every station, with the nominal arm and the preliminary hand-eye (before) and calibrated (after).
-    independent: none of the poses took part in the calibration; None: not known. figures: those of ``judge``. common_mm:
-    standard uncertainty of the mean signed error after, as far as it comes from the calibration and is common to all places. budget: the
-    terms of the uncertainty of judging, of the place where it is largest. The keys of its JSON are these fields and properties."""
+    """Sphere spacing errors at every station, before and after calibration. The keys of its JSON are its fields and properties.
+
+    Before means with the nominal arm and the preliminary hand-eye transform.
+
+    Attributes
+    ----------
+    places
+        One entry for each pair of balls at each station.
+    limit_mm
+        Largest error permitted, mm, or None.
+    independent
+        Whether none of the poses took part in the calibration; None: not known.
+    figures
+        Figures of ``judge``.
+    common_mm
+        Standard uncertainty of the mean signed error after calibration, mm, as far as it comes from the calibration and is common to all
+        places.
+    budget
+        Terms of the uncertainty of judging, at the place where it is largest.
+    """
 
     left_out = ("budget",)
     later = ("common_mm",)
@@ -98,7 +114,18 @@ class Verification(EveryKey):
     budget: LargestBudget | None = None
 
     def errors(self, which: str) -> np.ndarray:
-        """(places,) signed errors in mm, 'before' or 'after'."""
+        """Signed errors of all places.
+
+        Parameters
+        ----------
+        which
+            'before' or 'after' calibration.
+
+        Returns
+        -------
+        (places,) ndarray
+            In mm.
+        """
         return np.array([getattr(p, f"{which}_mm") for p in self.places])
 
     @computed_field
@@ -128,7 +155,13 @@ class Verification(EveryKey):
         return verdict_of_places(self.errors("after"), [p.judging_mm for p in self.places], self.limit_mm)
 
     def to_dict(self) -> dict[str, Any] | None:
-        """JSON content; None where there was nothing to verify on."""
+        """JSON content.
+
+        Returns
+        -------
+        dict or None
+            None if there was nothing to verify on.
+        """
         return fields_as_json(self) if self.places else None
 
     def __repr__(self) -> str:
@@ -159,7 +192,13 @@ class Verification(EveryKey):
         return notebook.table("Sphere spacing error, U with k = 2", header, rows) + notebook.paragraph(repr(self))
 
     def plot(self) -> Figure:
-        """The sphere spacing errors before and after calibration, as a figure."""
+        """The sphere spacing errors before and after calibration.
+
+        Returns
+        -------
+        Figure
+            With U (k = 2) of judging each error.
+        """
         labels = [f"{p.station}: {p.balls[0]}-{p.balls[1]}" for p in self.places]
         U = [K * (p.judging_mm or 0.0) for p in self.places]
         errors = {which: list(self.errors(which)) for which in ("before", "after")}

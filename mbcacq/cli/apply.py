@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 @click.option(
     "--unit",
     type=click.Choice(["mm", "m", "cm", "um", "in", "inch"]),
-    help="Of the cloud's coordinates [default: as its header says, or mm].",
+    help="Unit of the cloud's coordinates [default: as its header says, or mm].",
 )
 @click.option("--force", is_flag=True, help="Replace a file that is already there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def command(result: Path, cloud: Path, joints: str, out: Path | None, unit: str | None, force: bool, as_json: bool) -> None:
     """Bring CLOUD (PLY or PCD, scanner frame) into the robot's base frame with RESULT (a result.json, or a run folder that holds one).
 
-    Colours, intensities and all other properties of the points stay. Prints how well the points are placed: expanded uncertainties,
-    k = 2, of the calibrated parameters and of the joints' repeatability; the noise of single points comes on top.
+    Colours, intensities and all other properties of the points stay. The command prints how well the points are placed: expanded
+    uncertainties (k = 2) from the calibrated parameters and from the joints' repeatability. The noise of single points is not included.
 
     Example: mbcacq apply runs/today --joints=0,-90,90,0,30,0 scan.ply
     """

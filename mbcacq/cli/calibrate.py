@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     type=click.Choice(["one", "four", "all"]),
     default="four",
     show_default=True,
-    help="Paper's method: balls of the distance constraint; one pair, as printed; all pairs of its four balls; of all balls.",
+    help="Paper's method, pairs of balls that are used: one, as printed; all pairs of its four balls; all pairs of all balls.",
 )
 @click.option("--held-out", type=click.Choice(["station", "random", "block"]), help="Also refit without some poses and predict those.")
 @click.option("--held-out-size", type=click.IntRange(min=1), help="Poses held out of each random fit [default: 30 %, at most 300].")
@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     "--prior",
     type=click.Path(path_type=Path),
     metavar="FLEET",
-    help="Take what other arms of this type were like as prior: a folder or table of mbcacq fleet.",
+    help="Take the errors of other arms of this type as prior: a folder or table of mbcacq fleet.",
 )
 @click.option("--map", "with_map", is_flag=True, help="Add the expected accuracy over the workspace to the result, on a grid of 250 mm.")
 @click.option("--l-curve", type=click.Path(path_type=Path, dir_okay=False), help="Paper's method: draw its L-curve into this HTML file.")

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 @click.command("check")
 @click.argument("result", type=RunPath())
 @click.argument("plan", type=PlanPath())
-@click.option("--dry-run", is_flag=True, help="Against the fake cell, which speaks the devices' protocols on this computer.")
+@click.option("--dry-run", is_flag=True, help="Run against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--history", type=click.Path(path_type=Path, dir_okay=False), help="File of all checks [default: check.json beside RESULT].")
 @click.option("--from", "measured", type=RunPath(), metavar="RUN", help="Judge a check that was measured already; nothing moves.")
-@click.option("--poses", default=12, show_default=True, help="How many poses; counts at the first check.")
-@click.option("--placed-anew", is_flag=True, help="The artefact is placed anew for each check: its place is not judged.")
-@click.option("--fleet", type=click.Path(path_type=Path, exists=True), help="What arms change from day to day, as a fleet's table has it.")
+@click.option("--poses", default=12, show_default=True, help="Number of poses, chosen at the first check.")
+@click.option("--placed-anew", is_flag=True, help="The artefact is placed anew for each check, so its place is not judged.")
+@click.option("--fleet", type=click.Path(path_type=Path, exists=True), help="Table of mbcacq fleet: how arms change from day to day.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the recording [default: runs/TIME_check-NAME].")
 @click.option("--arm", is_flag=True, help="A real arm may move, once its speed, workspace and first target are confirmed by typing.")
 @click.option("--step", is_flag=True, help="Wait for a key before each pose.")
@@ -48,11 +48,11 @@ def command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Repeat the few poses of PLAN that notice most of what may have changed since RESULT: mastering, tool, mount, links, gears.
+    """Repeat the few poses of PLAN that show most of what may have changed since RESULT: mastering, tool, mount, links, gears.
 
-    At the first check the poses are chosen; each later one repeats them, and all are judged together: what changed, where, since when.
-    However often it is looked, false alarms stay below one in a hundred arms. It ends with code 0 where the cell is as before, with 11
-    where it changed.
+    The poses are chosen at the first check. Each later check repeats them, and all are judged together: what changed, where, since when.
+    However many checks are made, there are false alarms in fewer than one of a hundred arms. The exit code is 0 if the cell is as before,
+    and 11 if it changed.
 
     \b
     Examples:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=RunPath(), help="Add to this run folder what it lacks.")
 @click.option(
-    "--unit", type=click.Choice(["mm", "m", "cm", "um", "in", "inch"]), help="Of the clouds [default: the plan's, the files', or mm]."
+    "--unit", type=click.Choice(["mm", "m", "cm", "um", "in", "inch"]), help="Unit of the clouds [default: the plan's, the files', or mm]."
 )
 @click.option("--axes", help="Axes of the clouds that are the scanner frame's x, y, z, such as 'x -y -z' [default: the plan's].")
 @click.option("--range-map", help="Scale of TIFF range maps: mm a column, mm a row, mm a count, mm at count 0.")

@@ -29,8 +29,8 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
     listed with the reason.
 
     With OTHER, a second recording of the same arm: what changed from DATA to OTHER, parameter by parameter and effect by effect.
-    Both are run folders with a result, or a result.json. Compared is what each recording alone says, without the prior that a calibration
-    has of the arm's links.
+    Both are run folders with a result, or a result.json. What each recording alone says is compared, without the prior that a
+    calibration has of the arm's links.
 
     \b
     Examples:

@@ -27,9 +27,9 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
     """Write a copy of PROGRAM whose joint angles bring the calibrated arm, with its effects, to the nominal places.
 
     PROGRAM: KRL (.src, .dat), URScript (.script), RAPID (.mod), FANUC LS (.ls), or a CSV of joint angles (q1_deg..) or of poses of
-    the flange in the base (x_mm, y_mm, z_mm, a_deg, b_deg, c_deg). For controllers without an absolute-accuracy option. Only what the
-    program moves to as an absolute joint target is changed; increments, poses, steps and tolerances stay, and are listed with the reason.
-    So is a point that cannot be reached. The copy is a program that nobody has run: execute it slowly first.
+    the flange in the base (x_mm, y_mm, z_mm, a_deg, b_deg, c_deg). The command is for controllers without an absolute-accuracy option.
+    Only absolute joint targets that the program moves to are changed. Increments, poses, steps and tolerances stay, and are listed with
+    the reason, and so are points that cannot be reached. Nobody has run the copy yet: execute it slowly first.
 
     Example: mbcacq correct weld.dat --with runs/today
     """

@@ -32,9 +32,9 @@ def table_options(function: Callable[..., None]) -> Callable[..., None]:
 _TABLE_OPTIONS = (
     click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The folder to write [default: NAME-set here]."),
     click.option(
-        "--flange", metavar="CONVENTION", help="Of the flange's orientation: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz."
+        "--flange", metavar="CONVENTION", help="Orientation of the flange: kuka, fanuc, ur, abb, yaskawa .., ZYX, xyz, vector, wxyz."
     ),
-    click.option("--target", metavar="CONVENTION", help="Of the target's orientation, likewise."),
+    click.option("--target", metavar="CONVENTION", help="Orientation of the target, likewise."),
     click.option("--length", type=click.Choice(["mm", "m"]), help="Unit of lengths, where headings do not say [by their size]."),
     click.option("--angle", type=click.Choice(["deg", "rad"]), help="Unit of angles, where headings do not say [by their size]."),
     click.option("--eye-in-hand", "measurement", flag_value="artefact_in_scanner", help="The scanner is on the flange."),
@@ -46,7 +46,7 @@ _TABLE_OPTIONS = (
     click.option("--robot", metavar="ROBOT", help="The arm of joint angles: one of the tool's, or a robot file."),
     click.option("--noise", nargs=3, type=click.FloatRange(0, min_open=True), metavar="X Y Z", help="Sigma of one measured point, mm."),
     click.option(
-        "--diameter", "diameter_mm", type=click.FloatRange(0, min_open=True), metavar="MM", help="Of the sphere in line profiles."
+        "--diameter", "diameter_mm", type=click.FloatRange(0, min_open=True), metavar="MM", help="Diameter of the sphere in line profiles."
     ),
     click.option("--force", is_flag=True, help="Replace the set if it exists."),
     click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout."),

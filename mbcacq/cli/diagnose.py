@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     multiple=True,
     type=RunPath(),
     metavar="OTHER",
-    help="Try what was learnt on this recording of the same arm (repeatable): its base, tool and stations are fitted, nothing else.",
+    help="Try what was learnt on this recording of the same arm (repeatable): only its base, tool and stations are fitted.",
 )
 @click.option(
     "--calibrate",
@@ -83,9 +83,9 @@ if TYPE_CHECKING:
     type=click.FloatRange(0.01),
     default=OPTIONS.minutes,
     show_default=True,
-    help="End the search after so many minutes, and say what was found by then: the verdict is then 'cannot tell'.",
+    help="End the search after so many minutes. What was found by then is reported with the verdict 'cannot tell'.",
 )
-@click.option("--evidence", "look", is_flag=True, help="Only weigh the evidence as it stands, without validation: a look within seconds.")
+@click.option("--evidence", "look", is_flag=True, help="Only compute the evidence as it stands, without cross-validation; takes seconds.")
 @click.option("--write-model", type=click.Path(path_type=Path, dir_okay=False), help="Write the model file with what was found as MJCF.")
 def command(
     data: tuple[Path, ...],
@@ -222,7 +222,7 @@ def print_evidence(data: tuple[Path, ...], options: mbcacq.CalibrationOptions, o
         write_file(out, text + "\n")
     echo(text if as_json else evidence_in_words(evidence))
     if not as_json:
-        say_next("let what it names be proven on held-out poses", command_line("diagnose", *data))
+        say_next("test what it names on held-out poses", command_line("diagnose", *data))
 
 
 def write_matched_model(found: mbcacq.DiagnosisResult, file: Path) -> None:

@@ -37,7 +37,8 @@ def command(plan: Path | None, protocol: bool, evidence: Path | None, anonymous:
     """Look at this computer: Python, libraries, drivers, disk, real-time rights, pictures; with PLAN also at its ports and network
     interface, and ask every device who it is.
 
-    A line a thing, with a cure where it is not well. Ends with exit code 3 if a device cannot be reached, 2 if anything else is wrong.
+    It prints one line for each thing, with a cure if something is wrong. The exit code is 3 if a device cannot be reached, and 2 if
+    anything else is wrong.
 
     \b
     Examples:

@@ -14,14 +14,14 @@ from mbcacq.cli.terminal import echo
 
 @click.command("investigate")
 @click.argument("plan", required=False, type=PlanPath())
-@click.option("--dry-run", is_flag=True, help="Against the fake cell, which speaks the devices' protocols on this computer.")
+@click.option("--dry-run", is_flag=True, help="Run against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=click.Path(path_type=Path), metavar="FOLDER", help="Go on with this investigation; its decisions stand.")
 @click.option("--from", "recording", type=click.Path(path_type=Path), metavar="RUN", help="Begin with this finished run, and extend it.")
 @click.option("--poses", type=click.IntRange(24, 400), default=96, show_default=True, help="Most poses, those measured already included.")
 @click.option("--moves", type=click.IntRange(1), help="Most moves of artefacts to a station.")
 @click.option("--minutes", type=click.FloatRange(1), help="Longest duration, by the times that a plan takes for its poses and moves.")
-@click.option("--limit-mm", type=click.FloatRange(0.001), help="Error of length that matters: what cannot do more need not be found.")
+@click.option("--limit-mm", type=click.FloatRange(0.001), help="Error of length that matters; an effect below it need not be found.")
 @click.option("--live", is_flag=True, help="Serve the recording to a rerun viewer on 127.0.0.1 while it grows.")
 @click.option("--arm", is_flag=True, help="A real arm may move, once speed, workspace and first target of every visit are typed.")
 @click.option("--step", is_flag=True, help="Wait for a key before each pose.")
@@ -47,8 +47,8 @@ def command(
 ) -> None:
     """Measure with PLAN's cell, weigh all explanations, choose the next visit of a station, and stop when the cell is known.
 
-    It begins with the 24 poses of PLAN that show most. It ends when nothing is concealed or every effect is known beyond doubt, when
-    the budget is spent, or when nothing that can be reached decides more; then it says what is left open.
+    It begins with the 24 poses of PLAN that show most. It ends when no effect can hide or every effect is known beyond doubt, when
+    the budget is spent, or when no pose that can be reached decides more. It then says what is left open.
 
     \b
     Examples:

@@ -35,10 +35,10 @@ command.add_command(copy)
 @click.option("--scanner", help="gocator-3210, or a YAML file with scanner and hand_eye.")
 @click.option("--artefact", help="One of the tool's by name (mbc-8) or an artefact file.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("plan.yaml"), show_default=True, help="The plan to write.")
-@click.option("--driver", help="Of the robot [default: kuka_rsi for a KUKA KR, else simulated, for dry runs].")
+@click.option("--driver", help="Driver of the robot [default: kuka_rsi for a KUKA KR, else simulated, for dry runs].")
 @click.option("--stations", type=click.IntRange(2, 12), default=6, show_default=True, help="Places of the artefact to calibrate at.")
 @click.option("--poses", "count", type=click.IntRange(6, 400), default=36, show_default=True, help="Calibration poses at them.")
-@click.option("--seed", default=0, show_default=True, help="Of the random views to choose from.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the random views to choose from.")
 @click.option("--force", is_flag=True, help="Replace the file if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def new(
@@ -113,9 +113,9 @@ def show(plan: Path, rrd: Path | None, as_json: bool) -> None:
 
 @command.command("check")
 @click.argument("plan", type=PlanPath())
-@click.option("--quick", is_flag=True, help="Only what would stop a run; not what the plan can see.")
-@click.option("--fix", is_flag=True, help="Write the plan with stations moved into reach, and views left out that no place helps.")
-@click.option("--all", "every", is_flag=True, help="One line a finding, instead of one a kind and step.")
+@click.option("--quick", is_flag=True, help="Check only what would stop a run, not what the plan can see.")
+@click.option("--fix", is_flag=True, help="Write the plan with stations moved into reach, and without views that stay out of reach.")
+@click.option("--all", "every", is_flag=True, help="One line for each finding, instead of one for each kind and step.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def check(plan: Path, quick: bool, fix: bool, every: bool, as_json: bool) -> None:
     """Find what is wrong with PLAN (reach, limits, singularities, view, collisions), and what it can and cannot see.

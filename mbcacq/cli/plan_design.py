@@ -24,14 +24,14 @@ from mbcacq.quantities import significant
     multiple=True,
     type=click.Path(path_type=Path, exists=True),
     metavar="RECORDING",
-    help="Design a motion instead: one that tells masses, a load on the flange and a balancer at A2 apart, which this recording of torque "
-    "(a trajectory set or a run; repeatable) does not.",
+    help="Design a motion instead: one that separates masses, a load on the flange and a balancer at A2. This recording of torque, "
+    "which does not, is the start (a trajectory set or a run; repeatable).",
 )
 @click.option(
     "--order",
     is_flag=True,
-    help="Order the poses instead, those of PLAN and better ones, so that the first few tell most: after 24 of them a diagnosis may say "
-    "that there is nothing, and a run may stop at any time.",
+    help="Order the poses instead, those of PLAN and better ones, so that the first few show most: after 24 of them a diagnosis may say "
+    "that there is no effect, and a run may stop at any time.",
 )
 @click.option("--seconds", type=click.FloatRange(5, 120), default=20.0, show_default=True, help="Duration of that motion.")
 @click.option(
@@ -47,7 +47,7 @@ from mbcacq.quantities import significant
     help="A: mean variance of the certified distances; D: volume of the parameters' confidence region.",
 )
 @click.option("--tilt", type=click.FloatRange(5, 60), default=40.0, show_default=True, help="Steepest view, in °.")
-@click.option("--seed", default=0, show_default=True, help="Of the random views to choose from, and of the simulated cells.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the random views to choose from, and of the simulated cells.")
 @click.option("--force", is_flag=True, help="Replace the file if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
 def design(
@@ -71,8 +71,8 @@ def design(
     With --motion a motion is designed instead, in the cell of PLAN and within its limits: it begins and ends at home, and is written as a
     table of times and joint angles. It is checked against collisions with no artefact in place.
 
-    With --order as many poses as PLAN has (or --poses) are put into blocks, each of which is the best continuation of those before it for
-    what it shows of all effects of the catalogue, per second of motion, scan and artefact move.
+    With --order as many poses as PLAN has (or --poses) are ordered in blocks. Each block is the best continuation of those before it: it
+    shows most of all effects of the catalogue, per second of motion, scan and artefact move.
     """
     if motion:
         design_motion(plan, motion, seconds, out or plan.with_name(f"{plan.stem}_motion.csv"), seed, force, as_json)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.command("run")
 @click.argument("plan", required=False, type=PlanPath())
-@click.option("--dry-run", is_flag=True, help="Against the fake cell, which speaks the devices' protocols on this computer.")
+@click.option("--dry-run", is_flag=True, help="Run against the fake cell, which speaks the devices' protocols on this computer.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [default: runs/TIME_NAME].")
 @click.option("--resume", type=click.Path(path_type=Path), help="Go on with this run folder: poses already measured are skipped.")
 @click.option(
@@ -52,8 +52,8 @@ def command(
     """Execute PLAN, record it, calibrate the cell and show how good it became.
 
     PLAN is a file, or the name of one that came with mbcacq; with --resume the plan of the run folder, if none is given.
-    With --corrected the joint angles of every pose are those that bring the calibrated arm, with its effects, to where the plan means it to
-    be; the report then says how far the arm misses its places, before and after. A resumed run keeps its targets without being told.
+    With --corrected the joint angles of every pose bring the calibrated arm, with its effects, to where the plan means it to be. The
+    report then says how far the arm misses its places, before and after. A resumed run keeps its targets.
 
     \b
     Examples:

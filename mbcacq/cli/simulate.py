@@ -25,8 +25,9 @@ from mbcacq.errors import ConfigError
 @click.option("--force", is_flag=True, help="Replace an observation set that is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
 def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, force: bool, as_json: bool) -> None:
-    """Write what the calibrated model says PLAN would record, as an observation set; or, for a trajectory set in PLAN's place, what an
-    ideal arm would have recorded along that motion.
+    """Write what PLAN would record by the calibrated model, as an observation set.
+
+    PLAN may be a trajectory set: then what an ideal arm would have recorded along that motion is written.
 
     \b
     Examples:

@@ -43,8 +43,17 @@ ROUNDS = 8  # of leaving out what the checks of a plan refuse
 
 @dataclass(frozen=True)
 class NewPlanOptions:
-    """driver: of the robot; None is ``kuka_rsi`` for a KUKA KR, else ``simulated``. stations, poses: how many to calibrate with.
-    seed: of the views to choose from."""
+    """Options of a new plan.
+
+    Attributes
+    ----------
+    driver
+        Driver of the robot; None is ``kuka_rsi`` for a KUKA KR, else ``simulated``.
+    stations, poses
+        Numbers of stations and poses to calibrate with.
+    seed
+        Seed of the views to choose from.
+    """
 
     driver: str | None = None
     stations: int = 6

@@ -21,7 +21,7 @@ from mbcacq.effects.effect_term import UNKNOWN
 
 
 def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
-    """``none`` where the evidence of all effects is below what noise alone reaches; ``cannot_tell`` where it is above that and yet proves
+    """``none`` where the evidence of all effects is below what noise alone reaches; ``cannot_tell`` where it is above that and yet shows
     nothing, where another set is not excluded, or where time ran out before all sets were compared; otherwise by what explains more of the
     mismatch: effects of the catalogue, or unmodelled ones.
     """

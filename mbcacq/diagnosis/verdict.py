@@ -36,7 +36,7 @@ class JudgedFit:
     """
 
     full: ModelFit
-    proof: CrossValidation
+    validation: CrossValidation
     before: PredictiveScore
     residual: np.ndarray
     verdict: str
@@ -46,16 +46,16 @@ class JudgedFit:
     pairs: tuple[tuple[SizedEffect, SizedEffect], ...]
 
 
-def judge(setup: DiagnosisProblem, full: ModelFit, proof: CrossValidation) -> JudgedFit:
-    """What the evidence says of a fit; the held-out figures of ``proof`` are reported beside it."""
+def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation) -> JudgedFit:
+    """What the evidence says of a fit; the held-out figures of ``validation`` are reported beside it."""
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     fit, contributions = full.evidence, Contributions(full)
-    found = effects_by_contribution(full, contributions, proof)
+    found = effects_by_contribution(full, contributions, validation)
     effects, mismatch = with_alternatives(full, found), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     return JudgedFit(
         full=full,
-        proof=proof,
+        validation=validation,
         before=before,
         residual=residual,
         verdict=verdict_of(full),
@@ -71,7 +71,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit, limits: Limits | None = No
 
     limits: returns these, where other processes have begun with them.
     """
-    full, proof, before = fit.full, fit.proof, fit.before
+    full, validation, before = fit.full, fit.validation, fit.before
     after, residual_after = training_score(full.joint)
     there = elsewhere(setup.context)
     limited = limited_effects(setup, full, there)
@@ -90,7 +90,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit, limits: Limits | None = No
         effects=tuple(effects),
         fit=FitSummary(
             train=FitFigures(*_figures(before, after)),
-            held_out=HeldOutFigures(*_figures(proof.before, proof.after), split=proof.split),
+            held_out=HeldOutFigures(*_figures(validation.before, validation.after), split=validation.split),
             repeatability_floor_mm=expected_rms(full, after.rms),
         ),
         geometry_alone=setup.geometry_alone,
@@ -98,7 +98,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit, limits: Limits | None = No
         advice=tuple(advice),
         dropped=setup.dropped,
         notes=(
-            *not_carried_over(verdict, proof),
+            *not_carried_over(verdict, validation),
             *sum_of_shares(mismatch, before, after),
             *notes(setup, full),
             *of_effects(setup, full, fit.effects),
@@ -121,7 +121,7 @@ def undecided_evidence(full: ModelFit) -> list[str]:
     if not full.evidence.undecided or full.random:
         return []
     odds, needed = odds_in_words(float(np.exp(full.evidence.log_e_value))), f"{OPTIONS.least_e_value:.0f} : 1"
-    return [f"the evidence of all effects together against none has {odds}, and an effect is reported from {needed} on: measure more"]
+    return [f"all effects together have {odds} against none, and an effect is reported from {needed} on: measure more"]
 
 
 def _figures(before: PredictiveScore, after: PredictiveScore) -> tuple[float, float, float, float]:

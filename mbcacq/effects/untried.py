@@ -1,4 +1,4 @@
-"""What the catalogue leaves out for a recording although the cell may have it: a name among the few that were tried is no proof.
+"""What the catalogue leaves out for a recording although the cell may have it: a name among the few that were tried may be wrong.
 
 An error of a gear is claimed to be periodic only where the joint travels far enough, and weight is known only where masses are. What is
 left out for such a reason acts all the same. It stands as a smooth function at its location, so that no effect that was tried is named

@@ -20,8 +20,19 @@ Progress = Callable[[int, int, FleetRow], None]
 
 @dataclass(frozen=True)
 class Fleet:
-    """What became of a fleet. rows: one a recording, as in the table; outliers: what is outside the control limits; table, page: files;
-    damaged: results kept before that were damaged and were computed anew."""
+    """The results of many recordings.
+
+    Attributes
+    ----------
+    rows
+        One row for each recording, as in the table.
+    outliers
+        Figures outside the control limits.
+    table, page
+        Files.
+    damaged
+        Results kept before that were damaged and were computed anew.
+    """
 
     rows: tuple[FleetRow, ...]
     outliers: tuple[Outlier, ...]
@@ -46,11 +57,34 @@ def evaluate_fleet(
 ) -> Fleet:
     """Calibrate (diagnose, verify) many recordings on a cluster and compare them.
 
-    recordings: as ``mbcacq.fleet.recordings.find_recordings`` takes them. out: folder of the results; what is done there already is
-    not repeated. workers: processes on this computer (default: one a core); scheduler: address of a running dask cluster instead.
-    progress: gets how many are done, how many there are, and the row. A script that calls this needs ``if __name__ == "__main__":``.
+    A script that calls this function needs ``if __name__ == "__main__":``.
 
-    Raises ConfigError for recordings that cannot be found, ConnectError where the scheduler does not answer; never for a broken recording.
+    Parameters
+    ----------
+    recordings
+        As ``mbcacq.fleet.recordings.find_recordings`` takes them.
+    out
+        Folder of the results. Recordings that were evaluated there already are not evaluated again.
+    task
+        What is done with each recording.
+    workers
+        Processes on this computer (default: one for each core).
+    scheduler
+        Address of a running dask cluster, which is used instead.
+    progress
+        Called with the number of recordings that are done, the number of all, and the row.
+
+    Returns
+    -------
+    Fleet
+        Rows, outliers and files. A broken recording is a row with its reason.
+
+    Raises
+    ------
+    ConfigError
+        Recordings cannot be found.
+    ConnectError
+        The scheduler does not answer.
     """
     from mbcacq.diagnosis.workers import cores
     from mbcacq.report import fleet_page

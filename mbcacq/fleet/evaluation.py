@@ -17,9 +17,19 @@ FORMAT = "mbcacq-fleet-recording/1"
 
 @dataclass(frozen=True)
 class FleetTask:
-    """What is done with each recording: always calibrated, and verified at its own verification poses. diagnose: also sought for effects.
-    verify: path of a result that is tried on it; '' for none. place: as ``mbcacq.verify_elsewhere`` takes it. options: of the
-    calibration."""
+    """What is done with each recording. It is always calibrated, and verified at its own verification poses.
+
+    Attributes
+    ----------
+    diagnose
+        Also search for effects.
+    verify
+        Path of a result that is tried on the recording; '' for none.
+    place
+        As ``mbcacq.verify_elsewhere`` takes it.
+    options
+        Options of the calibration.
+    """
 
     diagnose: bool = False
     verify: str = ""

@@ -38,8 +38,19 @@ SAME_ANGLE = 1e-9  # rad: the plan still means the same joint angles
 
 @dataclass(frozen=True)
 class CheckSettings:
-    """poses: of a check; standing: the artefacts stay where they stand from check to check, so that their places are judged too; days: what
-    changes from day to day without a cause; folder: of this check's recording (default runs/TIME_check-NAME)."""
+    """Settings of a check.
+
+    Attributes
+    ----------
+    poses
+        Number of poses of a check.
+    standing
+        Whether the artefacts stay where they stand from check to check, so that their places are judged too.
+    days
+        What changes from day to day without a cause.
+    folder
+        Folder of this check's recording (default runs/TIME_check-NAME).
+    """
 
     poses: int = OPTIONS.poses
     standing: bool = True
@@ -49,7 +60,19 @@ class CheckSettings:
 
 @dataclass(frozen=True)
 class InterimCheck:
-    """What a check gave. history: all checks so far; file: where they are kept; run: folder of this check's recording."""
+    """What a check gave.
+
+    Attributes
+    ----------
+    verdict
+        Whether the cell changed, what, where and since when.
+    history
+        All checks so far.
+    file
+        File in which they are kept.
+    run
+        Folder of this check's recording.
+    """
 
     verdict: CheckVerdict
     history: CheckHistory
@@ -58,6 +81,7 @@ class InterimCheck:
 
     @property
     def changed(self) -> bool:
+        """Whether the cell is not as it was."""
         return self.verdict.changed
 
     @property
@@ -66,7 +90,13 @@ class InterimCheck:
         return sentence_of(self.verdict, self.history)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON content, format 'mbcacq-check-result/1'; angles in rad."""
+        """JSON content of the check.
+
+        Returns
+        -------
+        dict
+            Format 'mbcacq-check-result/1'; angles in rad.
+        """
         times, since, between = [day.time for day in self.history.days], self.verdict.since, self.verdict.between
         return {
             "format": "mbcacq-check-result/1",
@@ -80,7 +110,13 @@ class InterimCheck:
         }
 
     def refuse_changed(self) -> None:
-        """Raises CellChanged where the cell is not as it was."""
+        """Raise an error if the cell changed.
+
+        Raises
+        ------
+        CellChanged
+            The cell is not as it was.
+        """
         if self.changed:
             raise CellChanged(f"{self.sentence}; put right what changed, or calibrate anew")
 
@@ -96,8 +132,9 @@ def check(
     operator: Operator | None = None,
     settings: CheckSettings | None = None,
 ) -> InterimCheck:
-    """Measure the few poses of a plan that notice most of what may have changed, and say whether anything did since the calibration, or
-    since the first check.
+    """Measure the few poses of a plan that show most of what may have changed, and say whether anything did.
+
+    The cell is compared with its calibration, and with the first check.
 
     Parameters
     ----------
@@ -118,7 +155,8 @@ def check(
 
     Returns
     -------
-    The verdict with the history.
+    InterimCheck
+        The verdict with the history.
 
     Raises
     ------

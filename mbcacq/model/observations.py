@@ -12,21 +12,61 @@ from mbcacq.model.cell import Cell
 
 @dataclass(frozen=True)
 class Observations:
-    """P poses of an n-axis arm and M measured centres. Optional columns are None when the recording has none.
+    """P poses of an n-axis arm and M measured centres. A column that the recording lacks is None.
 
-    Poses: pose_id (P,) int; station (P,) index into ``cell.stations``; q (P, n) rad as reported at standstill; phase (P,) str
-    ('' unknown); time_s (P,); direction (P, n) in {-1, 0, 1}; movement (P, n) rad, from the
-    pose measured before, where directions are not recorded; torque (P, n) N m; current (P, n); payload_kg (P,);
-    velocity (P, n) rad/s at the exposure; temperatures: column name (ends in _C) -> (P,) deg C.
-    Centres: pose (M,) index into the poses, non-decreasing; ball (M,) index into ``cell.ball_ids``; xyz (M, 3) mm in the
-    scanner frame (or the instrument's); n_points (M,); rms_mm (M,); rotation (M, 3, 3) orientation of a 6-dof target.
-    Where several recordings of one arm are taken as one: recording (P,) int, the recording of each pose; noise_scale (P, 3 + n), sigma of a
-    centre's coordinates and of each joint in that recording, relative to the first one's; payload_com (P, 3) mm in the flange frame.
-    covariance (M, R, R), where each measurement states its own: of a point (R = 3, mm^2), or of a target's pose (R = 6: position and
-    rotation vector in the instrument's frame, mm^2, mm rad, rad^2).
-    scale: by which all measurements were multiplied so that a known length comes out as known; None: the instrument's scale is kept.
-    extra: columns this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
-    cell_yaml: the text the cell was read from, with its comments; '' if it was not read from a file.
+    Attributes
+    ----------
+    cell
+        Arm, scanner, artefacts and stations.
+    pose_id : (P,) ndarray
+        Number of each pose.
+    station : (P,) ndarray
+        Index into ``cell.stations``.
+    q : (P, n) ndarray
+        Joint angles as reported at standstill, rad.
+    pose : (M,) ndarray
+        Index of the pose of each centre, non-decreasing.
+    ball : (M,) ndarray
+        Index into ``cell.ball_ids``.
+    xyz : (M, 3) ndarray
+        Centres in the frame of the scanner, or of the instrument, mm.
+    phase : (P,) ndarray or None
+        Phase of the plan, '' if not known.
+    time_s : (P,) ndarray or None
+        Time of each pose, s.
+    direction : (P, n) ndarray or None
+        Last direction of rotation of each joint: -1, 0 or 1.
+    movement : (P, n) ndarray or None
+        Rotation from the pose measured before, rad, where directions are not recorded.
+    torque : (P, n) ndarray or None
+        N m.
+    current : (P, n) ndarray or None
+        Motor currents.
+    payload_kg : (P,) ndarray or None
+        Payload, kg.
+    velocity : (P, n) ndarray or None
+        Joint velocities at the exposure, rad/s.
+    temperatures
+        Name of the column (ends in _C) -> (P,) °C.
+    n_points, rms_mm : (M,) ndarray or None
+        Number of points of each sphere fit, and its rms, mm.
+    rotation : (M, 3, 3) ndarray or None
+        Orientation of a 6-dof target.
+    covariance : (M, R, R) ndarray or None
+        Covariance that each measurement states: of a point (R = 3, mm^2), or of a target's pose (R = 6: position and rotation vector in the
+        instrument's frame, mm^2, mm rad, rad^2).
+    scale
+        Factor by which all measurements were multiplied so that a known length comes out as known; None: the instrument's scale is kept.
+    recording : (P,) ndarray or None
+        Recording of each pose, where several recordings of one arm are taken as one.
+    noise_scale : (P, 3 + n) ndarray or None
+        Sigma of a centre's coordinates and of each joint, relative to those of the first recording.
+    payload_com : (P, 3) ndarray or None
+        Centre of gravity of the payload in the flange frame, mm.
+    extra
+        Columns that this program does not know, kept for a loss-free way out ('poses.NAME' or 'centres.NAME' -> array of str).
+    cell_yaml
+        The text from which the cell was read, with its comments; '' if it was not read from a file.
     """
 
     cell: Cell
@@ -58,14 +98,17 @@ class Observations:
 
     @property
     def n_poses(self) -> int:
+        """Number of poses P."""
         return len(self.q)
 
     @property
     def n_centres(self) -> int:
+        """Number of measured centres M."""
         return len(self.xyz)
 
     @property
     def n_recordings(self) -> int:
+        """Number of recordings that are taken as one."""
         return 1 if self.recording is None else int(self.recording.max(initial=0)) + 1
 
     @property
@@ -74,7 +117,18 @@ class Observations:
         return self.rotation is not None or bool(np.ptp(self.cell.ball_centres[np.unique(self.ball)], axis=0).max(initial=0.0) > 1e-6)
 
     def select(self, keep: np.ndarray) -> Observations:
-        """The poses where ``keep`` (P,) bool holds, with their centres; stations and balls keep their indices."""
+        """Some of the poses with their centres; stations and balls keep their indices.
+
+        Parameters
+        ----------
+        keep : (P,) ndarray
+            bool, whether each pose is kept.
+
+        Returns
+        -------
+        Observations
+            The poses that are kept.
+        """
         keep = np.asarray(keep, dtype=bool)
         rows = keep[self.pose]
         renumber = np.cumsum(keep) - 1
@@ -86,7 +140,13 @@ class Observations:
         return replace(self, **by_pose, **by_centre, extra=extra, temperatures=temperatures)
 
     def measured(self) -> Observations:
-        """The poses with at least one centre: the only ones that say anything of a cell."""
+        """The poses with at least one centre: only these say anything about a cell.
+
+        Returns
+        -------
+        Observations
+            The same object if all poses have centres.
+        """
         seen = np.bincount(self.pose, minlength=self.n_poses) > 0
         return self if seen.all() else self.select(seen)
 

@@ -16,13 +16,35 @@ SHORTEST = 250  # samples; a shorter move is dropped
 
 @dataclass(frozen=True)
 class Trajectory:
-    """T samples of an n-axis arm in time; a signal the recording lacks is None, a joint that lacks it is a column of NaN.
+    """T samples of an n-axis arm in time. A signal that the recording lacks is None; a joint that lacks it is a column of NaN.
 
-    time_s: (T,). q: (T, n) rad, motor side, as the controller reports it; q_set: (T, n) rad, commanded; q_joint: (T, n) rad, joint-side
-    encoder; torque: (T, n) N m about the joint; motor_torque: (T, n) N m at the motor; current: (T, n) in ``current_unit`` ('A' or
-    'percent'); temperatures: column (ends in _C) -> (T,). extra: unknown columns as text. name: where it came from. simulated: no real arm
-    was recorded. simulated_torque: (T, n) N m that the drives of another simulator exert along the same motion; the torque is compared
-    with that, and where there is none with the torque of the robot's rigid bodies.
+    Attributes
+    ----------
+    robot
+        The arm.
+    time_s : (T,) ndarray
+        s.
+    q : (T, n) ndarray
+        Motor-side angles as the controller reports them, rad.
+    q_set, q_joint : (T, n) ndarray or None
+        Commanded angles; angles of joint-side encoders, rad.
+    torque, motor_torque : (T, n) ndarray or None
+        Torque about the joint; torque at the motor, N m.
+    current : (T, n) ndarray or None
+        Motor currents in ``current_unit``.
+    current_unit
+        'A' or 'percent'.
+    temperatures
+        Name of the column (ends in _C) -> (T,) °C.
+    extra
+        Unknown columns as text.
+    name
+        Where it came from.
+    simulated
+        Whether no real arm was recorded.
+    simulated_torque : (T, n) ndarray or None
+        Torque that the drives of another simulator exert along the same motion, N m. The torque is compared with it; without it, with the
+        torque of the robot's rigid bodies.
     """
 
     robot: RobotModel

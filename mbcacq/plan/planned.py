@@ -16,11 +16,26 @@ from mbcacq.plan.schema import Plan
 
 @dataclass(frozen=True)
 class LoadedPlan:
-    """A plan with the files it names. cell: robot, artefacts and stations (T_base_station as planned; not for the solver).
+    """A plan with the files it names.
 
-    text: the plan's YAML as read. lines: path of a YAML node (('steps', 2, 'views', 0)) -> line, for messages. files: names of the robot
-    and artefact files as the plan gives them -> their texts. planning: the numbers that tune its checks and routes. grown_from: number of
-    poses that the plan of a run had before others were added to it; None for a plan as its author wrote it.
+    Attributes
+    ----------
+    path
+        The file.
+    plan
+        The plan as data.
+    cell
+        Robot, artefacts and stations (T_base_station as planned; not for the solver).
+    text
+        The YAML text as read.
+    lines
+        Path of a YAML node (('steps', 2, 'views', 0)) -> line, for messages.
+    files
+        Names of the robot and artefact files as the plan gives them -> their texts.
+    planning
+        Numbers that tune its checks and routes.
+    grown_from
+        Number of poses that the plan of a run had before others were added to it; None for a plan as its author wrote it.
     """
 
     path: Path

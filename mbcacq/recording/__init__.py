@@ -29,7 +29,7 @@ __all__ = [
     "Trajectory",
     "find_gaps",
     "load_observations",
-    "load_trajectories",
+    "load_whole_trajectories",
     "log_result",
     "poses_done",
     "read_observation_set",
@@ -64,8 +64,22 @@ ACCEPTED = (
 def load_observations(path: Path | str) -> Observations:
     """Read the observations in a run folder, a .rrd file or an observation-set folder.
 
-    Their cell says to what the joint angles are rounded. Raises ConfigError if it is none of these or its content is wrong, RecordingError
-    if a recording is torn.
+    Parameters
+    ----------
+    path
+        The folder or file.
+
+    Returns
+    -------
+    Observations
+        Their cell says to what the joint angles are rounded.
+
+    Raises
+    ------
+    ConfigError
+        The path is none of these, or its content is wrong.
+    RecordingError
+        A recording is torn.
     """
     from mbcacq.model.joint_resolution import with_joint_step
 
@@ -100,10 +114,25 @@ def _load_observations(path: Path) -> Observations:
     raise ConfigError(f"{path} is not a recording or an observation set; give {ACCEPTED}")
 
 
-def load_trajectories(paths: Path | str | Iterable[Path | str]) -> list[Trajectory]:
-    """Read one trajectory for each path: a trajectory-set folder, or the controller cycles of a run folder or .rrd file.
+def load_whole_trajectories(paths: Path | str | Iterable[Path | str]) -> list[Trajectory]:
+    """Read one whole trajectory for each path; ``mbcacq.load_trajectories`` gives the moving stretches of a run instead.
 
-    Raises ConfigError if a path is none of these or its content is wrong, RecordingError if a recording is torn.
+    Parameters
+    ----------
+    paths
+        Trajectory-set folders, or run folders or .rrd files with controller cycles.
+
+    Returns
+    -------
+    list of Trajectory
+        In the order of the paths.
+
+    Raises
+    ------
+    ConfigError
+        A path is none of these, or its content is wrong.
+    RecordingError
+        A recording is torn.
     """
     return [_load_trajectory(Path(path)) for path in ([paths] if isinstance(paths, Path | str) else paths)]
 
@@ -126,7 +155,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def __getattr__(name: str):
-    """Import the room's classes and functions only when asked for: rerun takes a quarter of a second."""
+    """Import the classes and functions only when asked for: rerun takes a quarter of a second."""
     if name in _LAZY:
         return getattr(importlib.import_module(f"mbcacq.recording.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

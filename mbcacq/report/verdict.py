@@ -22,10 +22,10 @@ SUSPICIOUS = 1.5  # times the stated noise that the residuals need: something is
 HEADLINES = {
     "pass": "Passed: every place is within the limit",
     "fail": "Not passed: the limit is exceeded",
-    "undecided": "Neither proven nor disproven: within the uncertainty of the limit",
+    "undecided": "Undecided: an error is within the uncertainty of the limit",
 }
 NO_BUDGET = (
-    "Neither proven nor disproven: no uncertainty of judging is known",
+    "Undecided: no uncertainty of judging is known",
     "The result was written by an older mbcacq, without an uncertainty budget: calibrate the recording anew.",
 )
 VERIFY_INDEPENDENTLY = Action(
@@ -71,7 +71,7 @@ def verdict_of(spacing: Spacing | None, result: Mapping[str, Any], earlier: Spac
         return ReportVerdict("undecided", NO_BUDGET[0], f"{errors}; limit {spacing.limit:g} mm. {NO_BUDGET[1]}")
     against = (
         f"{errors}; limit {spacing.limit:g} mm. Decision rule of ISO 14253-1: passed up to the limit minus U, not passed beyond the limit "
-        "plus U, each place with its U (k = 2) of the budget below."
+        "plus U. Each place has its own U (k = 2), from the budget below."
     )
     level = verdict_of_places(spacing.after, list(spacing.judging), spacing.limit)
     return ReportVerdict(level, HEADLINES[level], against)

@@ -33,7 +33,19 @@ BUMPED_SHARE = 0.5  # of that chi2: what is left with the places fitted, where t
 
 @dataclass(frozen=True)
 class HeldOutOptions:
-    """Poses to leave out of repeated fits. split: 'station', 'random' or 'block'; size: poses of each random fit; fits: how many."""
+    """Poses to leave out of repeated fits.
+
+    Attributes
+    ----------
+    split
+        'station', 'random' or 'block'.
+    size
+        Poses of each random fit.
+    fits
+        Number of fits.
+    seed
+        Seed of the random choice.
+    """
 
     split: str
     size: int | None = None
@@ -48,12 +60,35 @@ def calibrate(
     effects: Effects | None = None,
     hold_effects: bool = False,
 ) -> CalibratedCell:
-    """Identify the cell: errors of the arm's MD-H parameters (n, 5) in rad and mm, T_flange_scanner (4, 4), stations, ball centres, noise.
+    """Identify the cell: MD-H errors of the arm, hand-eye transform, stations, ball centres and noise.
 
-    data: observations, or where they are (see ``mbcacq.load_observations``). Poses of phase 'verification' are kept apart.
-    effects: what ``mbcacq.diagnose`` found (or its JSON file, or a list of these): they become terms of the cell, their coefficients
-    fitted with everything else or, with ``hold_effects``, kept as they are. Raises CalibrationError naming what the poses leave
-    undetermined, ConfigError for options that do not fit.
+    Parameters
+    ----------
+    data
+        Observations, or where they are (see ``mbcacq.load_observations``). Poses of phase 'verification' are kept apart.
+    options
+        Method, phases, held parameters, noise model.
+    effects
+        What ``mbcacq.diagnose`` found (or its JSON file, or a list of these). The effects become terms of the cell.
+    hold_effects
+        Keep the coefficients of the effects as they are; by default they are fitted with everything else.
+
+    Returns
+    -------
+    CalibratedCell
+        ``errors`` (n, 5) in rad and mm, ``state.T_flange_scanner`` (4, 4), covariance, noise.
+
+    Raises
+    ------
+    CalibrationError
+        The poses leave something undetermined, which the message names.
+    ConfigError
+        The options do not fit the data.
+
+    Examples
+    --------
+    >>> cell = mbcacq.calibrate("runs/today")
+    >>> cell.to_base(q, xyz)  # (P, 3) mm: scanner points in the base frame
     """
     if effects is None:
         return calibration.calibrate(as_observations(data), options)
@@ -67,11 +102,30 @@ def calibrate_together(
     effects: Effects | None = None,
     hold_effects: bool = False,
 ) -> tuple[CalibratedCell, ...]:
-    """Several recordings of one arm: arm and effects are shared; base, tool, stations, artefacts and noise are each recording's own.
+    """Calibrate several recordings of one arm as one problem.
 
-    One ``CalibratedCell`` for each recording, in their order, with the covariance that all of them together give. effects: as
-    ``calibrate`` takes them; a coefficient that differs from day to day gets a variance between recordings. Raises ConfigError where
-    the recordings are not of one arm, CalibrationError as ``calibrate``.
+    The recordings share the arm and its effects. Base, tool, stations, artefacts and noise belong to each recording.
+
+    Parameters
+    ----------
+    data
+        The recordings, each as ``calibrate`` takes it.
+    options
+        As for ``calibrate``.
+    effects, hold_effects
+        As for ``calibrate``. A coefficient that differs from day to day gets a variance between recordings.
+
+    Returns
+    -------
+    tuple of CalibratedCell
+        One cell for each recording, in their order, with the covariance that all of them together give.
+
+    Raises
+    ------
+    ConfigError
+        The recordings are not of one arm.
+    CalibrationError
+        As ``calibrate``.
     """
     recordings = [as_observations(one) for one in data]
     model = None if effects is None else as_effects(effects)
@@ -85,10 +139,29 @@ def verify(
     before: CellState | None = None,
     limit_mm: float | None = None,
 ) -> Verification:
-    """Sphere spacing errors (mm) at the verification poses, before and after calibration, with the uncertainty expected of each.
+    """Sphere spacing errors at the verification poses, before and after calibration.
 
-    calibrated: what ``mbcacq.calibrate`` returned, or a result.json, or a run folder that holds one. A bare
-    ``mbcacq.estimation.forward_model.CellState`` is compared with ``before``. limit_mm: largest error permitted.
+    Parameters
+    ----------
+    data
+        The recording, as ``calibrate`` takes it.
+    calibrated
+        What ``mbcacq.calibrate`` returned, or a result.json, or a run folder that holds one. A bare
+        ``mbcacq.estimation.forward_model.CellState`` is compared with ``before``.
+    before
+        The cell before calibration; only with a bare ``CellState``.
+    limit_mm
+        Largest error permitted, mm.
+
+    Returns
+    -------
+    Verification
+        Errors in mm, each with the uncertainty that is expected of it and that of judging it.
+
+    Raises
+    ------
+    ConfigError
+        The recording is of another arm.
     """
     if isinstance(calibrated, Path | str):
         calibrated = CalibratedCell.from_json(Path(calibrated))
@@ -96,12 +169,29 @@ def verify(
 
 
 def verify_elsewhere(data: Observations | Path | str, calibrated: CalibratedCell | Path | str, *, place: str = "fitted") -> Transfer:
-    """A calibrated arm, with its effects, on a recording that it was not fitted to: both stay as they were learnt.
+    """Try a calibrated arm, with its effects, on a recording to which it was not fitted. Both stay as they were learnt.
 
-    place: 'fitted' (base, tool and stations of that recording are fitted to it) or 'known' (nothing is; poses at stations that the
-    calibrated cell does not have are left out). Raises ConfigError where the recording is of another arm (name or nominal links), or
-    none of its stations is known, CalibrationError where it does not determine its own places, or these were moved and are not where
-    they are known to be.
+    Parameters
+    ----------
+    data
+        The other recording.
+    calibrated
+        A calibrated cell, a result.json, or a run folder that holds one.
+    place
+        'fitted': base, tool and stations of that recording are fitted to it. 'known': nothing is fitted, and poses at stations that the
+        calibrated cell does not have are left out.
+
+    Returns
+    -------
+    Transfer
+        Errors in mm and chi2 per degree of freedom, with the learnt geometry alone and with the effects; the gain of each effect.
+
+    Raises
+    ------
+    ConfigError
+        The recording is of another arm (name or nominal links), or none of its stations is known.
+    CalibrationError
+        The recording does not determine its own places, or its artefacts were moved from where they are known to be.
     """
     cell = calibrated
     if isinstance(cell, Path | str):
@@ -146,10 +236,31 @@ def compare(
     seed: int = 0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """One row for each method of calibration (all, or those named): fit, sphere spacing error, held-out error, all in mm.
+    """Calibrate a recording by several methods and compare their errors.
 
-    A method that these data do not determine has the reason in place of figures. progress: gets a sentence a method. Raises
-    CalibrationError where no method is determined.
+    Parameters
+    ----------
+    data
+        The recording, as ``calibrate`` takes it.
+    methods
+        Names of the methods; all by default.
+    held_out
+        Whether held-out errors are computed too, which takes further fits.
+    seed
+        Seed of the split into folds.
+    progress
+        Called with a sentence for each method.
+
+    Returns
+    -------
+    Comparison
+        One row for each method: fit, sphere spacing error, held-out error, all in mm. A method that these data do not determine has the
+        reason instead of figures.
+
+    Raises
+    ------
+    CalibrationError
+        No method is determined.
     """
     return compare_methods(as_observations(data), methods, held_out=held_out, seed=seed, progress=progress)
 

@@ -45,9 +45,21 @@ SAME_TIME_S = 1.0  # file times closer than this say nothing about an order
 
 @dataclass(frozen=True)
 class Sources:
-    """Where the clouds of a session are. form: how they are written; by: 'auto', 'number' (the last one in each name) or 'time' (when the
-    file was written). joints: log of the controller, or None. table: poses.csv of the robot program, or None for the one among the
-    clouds, if there is one."""
+    """Where the clouds of a session are.
+
+    Attributes
+    ----------
+    clouds
+        Folder of the clouds.
+    form
+        How the clouds are written; None: as the plan and the files say.
+    by
+        How the clouds are ordered: 'auto', 'number' (the last one in each name) or 'time' (when the file was written).
+    joints
+        Joint angles as the controller logged them, or None.
+    table
+        poses.csv of the robot program; None for the one among the clouds, if there is one.
+    """
 
     clouds: Path
     form: CloudFormat | None = None
@@ -114,14 +126,35 @@ def collect(
     resume: Path | str | None = None,
     operator: Operator | None = None,
 ) -> RunResult:
-    """Bring the clouds of a folder together with the poses of a plan, find their balls, judge them as a run judges its exposures, and write
-    the folder of a run: recording, result, report.
+    """Make a run from the clouds of a folder: pair them with the poses of a plan, find their balls, judge them, calibrate.
 
-    The clouds are paired by their order and by what they show; what is missing, doubled, half written, exchanged or of something else is
-    named. out: folder of the run (default runs/TIME_NAME). resume: add to this run what it lacks.
+    The clouds are paired by their order and by what they show. Clouds that are missing, doubled, half written, exchanged or of something
+    else are named. The folder of the run holds recording, result and report.
 
-    Raises ConfigError where the clouds as a whole are in another unit, have other axes, or are of another plan or mount; CalibrationError;
-    RecordingError.
+    Parameters
+    ----------
+    plan
+        The plan whose poses the arm went through.
+    sources
+        The clouds; a path is the folder of the clouds.
+    out
+        Folder of the run (default runs/TIME_NAME).
+    resume
+        Add to this run what it lacks.
+    operator
+        Who is informed.
+
+    Returns
+    -------
+    RunResult
+        The calibrated and verified cell with its files.
+
+    Raises
+    ------
+    ConfigError
+        The clouds as a whole are in another unit, have other axes, or are of another plan or mount.
+    CalibrationError, RecordingError
+        As ``mbcacq.run``.
     """
     if resume is not None and out is not None:
         raise ConfigError("--resume and --out exclude each other: what is added goes into the run's own folder")

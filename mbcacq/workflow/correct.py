@@ -82,12 +82,34 @@ def correct(
     force: bool = False,
     simulated_anyway: bool = False,
 ) -> Correction:
-    """Write a copy of a robot program (KRL, URScript, RAPID, FANUC LS) or of a CSV file in which the joint angles bring the calibrated arm,
-    with its effects, to the places that the programmed angles have with the nominal arm (or that the CSV gives as poses of the flange).
+    """Write a copy of a robot program whose joint angles bring the calibrated arm, with its effects, to the nominal places.
 
-    out: the file to write (default: the name with '_corrected'). simulated_anyway: use a simulated calibration too. Raises ConfigError for
-    a file without absolute joint targets, for an arm that was not calibrated, where the output exists, where a point outside the limits is
-    programmed; RecordingError where it cannot be written.
+    A nominal place is where the programmed angles bring the nominal arm, or what a CSV file gives as a pose of the flange.
+
+    Parameters
+    ----------
+    program
+        A program in KRL, URScript, RAPID or FANUC LS, or a CSV file.
+    cell
+        A calibrated cell, its content as a dictionary, a result.json, or a run folder that holds one.
+    out
+        The file to write (default: the name with '_corrected').
+    force
+        Replace a file that exists.
+    simulated_anyway
+        Use a simulated calibration too.
+
+    Returns
+    -------
+    Correction
+        The points of the file, corrected or with the reason why not, and what was left alone.
+
+    Raises
+    ------
+    ConfigError
+        The file has no absolute joint targets, the arm was not calibrated, the output exists, or a point outside the limits is programmed.
+    RecordingError
+        The copy cannot be written.
     """
     program = Path(program)
     output = Path(out) if out is not None else program.with_name(f"{program.stem}_corrected{program.suffix}")

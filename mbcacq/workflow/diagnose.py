@@ -45,20 +45,50 @@ def diagnose(  # noqa: PLR0913 -- one argument an option of its command
 ) -> DiagnosisResult:
     """Find the effects that the model of the cell lacks, and say how sure that is.
 
-    data: observations, or a run folder, a recording, an observation set; or trajectories of one robot (objects or trajectory sets). Several
-    recordings of poses of one arm share the arm and its effects, and so do several trajectories. Where a run's controller
-    recorded torques or joint-side angles, the motion between the poses is compared too.
-    progress: gets a sentence a step. workers: processes that share the cross-validation (default: one a processor core). options: of the
-    adjustment of poses, as ``mbcacq.calibrate`` takes them (which phases are used, what is held). check: further recordings of the
-    arm, on which what was learnt is tried with base, tool and stations fitted, or with ``place`` 'known' nothing. simulation: another
-    simulator's set for the same poses or motion, one for each recording, or a model file that MuJoCo runs (MJCF, URDF): the mismatch is
-    explained against that simulation, and what was found in a model file is written into it (``found.simulation.write("found.xml")``).
-    propose: search short formulas for unmodelled effects of one recording of poses (``found.proposals``, ``found.write_effect("folder")``).
-    minutes: when they are over the search ends, and the verdict is ``cannot_tell`` with what was found by then (None: no end).
-    effects: further effects that are tried beside the catalogue: functions ``name(context)`` that return candidates of that name, modules
-    with NAME and ``candidates``, or files with these.
+    Parameters
+    ----------
+    data
+        Observations, or a run folder, a recording, an observation set; or trajectories of one robot (objects or trajectory sets). Several
+        recordings of one arm share the arm and its effects. If a run's controller recorded torques or joint-side angles, the motion
+        between the poses is compared too.
+    progress
+        Called with a sentence for each step.
+    workers
+        Processes that share the cross-validation (default: one for each processor core).
+    options
+        Options of the adjustment of poses, as ``mbcacq.calibrate`` takes them (which phases are used, what is held).
+    check
+        Further recordings of the arm, on which what was learnt is tried.
+    place
+        'fitted': base, tool and stations of ``check`` are fitted. 'known': nothing is fitted.
+    simulation
+        Another simulator's set for the same poses or motion, one for each recording, or a model file that MuJoCo runs (MJCF, URDF). The
+        mismatch is explained against it, and ``found.simulation.write("found.xml")`` writes what was found into a model file.
+    propose
+        Search short formulas for unmodelled effects of one recording of poses (``found.proposals``, ``found.write_effect("folder")``).
+    minutes
+        The search ends after this time, and the verdict is ``cannot_tell`` with what was found by then. None: no end.
+    effects
+        Further effects that are tried with the catalogue: functions ``name(context)`` that return candidates of that name, modules with
+        NAME and ``candidates``, or files with these.
 
-    Raises ConfigError for data that do not belong together, CalibrationError where they do not determine the geometry.
+    Returns
+    -------
+    DiagnosisResult
+        Verdict, effects with their uncertainties, alternatives, exclusion limits.
+
+    Raises
+    ------
+    ConfigError
+        The data do not belong together.
+    CalibrationError
+        The data do not determine the geometry.
+
+    Examples
+    --------
+    >>> found = mbcacq.diagnose("runs/today")
+    >>> print(found.text)
+    >>> better = mbcacq.calibrate("runs/today").with_effects(found)
     """
     several = listed(data)
     how = Question(progress=progress, workers=workers, options=options, check=tuple(check), place=place, minutes=minutes)

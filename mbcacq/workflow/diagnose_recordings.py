@@ -208,11 +208,11 @@ def diagnose_motion(
 
 def diagnose_poses(observations: Observations, how: Question, *, formulas: bool = False, fitted: bool = True) -> DiagnosisResult:
     """The diagnosis of poses at standstill. fitted: whether the effects are fitted together with the cell. Raises CalibrationError."""
-    from mbcacq.diagnosis import diagnose as room
+    from mbcacq.diagnosis.diagnose import diagnose
     from mbcacq.diagnosis.workers import cores
 
     refit = partial(fitted_model, observations) if fitted else None
-    found = room.diagnose(
+    found = diagnose(
         observations,
         progress=how.progress,
         workers=how.workers or cores(),

@@ -29,12 +29,22 @@ HOW_LOCATED = "Along the recorded motion, by which a mismatch is located; these 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class DiagnosisResult:
-    """What was found. poses: the diagnosis of the poses at standstill; motion: that of the motion; at least one of them is there.
-    given_motion: the evidence of the poses with what the motion is sure of as their prior.
+    """What a diagnosis found. It pickles, with its pictures.
 
-    observations: what the diagnosis of the poses is of, None for one that was read from JSON. checks: what was learnt, tried on other
-    recordings. provenance: the files (name, bytes, SHA-256), the versions of the programs, the options. simulation: the MuJoCo model that
-    the recording was compared with, and what was found written into it. It pickles, with its pictures.
+    Attributes
+    ----------
+    poses, motion
+        The diagnosis of the poses at standstill, and that of the motion; at least one of them is there.
+    observations
+        What the diagnosis of the poses is of; None if it was read from JSON.
+    given_motion
+        The evidence of the poses with what the motion is sure of as their prior.
+    checks
+        What was learnt, tried on other recordings.
+    provenance
+        The files (name, bytes, SHA-256), the versions of the programs, the options.
+    simulation
+        The MuJoCo model with which the recording was compared, and what was found written into it.
     """
 
     poses: Diagnosis | None = None
@@ -81,8 +91,23 @@ class DiagnosisResult:
         return self.poses.proposals if self.poses is not None else ()
 
     def write_effect(self, folder: Path | str) -> list[Path]:
-        """The most probable formulas as a package that adds them to the catalogue (``pip install FOLDER``). Raises ConfigError where none
-        was found, or the folder holds something already."""
+        """Write the most probable formulas as a package that adds them to the catalogue (``pip install FOLDER``).
+
+        Parameters
+        ----------
+        folder
+            The folder of the package.
+
+        Returns
+        -------
+        list of Path
+            The files.
+
+        Raises
+        ------
+        ConfigError
+            No formula was found, or the folder holds something already.
+        """
         from mbcacq.workflow.effect_draft import write_draft
 
         return write_draft(self.proposals, Path(folder))
@@ -93,7 +118,18 @@ class DiagnosisResult:
         return self.in_words()
 
     def in_words(self, calibrated: bool = False) -> str:
-        """``text``; calibrated: the cell was calibrated with what was found, and the next step follows that."""
+        """The diagnosis in plain sentences, as ``text``.
+
+        Parameters
+        ----------
+        calibrated
+            The cell was calibrated with what was found; the next step follows that.
+
+        Returns
+        -------
+        str
+            Several lines.
+        """
         from mbcacq.diagnosis.motion.text import headline, motion_details, motion_text
         from mbcacq.diagnosis.output.text import words
 
@@ -107,8 +143,18 @@ class DiagnosisResult:
         return "\n".join([text, *(check.text for check in self.checks), *written])
 
     def pictures(self) -> dict[str, Any]:
-        """What the pictures need, format mbcacq-diagnosis-pictures/1: the evidence map, residuals before and after (mm), curves, and the
-        channels of the motion over time. Raises ConfigError for a diagnosis of trajectories alone, and for one that was read from JSON."""
+        """What the pictures need: the evidence map, residuals before and after (mm), curves, and the channels of the motion over time.
+
+        Returns
+        -------
+        dict
+            Format 'mbcacq-diagnosis-pictures/1'.
+
+        Raises
+        ------
+        ConfigError
+            The diagnosis is of trajectories alone, or was read from JSON.
+        """
         from mbcacq.diagnosis.output.pictures import pictures
 
         if self.poses is None or self.poses.plot_data is None:
@@ -121,8 +167,23 @@ class DiagnosisResult:
         return drawn
 
     def plot(self, curve: int | None = None) -> Figure:
-        """The evidence for a mismatch by location and covariate, as a figure; with ``curve`` the response curve of that number, of
-        the effects found in their order. Raises ConfigError as ``pictures`` does, and where there is no such curve."""
+        """The evidence map by location and covariate, or a response curve.
+
+        Parameters
+        ----------
+        curve
+            Number of the response curve, in the order of the effects found; None for the evidence map.
+
+        Returns
+        -------
+        Figure
+            A figure for a notebook.
+
+        Raises
+        ------
+        ConfigError
+            There is no such curve, or as ``pictures``.
+        """
         from mbcacq.report.figures import diagnosis_figures
         from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
@@ -133,8 +194,23 @@ class DiagnosisResult:
         return figures[name]
 
     def write_html(self, path: Path | str) -> Path:
-        """The diagnosis as one HTML page that opens offline: of poses, of motion with its channels over time, or of both. Raises
-        ConfigError for one that was read from JSON."""
+        """Write the diagnosis as one HTML page that opens offline: of poses, of motion with its channels over time, or of both.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ConfigError
+            The diagnosis was read from JSON.
+        """
         from mbcacq.report import write_diagnosis_page
 
         poses = (None, None) if self.poses is None else (self.poses.to_json(), self.pictures())
@@ -157,8 +233,25 @@ class DiagnosisResult:
         return [*out, ("diagnosed", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"), ("software", f"mbcacq {__version__}")]
 
     def write_rrd(self, path: Path | str) -> Path:
-        """A recording for the rerun viewer: of poses arrows before and after in the cell, of motion its channels over time. Raises
-        ConfigError for one that was read from JSON, RecordingError where the file cannot be written."""
+        """Write a recording for the rerun viewer: arrows before and after in the cell, and the channels of the motion over time.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ConfigError
+            The diagnosis was read from JSON.
+        RecordingError
+            The file cannot be written.
+        """
         from mbcacq.workflow.diagnosis_files import cards_of, write_motion_rrd, write_rrd
 
         if self.poses is None and self.motion is not None:
@@ -168,16 +261,31 @@ class DiagnosisResult:
         return Path(path)
 
     def keep(self, run: Path | str) -> None:
-        """Write the diagnosis of a run's poses, and of the motion between them, into the folder of the run, where report and viewer find
-        it. Raises RecordingError."""
+        """Write the diagnosis into the folder of a run, where report and viewer find it.
+
+        Parameters
+        ----------
+        run
+            The run folder.
+
+        Raises
+        ------
+        RecordingError
+            The files cannot be written.
+        """
         from mbcacq.workflow.diagnosis_files import keep_in_run
 
         observations, drawn = self._drawable()
         keep_in_run(self.to_dict(), self._words_of_poses(), drawn, observations, Path(run))
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON content, format mbcacq-diagnosis/3 (see ``mbcacq.diagnosis.schema.diagnosis_schema``); where there are both, the
-        motion stands under its own key."""
+        """The JSON content (see ``mbcacq.diagnosis.schema.diagnosis_schema``). If there are poses and motion, the motion has its own key.
+
+        Returns
+        -------
+        dict
+            Format 'mbcacq-diagnosis/3'.
+        """
         content = self.main.to_json()
         if self.poses is None:
             return content | ({} if self.simulation is None else {"simulation": fields_as_json(self.simulation)})
@@ -191,12 +299,34 @@ class DiagnosisResult:
         return content | fields_as_json(beside) | ({} if self.both is None else self.both.to_json())
 
     def to_json(self) -> str:
-        """``to_dict`` as JSON text."""
+        """``to_dict`` as JSON text.
+
+        Returns
+        -------
+        str
+            Text that ``from_json`` takes.
+        """
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> DiagnosisResult:
-        """The diagnosis of such a text, without observations and pictures. Raises ConfigError where it is none."""
+        """The diagnosis of a JSON text, without observations and pictures.
+
+        Parameters
+        ----------
+        text
+            What ``to_json`` wrote, of this or an earlier version.
+
+        Returns
+        -------
+        DiagnosisResult
+            The diagnosis.
+
+        Raises
+        ------
+        ConfigError
+            The text is no diagnosis.
+        """
         content = read_json(text, "the diagnosis", CURE)
         whole = BEFORE_VERSION_3 | content if isinstance(content, dict) else content
         beside = from_document(BesidePoses, whole, READABLE, THE_CONTENT, "diagnosis", CURE)

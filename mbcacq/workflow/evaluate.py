@@ -23,8 +23,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class RunResult:
-    """What a run gave. content: that of result.json, with 'verification', 'accuracy_map', 'gaps' and 'files' (recording, result, report).
-    limit_mm: the plan's limit of the sphere spacing error, or None. next_step: what to do next in words, and the command for it or ''."""
+    """What a run gave.
+
+    Attributes
+    ----------
+    folder
+        The folder of the run.
+    calibration
+        The calibrated cell.
+    verification
+        Sphere spacing errors at the verification poses.
+    content
+        The content of result.json, with 'verification', 'accuracy_map', 'gaps' and 'files' (recording, result, report).
+    limit_mm
+        The plan's limit of the sphere spacing error, mm, or None.
+    next_step
+        What to do next in words, and the command for it or ''.
+    """
 
     folder: Path
     calibration: CalibratedCell
@@ -39,7 +54,13 @@ class RunResult:
         return (self.content.get("verification") or {}).get("after", {}).get("max_mm")
 
     def refuse_beyond_limit(self) -> None:
-        """Raises CalibrationError where a sphere spacing error is beyond the plan's limit by more than the uncertainty of judging it."""
+        """Raise an error if the calibration is not good enough.
+
+        Raises
+        ------
+        CalibrationError
+            A sphere spacing error is beyond the plan's limit by more than the uncertainty of judging it.
+        """
         if (self.content.get("verification") or {}).get("verdict") == "fail":
             raise CalibrationError(
                 f"the largest sphere spacing error is {fixed(self.worst_mm)} mm, beyond the plan's limit of {self.limit_mm:g} mm; "
@@ -47,7 +68,13 @@ class RunResult:
             )
 
     def to_dict(self) -> dict[str, Any]:
-        """The content of result.json with the names of the files."""
+        """The content of result.json with the names of the files.
+
+        Returns
+        -------
+        dict
+            As ``content``.
+        """
         return self.content
 
     def __repr__(self) -> str:

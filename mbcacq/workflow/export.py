@@ -28,14 +28,38 @@ def export(
     force: bool = False,
     simulated_anyway: bool = False,
 ) -> list[dict[str, Any]]:
-    """Write what is asked for; one entry for each file or folder: its 'file', and what there is to say of it.
+    """Write observations, trajectories or results in the formats of other programs.
 
-    source: a run folder, a recording, an observation set, a result.json; or a calibration, observations. observations: folder for an
-    observation set (cell.yaml, poses.csv, centres.csv), with ``scans`` also the raw clouds. trajectory: folder for the controller cycles as
-    a trajectory set. results: folder for the calibration as JSON, CSV, KUKA, ROS and URDF, with ``targets``. force: replace what
-    exists. simulated_anyway: write ``results`` of a simulated calibration too.
+    Parameters
+    ----------
+    source
+        A run folder, a recording, an observation set, a result.json; or a calibration, observations.
+    observations
+        Folder for an observation set (cell.yaml, poses.csv, centres.csv).
+    scans
+        Write the raw clouds too, with ``observations``.
+    trajectory
+        Folder for the controller cycles as a trajectory set.
+    results
+        Folder for the calibration as JSON, CSV, KUKA, ROS and URDF.
+    targets
+        Which formats of ``results``, and their names and numbers.
+    force
+        Replace what exists.
+    simulated_anyway
+        Write ``results`` of a simulated calibration too.
 
-    Raises ConfigError where nothing is asked for, where it exists already or does not fit, RecordingError where writing fails.
+    Returns
+    -------
+    list of dict
+        One entry for each file or folder: its 'file', and remarks on it.
+
+    Raises
+    ------
+    ConfigError
+        Nothing is asked for, the output exists, or the source does not fit.
+    RecordingError
+        Writing fails.
     """
     written = list(_results(source, Path(results), targets or Targets(), force, simulated_anyway)) if results is not None else []
     folders = [None if folder is None else Path(folder) for folder in (observations, trajectory)]

@@ -35,11 +35,29 @@ def extend(
 ) -> RunResult:
     """Add the poses of a plan to the recording of a finished run, at its stations, and calibrate and verify the whole again.
 
-    Everything is as in ``run``: the same checks, gates and safety; an extension that was interrupted is resumed as a run is. The artefacts
-    must stand as they did; where one was found to stand elsewhere, a sentence says so (``operator.message``).
-    recording: the folder of the run. plan: of the same cell; its steps are added. dry_run, live, seed, operator: as of ``run``.
+    Everything is as in ``run``: the same checks, gates and safety. An extension that was interrupted is resumed as a run is. The artefacts
+    must stand as they did; if one stands elsewhere, ``operator.message`` gets a sentence.
 
-    Raises ConfigError where the plan is of another cell, or the run is not whole, and what ``run`` raises.
+    Parameters
+    ----------
+    recording
+        The folder of the run.
+    plan
+        A plan of the same cell, whose steps are added.
+    dry_run, live, seed, operator
+        As for ``run``.
+
+    Returns
+    -------
+    RunResult
+        The calibrated and verified cell of all poses.
+
+    Raises
+    ------
+    ConfigError
+        The plan is of another cell, or the run is not whole.
+    SafetyStop, CalibrationError, RecordingError
+        As ``run``.
     """
     folder, operator = Path(recording), operator or Operator()
     loaded = extended_plan(folder, as_plan(plan), name_of(dry_run, seed))

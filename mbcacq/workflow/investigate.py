@@ -204,15 +204,35 @@ def investigate(  # noqa: PLR0913 -- one argument an option of its command
     live: bool = False,
     operator: Operator | None = None,
 ) -> CellInvestigation:
-    """An investigation: iterate it, one decision after the other, each followed by the visit that it chose; then call ``finish``.
+    """Begin an investigation: measure, weigh all explanations, choose the next visit of a station, until the cell is known.
 
-    It measures the best 24 poses of a plan, weighs all explanations, chooses the next visit of a station among the views that can be taken,
-    and ends when the cell is known, the budget is spent, or nothing that can be reached would decide more.
-    plan: of the cell; not needed with ``resume`` or ``recording``. budget: most poses, moves and minutes. out: the folder of the run.
-    resume: the folder of an interrupted investigation, whose decisions are replayed. recording: the folder of a finished run, which it goes
-    on with. dry_run, seed, live, operator: as of ``mbcacq.run``.
+    It measures the best 24 poses of a plan and chooses every further visit among the views that can be taken. It ends when the cell is
+    known, the budget is spent, or no pose that can be reached would decide more.
 
-    Raises ConfigError where these do not fit together; iterating raises what a run raises.
+    Parameters
+    ----------
+    plan
+        The plan of the cell; not needed with ``resume`` or ``recording``.
+    budget
+        Most poses, moves and minutes.
+    out
+        The folder of the run.
+    resume
+        The folder of an interrupted investigation, whose decisions are replayed.
+    recording
+        The folder of a finished run, which is continued.
+    dry_run, seed, live, operator
+        As for ``mbcacq.run``.
+
+    Returns
+    -------
+    CellInvestigation
+        An iterator of decisions. Each is followed by the visit that it chose. Call ``finish`` at the end.
+
+    Raises
+    ------
+    ConfigError
+        The arguments do not fit together. Iterating raises what a run raises.
     """
     refuse_small_address_space()
     budget = budget or Budget()

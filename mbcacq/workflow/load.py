@@ -20,7 +20,23 @@ if TYPE_CHECKING:
 
 
 def load_plan(path: Path | str) -> LoadedPlan:
-    """A plan with the robot and artefact files that it names. Raises ConfigError 'file:line: sentence'."""
+    """A plan with the robot and artefact files that it names.
+
+    Parameters
+    ----------
+    path
+        The YAML file.
+
+    Returns
+    -------
+    LoadedPlan
+        The plan and its cell.
+
+    Raises
+    ------
+    ConfigError
+        The plan has a mistake; the message is 'file:line: sentence'.
+    """
     from mbcacq.plan import load as read_plan
 
     return read_plan(path)
@@ -29,8 +45,23 @@ def load_plan(path: Path | str) -> LoadedPlan:
 def load_observations(path: Path | str) -> Observations:
     """The observations in a run folder, a recording (.rrd) or an observation set (a folder with cell.yaml, poses.csv, centres.csv).
 
-    P poses of an n-axis arm: ``q`` (P, n) rad, ``station`` (P,). M measured centres: ``pose`` (M,), ``ball`` (M,), ``xyz`` (M, 3) mm in
-    the scanner frame. Raises ConfigError naming file, line and column of a fault, RecordingError where a recording is torn.
+    Parameters
+    ----------
+    path
+        The folder or file.
+
+    Returns
+    -------
+    Observations
+        P poses of an n-axis arm: ``q`` (P, n) rad, ``station`` (P,). M measured centres: ``pose`` (M,), ``ball`` (M,), ``xyz`` (M, 3) mm
+        in the scanner frame.
+
+    Raises
+    ------
+    ConfigError
+        The content has a fault; the message names file, line and column.
+    RecordingError
+        The recording is torn.
     """
     from mbcacq import recording
 
@@ -38,10 +69,23 @@ def load_observations(path: Path | str) -> Observations:
 
 
 def load_trajectories(*paths: Path | str) -> list[Trajectory]:
-    """One trajectory for each trajectory set (a folder with cell.yaml and trajectory.csv); of a recorded run, the stretches in which its
-    arm moves, as many as have torques or joint-side angles.
+    """The motion in recordings: one trajectory for each trajectory set, and for a run one for each stretch in which its arm moves.
 
-    T samples: ``time_s`` (T,), ``q`` (T, n) rad, ``torque`` (T, n) N m; what was not recorded is None. Raises ConfigError.
+    Parameters
+    ----------
+    *paths
+        Trajectory sets (folders with cell.yaml and trajectory.csv), run folders or .rrd files. A run without torques and joint-side angles
+        gives no trajectory.
+
+    Returns
+    -------
+    list of Trajectory
+        T samples each: ``time_s`` (T,), ``q`` (T, n) rad, ``torque`` (T, n) N m. A signal that was not recorded is None.
+
+    Raises
+    ------
+    ConfigError
+        A path holds no trajectory, or its content has a fault.
     """
     from mbcacq.recording import read_trajectory_set
     from mbcacq.recording.datasets.trajectory_set import is_trajectory_set

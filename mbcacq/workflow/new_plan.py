@@ -22,11 +22,31 @@ def new_plan(
     force: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> LoadedPlan:
-    """Write a plan with stations and views that this arm reaches, the scanner sees and the calibration learns from, and return it.
+    """Write a plan with stations and views that this arm reaches, the scanner sees and the calibration learns from.
 
-    robot, scanner, artefact: names of the tool's own (``kr6_r900_2``, ``gocator-3210``, ``mbc-8``) or files; a scanner file holds
-    ``scanner`` and ``hand_eye`` as they stand in a plan. progress gets a sentence for each step and for what was made.
-    Raises ConfigError where ``out`` exists (and not ``force``), where the files do not fit, or where the arm serves too few places.
+    Parameters
+    ----------
+    robot, scanner, artefact
+        Names of files that come with mbcacq (``kr6_r900_2``, ``gocator-3210``, ``mbc-8``), or files. A scanner file holds ``scanner`` and
+        ``hand_eye`` as in a plan.
+    out
+        The file to write.
+    options
+        Driver, numbers of stations and poses, seed.
+    force
+        Replace a file that exists.
+    progress
+        Called with a sentence for each step and for what was made.
+
+    Returns
+    -------
+    LoadedPlan
+        The new plan.
+
+    Raises
+    ------
+    ConfigError
+        ``out`` exists (without ``force``), the files do not fit, or the arm serves too few places.
     """
     path = Path(out)
     if path.exists() and not force:

@@ -39,8 +39,24 @@ class NextPlan:
 def weigh_evidence(data: Observations | Path | str, options: CalibrationOptions | None = None) -> EvidenceSummary:
     """The evidence of a recording as it stands: the e-value of all effects together, and the compared sets with coefficients and odds.
 
-    It is what ``diagnose`` decides by, without validation on data left out, and holds at every look while a recording grows.
-    Raises CalibrationError where the data do not determine the geometry.
+    ``diagnose`` decides by the same evidence. No cross-validation is made here. The e-value holds at every look while a recording grows.
+
+    Parameters
+    ----------
+    data
+        Observations, or where they are.
+    options
+        As for ``mbcacq.calibrate``.
+
+    Returns
+    -------
+    EvidenceSummary
+        E-value and sets of effects.
+
+    Raises
+    ------
+    CalibrationError
+        The data do not determine the geometry.
     """
     return weigh(as_observations(data), options).summary
 
@@ -55,9 +71,28 @@ def next_poses(
 ) -> NextPoses:
     """The poses to measure next with a cell of a plan, for people with a runner of their own.
 
-    observations: what was measured so far. plan: describes the cell, its stations and what is in the way; its poses are among those that
-    are chosen from. visits, poses: at most so many. Joint angles are ``[p.q for p in chosen.poses]``, (n,) rad each.
-    Raises CalibrationError where the data do not determine the geometry, ConfigError where plan and recording are of different cells.
+    Parameters
+    ----------
+    observations
+        What was measured so far.
+    plan
+        Describes the cell, its stations and obstacles. Its poses are among those to choose from.
+    visits, poses
+        Largest numbers of visits of a station, and of poses.
+    seed
+        Seed of the random views to choose from.
+
+    Returns
+    -------
+    NextPoses
+        The joint angles are ``[p.q for p in chosen.poses]``, (n,) rad each.
+
+    Raises
+    ------
+    CalibrationError
+        The data do not determine the geometry.
+    ConfigError
+        Plan and recording are of different cells.
     """
     return _chosen(weigh(as_observations(observations)), as_plan(plan), visits, poses, seed)
 
@@ -70,10 +105,30 @@ def next_plan(
     visits: int = OPTIONS.advised_visits,
     poses: int = OPTIONS.advised_poses,
 ) -> NextPlan:
-    """The next measurements after a run as a plan, which is written to a file where there are any.
+    """The next measurements after a run as a plan, which is written to a file if there are any.
 
-    plan: of the cell (default: that of the run folder). The new plan runs by itself, and ``run --extend`` adds its poses to the run.
-    Raises ConfigError where the run has no plan, CalibrationError where its data do not determine the geometry.
+    Parameters
+    ----------
+    run
+        The run folder.
+    out
+        The file to write. The new plan runs by itself, and ``run --extend`` adds its poses to the run.
+    plan
+        Plan of the cell (default: that of the run folder).
+    visits, poses
+        Largest numbers of visits of a station, and of poses.
+
+    Returns
+    -------
+    NextPlan
+        The chosen poses, and the text of the plan.
+
+    Raises
+    ------
+    ConfigError
+        The run has no plan.
+    CalibrationError
+        The data of the run do not determine the geometry.
     """
     out = Path(out)
     loaded = plan_of_recording(Path(run)) if plan is None else as_plan(plan)

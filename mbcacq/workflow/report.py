@@ -24,12 +24,31 @@ def write_report(
     diagnose: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Path:
-    """Write one HTML page that opens offline and prints well, or a PDF where ``out`` ends in .pdf; its path.
+    """Write a report: one HTML page that opens offline and prints well, or a PDF.
 
-    data: a calibration, or a run folder, a recording (.rrd), an observation set. A result.json in a run folder is used, otherwise the cell
-    is calibrated; so is a diagnosis that is kept there. out: the page (default: report.html in the folder). diagnose: make a diagnosis
-    where there is none. progress: gets a sentence a step. Raises ConfigError, CalibrationError, RecordingError (also where another process
-    writes in the run folder).
+    Parameters
+    ----------
+    data
+        A calibration, or a run folder, a recording (.rrd), an observation set. A result.json and a diagnosis that are kept in a run folder
+        are used; otherwise the cell is calibrated.
+    out
+        The page (default: report.html in the folder), or a PDF if the name ends in .pdf.
+    diagnose
+        Make a diagnosis if there is none.
+    progress
+        Called with a sentence for each step.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ConfigError, CalibrationError
+        The data cannot be used.
+    RecordingError
+        The file cannot be written, or another process writes in the run folder.
     """
     from mbcacq.recording.run_folder.lock import write_lock
 

@@ -43,11 +43,24 @@ def refuse_motion(loaded: LoadedPlan, poses: Sequence[PlannedPose], sweep: Swept
 class Operator:
     """Who is asked and informed during a run; the default moves no real arm.
 
-    allow_motion: called with plan, remaining poses and swept space before a real arm moves; raises Aborted or ConfigError to refuse.
-    artefact_moved: of a resumed run, whether the artefact of this station was touched since. pause: asked before each pose.
-    message: gets sentences for people. progress: gets a sentence at the begin of each step that takes long, and an empty one where the
-    terminal is needed otherwise. subscribers: get every event. began: gets the folder of the run before anything is opened. assume_yes:
-    answer the positioner's prompts with yes.
+    Attributes
+    ----------
+    allow_motion
+        Called with plan, remaining poses and swept space before a real arm moves; raises Aborted or ConfigError to refuse.
+    artefact_moved
+        Called in a resumed run with a station; returns whether its artefact was touched since.
+    pause
+        Asked before each pose.
+    message
+        Called with sentences for people.
+    progress
+        Called with a sentence at the begin of each step that takes long, and with an empty one if the terminal is needed otherwise.
+    subscribers
+        Get every event.
+    assume_yes
+        Answer the positioner's prompts with yes.
+    began
+        Called with the folder of the run before anything is opened.
     """
 
     allow_motion: Callable[[LoadedPlan, Sequence[PlannedPose], Swept], None] = refuse_motion
@@ -60,8 +73,18 @@ class Operator:
     began: Callable[[Path], None] = lambda folder: None
 
     def allow(self, acquisition: Acquisition) -> None:
-        """Ask before a real arm moves to the poses that remain; an arm that is only followed is not asked about, since nothing moves it.
-        Raises ConfigError where a device must ask a person who is not there as well, after what else is missing."""
+        """Ask before a real arm moves to the poses that remain. Nothing moves an arm that is only followed, so nobody is asked about it.
+
+        Parameters
+        ----------
+        acquisition
+            What is about to be measured.
+
+        Raises
+        ------
+        ConfigError
+            A device must ask a person who is not there. This is examined last.
+        """
         loaded = acquisition.loaded
         if loaded.plan.robot.follow is None:
             remaining = [p for p in acquisition.poses if p.number not in acquisition.done]
@@ -86,16 +109,47 @@ def run(  # noqa: PLR0913 -- the whole job: one argument an option of its comman
     operator: Operator | None = None,
     corrected: CalibratedArm | None = None,
 ) -> RunResult:
-    """Execute a plan, record it, calibrate the cell and verify it; the files stand in the folder of the run.
+    """Execute a plan, record it, calibrate the cell and verify it. The files are in the folder of the run.
 
-    dry_run: against the fake cell of ``seed``, on this computer. out: the folder of the run (default runs/TIME_NAME). resume: go on with
-    this folder; poses measured already are passed over, with ``measure_again`` but for those at partly measured stations. live: serve the
-    recording on 127.0.0.1 while it grows. operator: who allows a real arm to move, and is asked and informed. corrected: a calibrated arm
-    with its effects, whose model steers: the joint angles of every pose are those with which that arm stands where the plan means it to. A
-    resumed run keeps the targets that it began with.
+    Parameters
+    ----------
+    plan
+        The plan, or its file.
+    dry_run
+        Run against the fake cell of ``seed``, on this computer.
+    out
+        The folder of the run (default runs/TIME_NAME).
+    resume
+        Go on with this folder; poses that were measured already are skipped.
+    measure_again
+        With ``resume``: measure again the poses at partly measured stations.
+    live
+        Serve the recording on 127.0.0.1 while it grows.
+    seed
+        Seed of the fake cell.
+    operator
+        Who allows a real arm to move, and is asked and informed.
+    corrected
+        A calibrated arm with its effects, whose model steers: with the joint angles of every pose, that arm stands where the plan means it
+        to. A resumed run keeps the targets that it began with.
 
-    Raises ConfigError for a plan or options that cannot be executed, SafetyStop, what a device reports, CalibrationError, RecordingError
-    (also where another process writes in the folder), SystemRefused.
+    Returns
+    -------
+    RunResult
+        The calibrated and verified cell with its files.
+
+    Raises
+    ------
+    ConfigError
+        The plan or the options cannot be executed.
+    SafetyStop
+        The arm was stopped. A device's own errors are raised as they are.
+    CalibrationError
+        The recording cannot be calibrated.
+    RecordingError
+        The recording cannot be written, or another process writes in the folder.
+    SystemRefused
+        The computer lacks memory, a file or a right.
     """
     if resume is not None and out is not None:
         raise ConfigError("--resume and --out exclude each other: a resumed run goes on in its own folder")

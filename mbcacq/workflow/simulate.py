@@ -24,10 +24,28 @@ from mbcacq.workflow.load import as_plan, as_result
 def simulate(
     plan: LoadedPlan | Path | str, cell: CalibratedCell | dict[str, Any] | Path | str | None = None, *, noise: bool = False, seed: int = 0
 ) -> Observations:
-    """What a plan would record: P planned poses, M expected centres (mm, scanner frame) where the model puts them.
+    """What a plan would record: P planned poses, M expected centres where the model puts them.
 
-    cell: a calibrated cell, or its result.json, or a run folder with one; default the nominal cell. noise: with the scatter of centres
-    and the repeatability of the joints, drawn with ``seed``. Raises ConfigError where the plan cannot be executed or the cell is another.
+    Parameters
+    ----------
+    plan
+        The plan, or its file.
+    cell
+        A calibrated cell, or its result.json, or a run folder with one; the nominal cell by default.
+    noise
+        Add the scatter of centres and the repeatability of the joints.
+    seed
+        Seed of that noise.
+
+    Returns
+    -------
+    Observations
+        ``q`` (P, n) rad, ``xyz`` (M, 3) mm in the scanner frame.
+
+    Raises
+    ------
+    ConfigError
+        The plan cannot be executed, or the cell is another.
     """
     loaded = as_plan(plan)
     poses = expand(loaded)

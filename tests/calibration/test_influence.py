@@ -31,7 +31,7 @@ def test_a_pose_that_hides_in_the_joint_noise_of_a_small_plan_is_named(seed):
     assert found.fit.rejected == ()
     assert found.noise.joint.mean() > 80e-6
     assert content["joint_noise_check"]["pose"] == 3
-    assert "Pose 3 is the first to look at" in content["warnings"][0]
+    assert "Look at pose 3 first" in content["warnings"][0]
     assert any("Warning: The estimated joint noise is" in line for line in remarks(content))
 
 

@@ -63,7 +63,7 @@ def test_an_unmodelled_effect_says_what_it_is_a_function_of():
 def test_a_verdict_that_cannot_tell_says_of_what():
     two = (NotSeparable(("joint_compliance:A2", "lost_motion:A2"), 0.99, 0.2),)
     text = words(diagnosed("cannot_tell", SOFT, not_separable=two))
-    assert text.startswith("Cannot tell: these poses do not tell apart")
+    assert text.startswith("Cannot tell: these poses do not separate")
     assert "How sure: joint_compliance at A2 and lost_motion at A2 cannot be told apart (correlation 0.99, odds 1 : 5" in text
     assert "What next: measure more" in text
     assert words(diagnosed("cannot_tell", before=0.009)).startswith("Cannot tell: these poses leave open whether there is an effect")

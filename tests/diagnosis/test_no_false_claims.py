@@ -8,7 +8,7 @@ import simulated
 
 from mbcacq.diagnosis import model_fit
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.output.notes import not_carried_over, unproven_places
+from mbcacq.diagnosis.output.notes import not_carried_over, single_place
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.folds import split
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
@@ -87,10 +87,10 @@ def test_no_recording_of_several_is_left_out_whole(plan, places, left_out):
 
 
 @pytest.mark.parametrize(("places", "said"), [(1, True), (2, False)])
-def test_with_one_place_no_other_is_proven(plan, places, said):
+def test_with_one_place_a_note_says_that_no_other_was_tested(plan, places, said):
     problem = model_fit.prepare(plan.select(plan.station < places))
 
-    assert any("other places is not proven" in note for note in unproven_places(problem)) == said
+    assert any("not shown that the model holds at other places" in note for note in single_place(problem)) == said
 
 
 def bending_of_link_two(context):
@@ -127,13 +127,13 @@ def test_too_few_poses_are_refused(plan):
         diagnose(few)
 
 
-def test_what_parts_of_a_recording_do_not_bear_out_is_said_to_be_unproven_beyond_it():
+def test_what_parts_of_a_recording_do_not_confirm_is_said_to_be_uncertain_beyond_it():
     def scores(chi2):
         one = PredictiveScore(1.0, 100, chi2, 300.0)
         return CrossValidation(one, one, "station", {})
 
     (note,) = not_carried_over("explained", scores(900.0))
     assert "3.0 times the variance" in note
-    assert "not proven beyond" in note
+    assert "may not hold at others" in note
     assert not not_carried_over("explained", scores(310.0))
     assert not not_carried_over("partly_explained", scores(900.0))

@@ -62,9 +62,9 @@ def test_what_an_effect_removes_has_the_uncertainty_of_the_noise_that_it_is_seen
     for _ in range(2000):
         data = truth + small + rng.normal(size=600)
         before, without, after = (PredictiveScore(0.0, 0, float(np.sum((data - p) ** 2)), 600) for p in (0.0 * truth, truth, truth + small))
-        proof = CrossValidation(before, after, "station", {"small": without})
+        validation = CrossValidation(before, after, "station", {"small": without})
         shares.append((without.chi2 - after.chi2) / (before.chi2 - before.dof))
-        stds.append(proof.gain_std(max(shares[-1], 0.0)))
+        stds.append(validation.gain_std(max(shares[-1], 0.0)))
     assert np.std(shares) == pytest.approx(np.median(stds), rel=0.1)
 
 
@@ -92,18 +92,18 @@ def test_a_trend_is_no_finding(diagnosed):
     text = words(both)
     assert (
         text.index("joint_compliance at A2 (p")
-        < text.index("Trends, of which no figure may be relied on:")
+        < text.index("Trends, without a reliable figure:")
         < text.index("scanner_warmup at scanner (p")
     )
     assert "offset" not in text
     alone = summary_lines(replace(diagnosed, effects=(weak,)), NoiseFloor(0.013, 0.0129))
-    assert alone[0] == "What and where: no effect of which a figure may be relied on"
+    assert alone[0] == "What and where: no effect with a reliable figure"
 
 
 def test_what_was_done_just_now_is_no_next_step(diagnosed):
     assert "--calibrate" in words(diagnosed)
     assert "--calibrate" not in words(diagnosed, calibrated=True)
-    assert "What next: try the calibration with what was found on another recording" in words(diagnosed, calibrated=True)
+    assert "What next: verify the calibration with what was found on another recording" in words(diagnosed, calibrated=True)
 
 
 def test_what_is_beyond_what_machines_have_was_not_tested():
@@ -151,6 +151,6 @@ def test_what_is_beyond_what_machines_have_was_not_tested():
         "Not excluded (95 %): joint_step at A6 at any pose from 3 to 118, but at 2 moments between up to step 0.0078° "
         "(1.4 times the usual size), 0.22 mm in the workspace, 0.19 mm in a length",
         "Not excluded (95 %): gear_transmission_error at A2 of any order from 1.0 to 1.5 up to amplitude 0.0040°",
-        "Not tested by these poses (only what is over 10 times the usual size would show): mount_compliance at mount (compliance); "
+        "Not tested by these poses (only an effect of more than 10 times the usual size would show): mount_compliance at mount (compliance); "
         "base_compliance at base (compliance)",
     ]

@@ -46,7 +46,7 @@ def test_orders_that_look_alike_at_the_angles_of_a_recording_are_all_named(postu
 
     (effect,) = found.effects
     assert (effect.name, effect.where) == ("gear_transmission_error", ("A4",))
-    (said,) = [note for note in found.notes if "as well of order" in note]
+    (said,) = [note for note in found.notes if "looks like order" in note]
     orders = [float(order) for order in re.findall(r"([0-9.]+) \(odds", said)]
     assert len(orders) > 1
     for order in (effect.parameters["A4.order"].value, *orders):

@@ -11,9 +11,9 @@ from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
     ("shares", "left", "said"),
     [
         ([0.6, 0.4], 100.0, []),
-        ([0.3, 0.05], 160.0, ["the shares add up to 35%: another 59% is explained by several places alike, 6% is not explained"]),
-        ([0.7, 0.6], 150.0, ["the shares add up to 130%: together they explain 95%, since some compensate others, 5% is not explained"]),
-        ([0.5], 1100.0, ["the shares add up to 50%: none is proven, 100% is not explained"]),
+        ([0.3, 0.05], 160.0, ["the shares add up to 35%: several locations explain another 59% alike, 6% is not explained"]),
+        ([0.7, 0.6], 150.0, ["the shares add up to 130%: together they explain 95%, because some compensate others, 5% is not explained"]),
+        ([0.5], 1100.0, ["the shares add up to 50%: none is confirmed, 100% is not explained"]),
         ([], 1100.0, []),
     ],
 )

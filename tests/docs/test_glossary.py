@@ -32,6 +32,13 @@ def test_no_text_says_it_otherwise(phrase):
     assert [str(p.relative_to(ROOT)) for p in (*PAGES, *CODE) if pattern.search(p.read_text(encoding="utf-8"))] == []
 
 
+def test_proof_is_a_word_of_the_rsi_driver_alone():
+    """Of data, figures and effects it is said what they show, with which probability."""
+    word = re.compile(r"\b(?:proofs?|proven|unproven)\b", re.IGNORECASE)
+    pages = [p for p in PAGES if p.is_relative_to(ROOT / "docs") or p.name == "README.md"]
+    assert [str(p.relative_to(ROOT)) for p in pages if word.search(p.read_text(encoding="utf-8"))] == ["docs/safety.md"]
+
+
 def test_no_name_of_the_code_uses_a_word_that_a_term_replaces():
     found = []
     for path in CODE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -66,9 +67,8 @@ def test_generated_reference_is_current(page, monkeypatch):
     assert (ROOT / "docs" / "reference" / page).read_text(encoding="utf-8") == reference.PAGES[page](), "run python docs/_make/reference.py"
 
 
-def test_picture_of_the_architecture_is_current(monkeypatch):
+@pytest.mark.parametrize("script", ["architecture_figure", "diagnosis_figure"])
+def test_pictures_that_scripts_draw_are_current(script, monkeypatch):
     monkeypatch.syspath_prepend(str(MAKE))
-    import architecture_figure
-
-    drawn = (ROOT / "docs" / "explanation" / "architecture.svg").read_text(encoding="utf-8")
-    assert drawn == architecture_figure.draw(), "run python docs/_make/architecture_figure.py"
+    figure = importlib.import_module(script)
+    assert figure.TARGET.read_text(encoding="utf-8") == figure.draw(), f"run python docs/_make/{script}.py"

@@ -64,7 +64,7 @@ def test_an_arm_without_effects_has_an_e_value_below_the_threshold():
 
 
 def test_a_set_without_the_delay_explains_the_recording_as_it_was_recorded():
-    """The correction of the delay leaves nothing that the column of the delay could explain; it is proven by what it corrected."""
+    """The correction of the delay leaves nothing that the column of the delay could explain; what it corrected shows it."""
     found = diagnose_trajectories([recording(k, latency=0.003) for k in (1, 2)], cross_validation=False)
     evidence = {e.channel: e.evidence for e in found.evidence}["q_joint"]
     assert evidence.significant

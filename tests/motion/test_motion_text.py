@@ -52,7 +52,7 @@ def friction(at, value, std):
 def test_a_size_within_its_uncertainty_is_a_trend_without_a_figure():
     """1.9 standard deviations of A2 stand before 2.1 of A4, and behind them in the text."""
     text = text_of(friction("A2", 1.9, 1.0), friction("A4", 2.1, 1.0))
-    findings, trends = text.split("Trends, of which no figure may be relied on:")
+    findings, trends = text.split("Trends, without a reliable figure:")
     assert "friction at A4" in findings
     assert "coulomb 2.1 ± 2.0" in findings
     assert "friction at A2" in trends

@@ -1,4 +1,4 @@
-"""A package that is none of ours registers an entry point and works as our own drivers do: listed, checked, run, proven by the suite."""
+"""A package that is none of ours registers an entry point and works as our own drivers do: listed, checked, run, tested by the suite."""
 
 import json
 import os

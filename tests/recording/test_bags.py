@@ -8,7 +8,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mbcacq.errors import ConfigError
-from mbcacq.recording import load_observations, load_trajectories
+from mbcacq.recording import load_observations, load_whole_trajectories
 from mbcacq.recording.datasets.bag import Bag, BagSpec, _points
 
 ROBOT = """
@@ -88,7 +88,7 @@ def test_damaged_bags_are_refused_in_words(bag):
             data[at] ^= 1 << rng.integers(8)
         file.write_bytes(data[: rng.integers(len(data) // 2, len(data))])
         try:
-            load_trajectories(bag)
+            load_whole_trajectories(bag)
         except ConfigError:
             refused += 1
     assert refused > 15
@@ -107,7 +107,7 @@ def test_a_chunk_that_is_not_what_its_checksum_says_is_damaged(tmp_path):
         at += 9 + length
     file.write_bytes(data)
     with pytest.raises(ConfigError, match="the bag cannot be read, it is damaged .*hecksum mismatch"):
-        load_trajectories(tmp_path)
+        load_whole_trajectories(tmp_path)
 
 
 def test_a_flipped_bit_in_an_angle_is_seen_by_the_speed_it_would_need(tmp_path):
@@ -120,7 +120,7 @@ def test_a_flipped_bit_in_an_angle_is_seen_by_the_speed_it_would_need(tmp_path):
     data[at[len(at) // 2] + 6] ^= 0x10  # exponent of the elbow: -0.4 becomes -0.2, 20 rad/s away
     file.write_bytes(data)
     with pytest.raises(ConfigError, match="no arm moves so; the message is damaged"):
-        load_trajectories(tmp_path)
+        load_whole_trajectories(tmp_path)
 
 
 def test_each_standstill_is_a_pose_with_its_target(bag):
@@ -145,7 +145,7 @@ def test_an_orientation_that_was_never_measured_is_none(tmp_path):
 
 def test_the_joint_states_of_a_bag_are_a_motion(bag):
     (bag / "cell.yaml").write_text(MOTION)
-    (motion,) = load_trajectories(bag)
+    (motion,) = load_whole_trajectories(bag)
     assert motion.torque is not None
     np.testing.assert_allclose(motion.q, path()[0])
     assert motion.torque[:, 0].tolist() == [5.0] * len(motion.q)
@@ -178,7 +178,7 @@ def test_a_topic_without_a_message_is_named(tmp_path):
         writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
     (tmp_path / "cell.yaml").write_text(MOTION)
     with pytest.raises(ConfigError, match="the topic /joint_states holds no message"):
-        load_trajectories(tmp_path)
+        load_whole_trajectories(tmp_path)
 
 
 @pytest.mark.parametrize(("step", "offset"), [(12, 8), (16, 8), (12, 10)])

@@ -6,7 +6,7 @@ import synthetic
 
 from mbcacq.cli.progress import RunProgress
 from mbcacq.model.cell import SIMULATED
-from mbcacq.recording import Journal, Recorder, Recording, load_observations, load_trajectories
+from mbcacq.recording import Journal, Recorder, Recording, load_observations, load_whole_trajectories
 from mbcacq.recording.run_folder.journal import read_journal, read_log
 
 
@@ -31,7 +31,7 @@ def test_the_recording_says_it(tmp_path):
     assert recording.about()["simulated"]
     assert any(SIMULATED in row.get("text", [""])[0] for row in recording.rows("log"))
     assert load_observations(tmp_path / "a").cell.simulated
-    assert load_trajectories(tmp_path / "a")[0].simulated
+    assert load_whole_trajectories(tmp_path / "a")[0].simulated
     assert "simulated" not in Recording(recorded(tmp_path / "b", False) / "run.rrd").about()
 
 

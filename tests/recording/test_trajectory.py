@@ -6,7 +6,7 @@ import synthetic
 
 from mbcacq.errors import ConfigError
 from mbcacq.model import shipped
-from mbcacq.recording import load_observations, load_trajectories, read_trajectory_set
+from mbcacq.recording import load_observations, load_whole_trajectories, read_trajectory_set
 from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
 from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
 
@@ -113,12 +113,12 @@ def test_the_cycles_of_a_run_are_a_trajectory(a_run):
 
 
 def test_load_trajectories_takes_one_path_or_several_of_either_kind(a_run, a_trajectory):
-    run, folder = load_trajectories([a_run, str(a_trajectory)])
+    run, folder = load_whole_trajectories([a_run, str(a_trajectory)])
     np.testing.assert_array_equal(run.q, trajectory_of_run(a_run).q)
     np.testing.assert_array_equal(folder.q, read_trajectory_set(a_trajectory).q)
-    assert [t.name for t in load_trajectories(a_trajectory)] == [str(a_trajectory)]
+    assert [t.name for t in load_whole_trajectories(a_trajectory)] == [str(a_trajectory)]
 
 
 def test_load_trajectories_refuses_what_holds_no_trajectory(a_set):
     with pytest.raises(ConfigError, match="holds no trajectory"):
-        load_trajectories(a_set)
+        load_whole_trajectories(a_set)

@@ -80,12 +80,7 @@ def test_the_table_is_that_of_the_published_experiment(tmp_path):
 
 @pytest.mark.parametrize(
     ("limit", "level", "headline"),
-    [
-        (0.5, "pass", "Passed"),
-        (0.4, "fail", "Not passed"),
-        (0.457, "undecided", "Neither proven nor disproven"),
-        (None, "none", "Calibrated and verified"),
-    ],
+    [(0.5, "pass", "Passed"), (0.4, "fail", "Not passed"), (0.457, "undecided", "Undecided: "), (None, "none", "Calibrated and verified")],
 )
 def test_the_verdict_considers_the_uncertainty_of_judging(tmp_path, limit, level, headline):
     report = page(tmp_path, make_result(limit), observations=make_observations())
@@ -99,7 +94,7 @@ def test_a_result_without_a_budget_is_not_decided(tmp_path):
         del place["judging_mm"]
     del result["verification"]["budget"]
     words = page(tmp_path, result, observations=make_observations()).words
-    assert "Neither proven nor disproven" in words
+    assert "Undecided: " in words
     assert "calibrate the recording anew" in words
 
 

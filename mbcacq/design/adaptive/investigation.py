@@ -38,8 +38,17 @@ Measure = Callable[[LoadedPlan], Observations]  # a plan, of which the first pos
 
 @dataclass(frozen=True)
 class Budget:
-    """At most so many poses, moves of artefacts and minutes; None for any number. limit_mm: error of length that matters (of 95 % of
-    lengths in the workspace): what cannot do more than that need not be found; None: effects of usual size.
+    """Limits of an investigation.
+
+    Attributes
+    ----------
+    poses
+        Largest number of poses.
+    moves, minutes
+        Largest number of moves of artefacts, and longest duration; None for any.
+    limit_mm
+        Error of length that matters, mm (of 95 % of lengths in the workspace). An effect that causes less need not be found. None: effects
+        of usual size are to be found.
     """
 
     poses: int = 96

@@ -183,7 +183,10 @@ def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:
         return []
     names = "; ".join(" and ".join(pair.effects) for pair in pairs)
     return [
-        Advice(f"{names} explain these recordings alike: record a further motion with other speeds, more reversals and a wider range", ())
+        Advice(
+            f"{names} explain these recordings equally well: record a further motion with other speeds, more reversals and a wider range",
+            (),
+        )
     ]
 
 
@@ -199,8 +202,8 @@ def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, 
     ranges = ", ".join(f"A{j + 1} {low[j]:.0f} to {high[j]:.0f} of {limits[j, 0]:.0f} to {limits[j, 1]:.0f}" for j in small)
     names = "; ".join(" and ".join(n.effects) for n in not_separable)
     reason = (
-        f"{names} go together over the angles recorded (in °: {ranges or 'all wide'}): record a motion over as much of these ranges as the "
-        "cell allows (mbcacq plan design PLAN --motion RECORDING makes one), and the same motion once with a known weight on the flange"
+        f"{names} are confounded over the angles recorded (in °: {ranges or 'all wide'}): record a motion over as much of these ranges as "
+        "the cell allows (mbcacq plan design PLAN --motion RECORDING makes one), and the same motion once with a known weight on the flange"
     )
     return [Advice(reason, ())]
 

@@ -36,10 +36,10 @@ from mbcacq.quantities import split_unit
 
 VERDICT_OF_BOTH = {
     "none": "no effect.",
-    "explained": "what both show is explained by effects.",
+    "explained": "effects explain what both show.",
     "partly_explained": "effects explain a part of what both show; structure remains.",
     "unexplained": "there is a mismatch that no effect of the catalogue describes.",
-    "cannot_tell": "cannot tell what is behind what they show.",
+    "cannot_tell": "these data do not decide between the possible causes.",
 }
 MOST_TOGETHER = 6  # joint sets that are reported
 FARTHEST = 38.0  # standard deviations: beyond, the probability of a normal distribution is no floating point number
@@ -95,9 +95,8 @@ class DecidedPair:
 
     def __str__(self) -> str:
         other = "motion" if self.by == "poses" else "poses"
-        return f"{' and '.join(self.effects)}, which the {other} cannot tell apart: the {self.by} name {self.named}".replace(
-            "the motion name ", "the motion names "
-        )
+        name = "name" if self.by == "poses" else "names"
+        return f"the {other} cannot separate {' and '.join(self.effects)}: the {self.by} {name} {self.named}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +190,7 @@ class PosesAndMotion:
                 poses_say, motion_says = a.stated()
                 out.append(
                     f"Poses and motion contradict each other on {a.label}: {poses_say} by the poses and {motion_says} by the motion "
-                    f"({a.sigmas:.1f} sigma). One of both has another cause: believe neither value before that is found."
+                    f"({a.sigmas:.1f} sigma). One of them has another cause: use neither value until it is found."
                 )
         return out
 

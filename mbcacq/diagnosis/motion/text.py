@@ -49,7 +49,7 @@ def motion_details(diagnosis: MotionDiagnosis) -> str:
     for c in diagnosis.fit.channels:
         lines.append(f"  {c.at} {CHANNELS[c.channel]}: {_held_out(c)}")
     for check in diagnosis.checks:
-        lines += ["", f"Tried on {check.recording or 'the other recording'}, of which nothing was learnt:"]
+        lines += ["", f"Tried on {check.recording or 'the other recording'}, from which nothing was learnt:"]
         for one in check.channels:
             rms = f"{significant(one.error.before_rms)} {symbol(one.unit)} before, {significant(one.error.after_rms)} after"
             lines.append(f"  {one.at} {CHANNELS[one.channel]}: {rms}")
@@ -72,5 +72,5 @@ def size_of_shape(effect: UnmodelledMotionEffect) -> str:
 def _held_out(c: ChannelFit) -> str:
     before = f"{significant(c.held_out.before_rms)} {symbol(c.unit)} before"
     if c.refused_rms is not None:
-        return f"{before}; the model found elsewhere makes it {significant(c.refused_rms)} and is refused here"
+        return f"{before}; {significant(c.refused_rms)} with the model of the other parts, which is refused"
     return f"{before}, {significant(c.held_out.after_rms)} after"

@@ -75,7 +75,7 @@ def untried_in_words(problem: DiagnosisProblem, fit: EvidenceFit) -> list[str]:
         odds = odds_in_words(float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0))))
         for rival in stands_for_untried(problem, other):
             at = "+".join(rival.candidate.where)
-            how = "is what fits best" if other is reported else f"is not excluded ({odds})"
+            how = "fits best" if other is reported else f"is not excluded ({odds})"
             out.setdefault(rival.candidate.key, f"{rival.name} at {at} {how}, although it was not tried by name: {rival.reason}")
     return list(out.values())
 

@@ -110,7 +110,7 @@ def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]
             chosen = spread(a - b)
             apart = float(np.linalg.norm((a - b)[chosen], axis=1).mean())
             both = " and ".join(f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in pair)
-            reason = f"{both} differ by {apart:.3f} mm at the poses that tell them apart best: measure those again, and others like them"
+            reason = f"{both} differ by {apart:.3f} mm at the poses that separate them best: measure those again, and others like them"
             out.append(Advice(reason, _in_degrees(there.context.obs.q[chosen])))
     return out
 
@@ -126,7 +126,7 @@ def revealing(context: Context, limited: Sequence[SizedEffect]) -> list[Advice]:
         return []
     hidden, moved = max(each, key=lambda item: np.linalg.norm(item[1], axis=1).max())
     name = f"{hidden.candidate.name} at {'+'.join(hidden.candidate.where)}"
-    reason = f"{name} of usual size could not have been seen: measure these poses again, and others like them, or a long bar end by end"
+    reason = f"{name} of usual size would not have shown: measure these poses again, and others like them, or a long bar end by end"
     return [Advice(reason, _in_degrees(there.context.obs.q[spread(moved)]))]
 
 

@@ -1,4 +1,4 @@
-"""Sentences for people: what was left out of a diagnosis, what qualifies the effects that were found, what is not proven."""
+"""Sentences for people: what was left out of a diagnosis, what qualifies the effects that were found, what was not tested."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     dropped = int(np.sum(~keep))
     if dropped:
         out.append(f"{dropped} of {len(keep)} measured centres are gross outliers and were rejected")
-    out += unproven_places(setup)
+    out += single_place(setup)
     if not setup.context.masses_known:
         out.append(
-            "no masses given: elasticity under gravity was tested with one kilogram halfway along each link, "
+            "no masses given: elasticity under gravity was tested with one kilogram halfway along each link; "
             "its size in rad/Nm is not meaningful"
         )
     return out
@@ -80,41 +80,42 @@ def stated_noise_is_wrong(full: ModelFit, stated: Noise) -> str | None:
     instrument = "scanner" if linear.width == 3 and linear.obs.cell.measurement != "target_in_base" else "instrument"
     found = np.sqrt(np.mean(full.noise.point**2))
     factor = f"{significant(ratio, 2)} times" if ratio > 1 else f"1/{significant(1 / ratio, 2)} of"
-    return f"the noise of the {instrument} is {factor} what is stated: {micrometres(float(found))} an axis; correct noise_mm in cell.yaml"
+    size = f"{micrometres(float(found))} along each axis"
+    return f"the noise of the {instrument} is {factor} what is stated: {size}; correct noise_mm in cell.yaml"
 
 
 def noise_in_words(found: Sequence[NoiseDependence], weighted: bool = True) -> list[str]:
     """A sentence for each noise that depends on the place. weighted: whether each pose has its own in everything else."""
-    used = "each pose is weighted by its own" if weighted else "so long a recording keeps one noise for all poses"
+    used = "each pose is weighted by its own noise" if weighted else "a recording of this length keeps one noise for all poses"
     out = []
     for one in found:
-        what = "the noise of the instrument" if one.of == "instrument" else "the noise of whole poses, of joints and instrument,"
+        what = "the noise of the instrument" if one.of == "instrument" else "the noise of whole poses (joints and instrument)"
         ratio = max(one.sigma_low_mm, one.sigma_high_mm) / min(one.sigma_low_mm, one.sigma_high_mm)
         grows = "grows" if one.sigma_high_mm > one.sigma_low_mm else "falls"
         high = with_unit(f"{one.high:.0f}", one.unit)
         ends = f"from {one.low:.0f} to {high} it is {significant(ratio, 2)} times as large ({p_value(one.p_value)})"
         ends = ends if grows == "grows" else ends.replace("times as large", "times smaller")
-        sizes = f": {micrometres(one.sigma_low_mm)} and {micrometres(one.sigma_high_mm)} an axis" if one.of == "instrument" else ""
+        sizes = f": {micrometres(one.sigma_low_mm)} and {micrometres(one.sigma_high_mm)} along each axis" if one.of == "instrument" else ""
         out.append(f"{what} {grows} with the {one.covariate}: {ends}{sizes}; {used}")
     return out
 
 
-def unproven_places(setup: DiagnosisProblem) -> list[str]:
+def single_place(setup: DiagnosisProblem) -> list[str]:
     """A sentence where all poses look at one place."""
     if not setup.context.scanner_on_flange or len(np.unique(setup.linear.obs.station)) > 1:
         return []
-    return ["all poses look at one place: held-out figures are of that place, and that the model holds at other places is not proven"]
+    return ["all poses look at one place: held-out figures are of that place, and it is not shown that the model holds at other places"]
 
 
-def not_carried_over(verdict: str, proof: CrossValidation) -> list[str]:
+def not_carried_over(verdict: str, validation: CrossValidation) -> list[str]:
     """A sentence where a recording is explained and yet what is learnt from a part of it does not predict the rest down to noise."""
-    left_out = proof.after
+    left_out = validation.after
     if verdict != "explained" or left_out.chi2_dof <= OPTIONS.noticeable:
         return []
-    part = "a place" if proof.split == "station" else "a part of the poses"
+    part = "a place" if validation.split == "station" else "a part of the poses"
     return [
-        f"{part} that is left out is predicted with {left_out.chi2_dof:.1f} times the variance that noise and fit allow: the effects "
-        f"explain what was measured, and are not proven beyond it"
+        f"errors at {part} that is left out have {left_out.chi2_dof:.1f} times the variance that noise and fit allow: the effects "
+        f"explain the poses that were measured, and may not hold at others"
     ]
 
 
@@ -130,9 +131,9 @@ def sum_of_shares(mismatch: Sequence[PoseMismatch], before: PredictiveScore, aft
     explained = min(max((before.chi2 - after.chi2) / max(before.chi2 - before.dof, 1e-9), 0.0), 1.0)
     said = []
     if explained > total + UNSAID:
-        said.append(f"another {explained - total:.0%} is explained by several places alike")
+        said.append(f"several locations explain another {explained - total:.0%} alike")
     elif total > explained + UNSAID:
-        said.append(f"together they explain {explained:.0%}, since some compensate others" if explained > UNSAID else "none is proven")
+        said.append(f"together they explain {explained:.0%}, because some compensate others" if explained > UNSAID else "none is confirmed")
     if explained < 1 - UNSAID:
         said.append(f"{1 - (explained if said else total):.0%} is not explained")  # of figures that are rounded alike
     return [f"the shares add up to {total:.0%}: {', '.join(said)}"] if said else []
@@ -148,8 +149,8 @@ def partial_periods(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
             share = periods_covered(values, hyper or 0.0)
             low, high = np.degrees([values.min(), values.max()])
             out.append(
-                f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period, so that it is a "
-                f"smooth function of {name} from {low:.0f} to {high:.0f}° and not shown to repeat beyond"
+                f"{candidate.name} at {candidate.where[0]}, order {hyper:.3g}: the poses cover {share:.2f} of its period; it is a "
+                f"smooth function of {name} from {low:.0f} to {high:.0f}°, and is not shown to repeat beyond"
             )
     return out
 
@@ -162,7 +163,7 @@ def aliased(setup: DiagnosisProblem, reported: Hypothesis) -> list[str]:
         if others:
             named = ", ".join(f"{order:.4g} ({odds_in_words(odds)})" for order, odds in others)
             at = member.candidate.where[0]
-            out.append(f"{member.candidate.name} at {at}, order {member.hyper:.4g}: by these poses it is as well of order {named}")
+            out.append(f"{member.candidate.name} at {at}, order {member.hyper:.4g}: at these poses it looks like order {named}")
     return out
 
 
@@ -210,8 +211,8 @@ def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[PoseEffect]) 
         constants = [p for name, p in effect.parameters.items() if name.rpartition(".")[2] in names]
         if any(np.max(p.std) > 0.5 * np.ptp(setup.context.time) for p in constants):
             out.append(
-                f"{effect.name} at {effect.where[0]}: the recording is too short for its time constant, and determines its size only "
-                f"together with that; what was measured is the change within the recording"
+                f"{effect.name} at {effect.where[0]}: the recording is too short for its time constant, so both are uncertain together; "
+                f"only the change within the recording was measured"
             )
     return out
 
@@ -225,8 +226,8 @@ def bent_artefacts(obs: Observations, effects: Sequence[PoseEffect]) -> list[str
         several = [where for where in moved if where in mine]
         if len(several) > 1:
             out.append(
-                f"{', '.join(several)} of {artefact.name}: where an artefact bends, sags or has another certificate several balls are off, "
-                "what is stated of each is not proven by itself; have it certified anew as it is mounted"
+                f"{', '.join(several)} of {artefact.name}: if an artefact bends, sags or has another certificate, several balls are off, "
+                "so the shift of a single ball is not certain; have the artefact certified anew as it is mounted"
             )
     return out
 
@@ -242,8 +243,8 @@ def confounded_pauses(obs: Observations, effects: Sequence[PoseEffect]) -> list[
         near = [m for m, std in moments if abs(rank.get(round(m), np.inf) - rank[after]) <= max(2 * std, 5.0)]
         if near:
             out.append(
-                f"there is {pause}: the change at pose {near[0]:.0f} may be a displacement, thermal growth or a new mastering meanwhile, "
-                "which these data cannot tell apart"
+                f"there is {pause}: the change at pose {near[0]:.0f} may be a displacement, thermal growth or a new mastering meanwhile: "
+                "in these data they cannot be told apart"
             )
         elif any(catalogue.declaration(e.name).acts_in_time for e in effects):
             out.append(f"there is {pause}")

@@ -41,7 +41,7 @@ def says_too_little(limited: Sequence[SizedEffect], poses: int) -> str | None:
     share = excluded_share(limited)
     if share >= ENOUGH:
         return None
-    said = f"of the effects of the catalogue {share:.0%} are excluded at their typical size, less than half"
+    said = f"{share:.0%} of the effects of the catalogue are excluded at their typical size, less than half"
     enough = sufficient_poses(limited, poses)
     if enough > OPTIONS.most_poses:
         return f"{said}, and more poses like these would not exclude half of them: measure other postures"

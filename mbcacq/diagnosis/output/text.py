@@ -24,18 +24,18 @@ VERDICTS = {
     "explained": "Explained: the effects below bring the simulation {distance}.",
     "partly_explained": "Partly explained: the effects below help, but structure remains.",
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
-    "cannot_tell": "Cannot tell: these poses do not let the candidates be told apart, or be seen.",
+    "cannot_tell": "Cannot tell: these poses do not separate the candidates, or do not show them.",
 }
-NOT_TOLD_APART = "Cannot tell: these poses do not tell apart what could be behind the mismatch."
+NOT_TOLD_APART = "Cannot tell: these poses do not separate the possible causes of the mismatch."
 OPEN = "Cannot tell: these poses leave open whether there is an effect."
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
 NOT_DETERMINED = "is not determined"
 LARGEST_PHASE_STD_DEG = 90.0
-STANDS_IN = "A smooth model stands in its place."
+STANDS_IN = "A smooth model describes it."
 FINDINGS = "Effects, ± U (k = 2):"
-TRENDS = "Trends, of which no figure may be relied on:"
-SUSPECTED = "No model of it predicts what was left out: the place below is a suspicion."
+TRENDS = "Trends, without a reliable figure:"
+SUSPECTED = "No model of it predicts held-out data: the location below is a suspicion."
 
 
 def words(d: Diagnosis, calibrated: bool = False) -> str:
@@ -115,7 +115,7 @@ def summary_lines(d: Diagnosis, floor: NoiseFloor, calibrated: bool = False) -> 
     """What it is and where, how much of the misfit it explains, how sure that is, and what to do next."""
     held = d.fit.held_out
     findings, trends = findings_and_trends(d.effects)
-    what = _named(findings) or ("no effect of which a figure may be relied on" if trends else "no effect")
+    what = _named(findings) or ("no effect with a reliable figure" if trends else "no effect")
     if d.verdict == "unexplained":
         what += f". {STANDS_IN if any(e.held_out_gain > 0 for e in d.effects) else SUSPECTED}"
     excess = held.before_rms_mm**2 - floor.floor_mm**2
@@ -134,8 +134,8 @@ def how_sure(d: Diagnosis) -> str:
     if not d.effects:
         usual = [e for e in d.exclusion_limits if e.tested and (e.in_usual_sizes or np.inf) <= 1.0]
         if not d.exclusion_limits:
-            return "no limits of what could hide are known"
-        return f"of {len(d.exclusion_limits)} effects of usual size that were looked for, {len(usual)} are excluded (95 %)"
+            return "no exclusion limits are known"
+        return f"{len(usual)} of {len(d.exclusion_limits)} effects that were sought are excluded at their usual size (95 %)"
     if d.not_separable:
         pair = max(d.not_separable, key=lambda one: one.odds or 0.0)
         return f"{' and '.join(map(effect_in_words, pair.effects))} cannot be told apart ({odds_of(pair)})"
@@ -143,9 +143,9 @@ def how_sure(d: Diagnosis) -> str:
     others = [a for a in first.alternatives if a.odds is not None]
     strongest = max(others, key=lambda a: a.odds or 0.0, default=None)
     if strongest is None:
-        return f"{p_value(first.p_value)} for {located(first)}; nothing else comes near it"
+        return f"{p_value(first.p_value)} for {located(first)}; no other explanation comes near it"
     other = f"{effect_in_words(strongest.name)} at {', '.join(strongest.where)}"
-    return f"in place of {located(first)} the next explanation is {other} ({likelihood(strongest)})"
+    return f"the next explanation in place of {located(first)} is {other} ({likelihood(strongest)})"
 
 
 def what_next(d: Diagnosis, calibrated: bool = False) -> str:
@@ -153,9 +153,9 @@ def what_next(d: Diagnosis, calibrated: bool = False) -> str:
     if d.advice:
         return d.advice[0].reason
     if d.not_separable:
-        return "measure more, at postures that the recording does not have: these do not decide between what is left"
+        return "measure more, at postures that the recording does not have: these poses do not decide between the remaining explanations"
     if d.model:
-        taken = "try the calibration with what was found on another recording (mbcacq verify), or put it to use"
+        taken = "verify the calibration with what was found on another recording (mbcacq verify), or use it"
         return taken if calibrated else "calibrate with what was found (--calibrate), and try it on another recording (--check)"
     return what_could_hide(d.exclusion_limits)
 
@@ -166,9 +166,9 @@ def what_could_hide(limits: Sequence[ExclusionLimit]) -> str:
     if most is None:
         return "measure other postures"
     if most.workspace_mm is None:
-        return f"nothing; the largest that could hide is {limited(most)}"
+        return f"nothing more; the largest effect that could hide is {limited(most)}"
     size = f"{significant(most.workspace_mm, 2)} mm"
-    return f"nothing; or, where {size} matter, postures that show {limited(most)}, the largest that could hide"
+    return f"nothing more; if {size} matter, measure postures that show {limited(most)}, the largest effect that could hide"
 
 
 def noise_floor(d: Diagnosis) -> NoiseFloor:
@@ -207,9 +207,9 @@ def difference(b: BetweenRecordings) -> str:
     said = f"{words} in the recordings: {each}; common {measured(factor * b.common, K * factor * b.common_std, unit)} (± is U, k = 2)"
     if not b.differs:
         return f"{said}, no difference between them ({p_value(b.p_value)})"
-    causes = "another tool or another stated mass, the temperature, wear"
+    causes = "another tool, another stated mass, the temperature, wear"
     between = f"standard deviation between recordings {uncertainty(factor * b.between_std)} {unit}".rstrip()
-    return f"{said}, {between} ({p_value(b.p_value)}): {causes} could be behind it"
+    return f"{said}, {between} ({p_value(b.p_value)}); possible causes: {causes}"
 
 
 def proposal_lines(proposals: Sequence[Proposal]) -> list[str]:
@@ -236,7 +236,7 @@ def limit_lines(limits: Sequence[ExclusionLimit]) -> list[str]:
             parameters.setdefault(limited(one), {})[split_unit(one.parameter.rpartition(".")[2])[0]] = None
         listed_ones = [f"{what} ({', '.join(each)})" for what, each in parameters.items()]
         more = f" and {len(listed_ones) - MOST_LIMITS} more" if len(listed_ones) > MOST_LIMITS else ""
-        within = f"only what is over {DIAGNOSIS.largest_usual:.0f} times the usual size would show"
+        within = f"only an effect of more than {DIAGNOSIS.largest_usual:.0f} times the usual size would show"
         out.append(f"Not tested by these poses ({within}): {'; '.join(listed_ones[:MOST_LIMITS])}{more}")
     return out
 

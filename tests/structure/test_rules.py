@@ -1,4 +1,4 @@
-"""The house rules that a reader cannot see at a glance."""
+"""Rules of the repository that a reader cannot see at a glance."""
 
 import subprocess
 import sys
@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 HEAVY = ("open3d", "rerun", "scipy", "plotly", "pyarrow", "numpy", "pydantic")
 
 
-def test_nobody_imports_what_he_may_not():
+def test_import_contracts_are_kept():
     done = subprocess.run([Path(sys.executable).parent / "lint-imports"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
 
