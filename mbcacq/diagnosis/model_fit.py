@@ -23,8 +23,8 @@ from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects import unmodelled
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import NoisePrior, pack
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import NoisePrior, pack
 
 __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "fit_part", "prepare"]
 

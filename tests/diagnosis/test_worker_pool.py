@@ -18,7 +18,7 @@ from mbcacq.diagnosis.output.next_measurements import elsewhere
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.errors import CalibrationError
-from mbcacq.estimation.noise import pack
+from mbcacq.estimation.variance_components import pack
 
 
 @pytest.fixture(scope="module")
