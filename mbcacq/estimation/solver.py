@@ -141,6 +141,11 @@ def settle_noise(solution: Solution, noise_gain: float = NOISE_GAIN) -> Solution
     return solution
 
 
+def refitted(at: Solution, noise: Noise) -> Solution:
+    """The fit under another noise."""
+    return solve(at, noise, tolerance=COARSE, within_linear=True)
+
+
 def most_probable_noise(
     refit: Callable[[Solution, Noise], Solution], solution: Solution, rounds: int = NOISE_ROUNDS, enough: float = NOISE_GAIN
 ) -> Solution:
@@ -174,8 +179,3 @@ def made_exact(solution: Solution) -> Solution:
         exact = robust_solve(exact, COARSE)
         exact = settle_noise(exact)
     return solve(exact, tolerance=FINE)
-
-
-def refitted(at: Solution, noise: Noise) -> Solution:
-    """The fit under another noise."""
-    return solve(at, noise, tolerance=COARSE, within_linear=True)
