@@ -26,8 +26,8 @@ from mbcacq.diagnosis.problem import DiagnosisProblem, prepare
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS, EffectSet, Member
 from mbcacq.diagnosis.search.projected_solve import prior_weight
-from mbcacq.estimation.noise import NoisePrior
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.json_text import plain
 from mbcacq.model.observations import Observations
 

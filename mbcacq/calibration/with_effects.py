@@ -26,8 +26,8 @@ from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
+from mbcacq.estimation.solver import most_probable_noise
 from mbcacq.estimation.terms import Term
-from mbcacq.estimation.variance_components import most_probable_noise
 from mbcacq.geometry.chain import PARAMETERS
 from mbcacq.model.observations import Observations
 

@@ -21,8 +21,8 @@ from mbcacq.effects.catalogue import declaration
 from mbcacq.effects.declaration import EffectCoupling, Where
 from mbcacq.effects.effect import MOMENT, Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import pack
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import pack
 from mbcacq.model.observations import Observations
 
 FOLDS = 4

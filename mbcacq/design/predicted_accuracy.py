@@ -91,10 +91,10 @@ def predicted_calibration(
     obs = select_phases(observations, options)
     state = planned_state(loaded)
     layout, estimate = blocks.build(obs, options).resized(blocks.ORDINARY_LINKS), Estimate(state)
-    lineariser = Lineariser(obs, layout, options)
+    lineariser = Lineariser(obs, layout, replace(options, refuse=False))
     weights = lineariser.everything
     first = system(lineariser, estimate, noise, weights)
-    layout, found = identifiability.hold_undetermined(layout, first.normal.information, obs, state)
+    layout, found = identifiability.hold_undetermined(first)
     if options.kinematics and options.random_links:
         layout = blocks.with_common_sizes(layout, blocks.usual_sizes(obs.cell))
     solution = system(lineariser.with_layout(layout), estimate, noise, weights)

@@ -22,8 +22,8 @@ from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.effects import unmodelled
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import NoisePrior, pack
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import NoisePrior, pack
 
 __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "fit_part", "prepare"]
 

@@ -22,11 +22,11 @@ from mbcacq.effects.functions import of, times
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
 from mbcacq.estimation.identifiability import Undetermined
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import NoisePrior
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.several_recordings import adjust_together
 from mbcacq.estimation.terms import Part
+from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.model.observations import Observations
 
 EACH_RECORDING = "each recording"  # variant of an effect with a coefficient of its own in every recording
@@ -66,7 +66,8 @@ class DiagnosisProblem:
 
     def with_observations(self, obs: Observations, options: CalibrationOptions) -> DiagnosisProblem:
         """The same poses under another noise, adjusted anew; what is stated of geometry alone stays."""
-        anew = prepared(obs, replace(options, refuse=False))[0]
+        options = replace(options, refuse=False)
+        anew = problem_of(obs, options, adjust_recording(obs, options))
         return replace(anew, geometry_alone=self.geometry_alone, budget=self.budget)
 
     def with_linearization(self, linear: LinearProblem) -> DiagnosisProblem:
@@ -83,20 +84,15 @@ def prepare(recordings: Observations | Sequence[Observations], options: Calibrat
     """
     options = replace(options or CalibrationOptions(), refuse=False)
     if isinstance(recordings, Observations):
-        problem, adjusted = prepared(select_phases(recordings, options), options)
-        calibrated = (adjusted_cell(options, adjusted),)
-        return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
-    together = adjust_together(recordings, options)
-    whole = adjusted_cell(options, together.adjusted)
-    calibrated = shares(whole, together.parts, options)
-    problem = problem_of(together.observations, options, together.adjusted)
+        obs, parts = select_phases(recordings, options), ()
+        adjusted = adjust_recording(obs, options)
+    else:
+        together = adjust_together(recordings, options)
+        obs, adjusted, parts = together.observations, together.adjusted, together.parts
+    whole = adjusted_cell(options, adjusted)
+    calibrated = shares(whole, parts, options) if parts else (whole,)
+    problem = problem_of(obs, options, adjusted)
     return replace(problem, geometry_alone=tuple(GeometryAlone.of(one) for one in calibrated))
-
-
-def prepared(obs: Observations, options: CalibrationOptions) -> tuple[DiagnosisProblem, Adjustment]:
-    """One recording, adjusted, and its adjustment."""
-    adjusted = adjust_recording(obs, options)
-    return problem_of(obs, options, adjusted), adjusted
 
 
 def problem_of(obs: Observations, options: CalibrationOptions, adjusted: Adjustment) -> DiagnosisProblem:

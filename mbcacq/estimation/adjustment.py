@@ -11,21 +11,16 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.errors import ContradictionError
-from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.identifiability import Undetermined, hold_undetermined, refuse_undetermined
+from mbcacq.estimation.identifiability import Undetermined, determined, still_determined
 from mbcacq.estimation.initial_guess import start, with_all_stations
-from mbcacq.estimation.linearization import Lineariser, Solution, system
+from mbcacq.estimation.linearization import Lineariser, Solution
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
-from mbcacq.estimation.solver import COARSE, robust_solve, solve
-from mbcacq.estimation.variance_components import NOISE_GAIN, made_exact, settle_variances
+from mbcacq.estimation.solver import COARSE, made_exact, robust_solve, settle_variances, solve
 from mbcacq.model.observations import Observations
 
-# Gain of the log posterior below which the noise is settled, where it is settled once more, with random links: within two standard
-# deviations, of which the last step leaves little.
-ROUGH_NOISE_GAIN = 2.0
 COARSE_ROTATION = 5e-3  # rad over which the columns of the hand-eye alone are kept: its residuals are kinematic errors of that order
 CONTRADICTION_MM = 25.0  # median misfit of the nominal arm beyond which the data cannot be of this cell
 WORSE_ARM = 3.0  # times the errors of a new arm: one that was never calibrated, or was repaired
@@ -42,8 +37,7 @@ def adjust_recording(obs: Observations, options: CalibrationOptions, links_follo
     """
     first = None
     if obs.n_poses > 2 * THIN and not (options.terms or options.displaced):
-        some = thin(obs, THIN)
-        first = adjust(some, options)
+        first = adjust_recording(thin(obs, THIN), options)
     return adjust(obs, options, first, links_follow)
 
 
@@ -89,49 +83,15 @@ def adjust(obs: Observations, options: CalibrationOptions, first: Adjustment | N
     noise = None if first is None or any(t.sized for t in options.terms) else first.noise
     begin = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
     at, found = determined(obs, options, begin, noise)
-    noise_gain = _noise_gain(at.lineariser, links_follow)
-    solution = robust_solve(at, COARSE)
-    solution = settle_variances(solution, noise_gain=noise_gain)
+    solution = settle_variances(robust_solve(at, COARSE), links_follow=links_follow)
     # Noise larger than expected may leave more undetermined than the first look showed.
-    lineariser, more = with_undetermined_held(solution)
+    at, more = still_determined(solution)
     if more:
-        # Held kinematic parameters return to their nominal values.
-        state, nominal = solution.estimate.state, obs.cell.robot.chain
-        free = lineariser.layout.blocks[0].free.reshape(nominal.n, -1)
-        chain = nominal.with_errors(np.where(free, state.chain.rows - nominal.rows, 0.0))
-        begin = replace(solution.estimate, state=replace(state, chain=chain))
-        noise_gain = _noise_gain(lineariser, links_follow)
-        at = system(lineariser, begin, solution.noise, solution.weights)
-        solution = solve(at, tolerance=COARSE)
-        solution = settle_variances(solution, noise_gain=noise_gain)
-    solution = made_exact(solution) if noise_gain == NOISE_GAIN else solution
+        solution = settle_variances(solve(at, tolerance=COARSE), links_follow=links_follow)
+    if not (links_follow and solution.lineariser.random_links):
+        solution = made_exact(solution)
     held = [*found, *more]
     return Adjustment(solution=solution, noise=solution.noise, weights=solution.weights, preliminary=preliminary, found=held)
-
-
-def determined(obs: Observations, options: CalibrationOptions, start: Estimate, noise: Noise | None) -> tuple[Solution, list[Undetermined]]:
-    """The system at a start, with what the data leave undetermined held; under the stated noise if none is given.
-
-    Raises CalibrationError where that would matter elsewhere in the workspace, unless ``options.refuse`` is off.
-    """
-    layout = parameters.build(obs, options)
-    lineariser = Lineariser(obs, layout, options)
-    at = system(lineariser, start, lineariser.first_noise if noise is None else noise, lineariser.everything)
-    lineariser, found = with_undetermined_held(at)
-    return (system(lineariser, start, at.noise, at.weights) if found else at), found
-
-
-def with_undetermined_held(at: Solution) -> tuple[Lineariser, list[Undetermined]]:
-    """The lineariser with what the data leave undetermined held; raises as ``determined``."""
-    lineariser = at.lineariser
-    layout, found = hold_undetermined(lineariser.layout, at.normal.information, lineariser.obs, at.estimate.state)
-    refuse_undetermined(found, lineariser.obs, lineariser.options)
-    return (lineariser.with_layout(layout) if found else lineariser), found
-
-
-def _noise_gain(lineariser: Lineariser, links_follow: bool) -> float:
-    rough = links_follow and lineariser.options.random_links and lineariser.layout.link_kinds
-    return ROUGH_NOISE_GAIN if rough else NOISE_GAIN
 
 
 def thin(obs: Observations, size: int) -> Observations:

@@ -100,18 +100,18 @@ class Prediction:
         return self.gradient @ np.swapaxes(twists, -1, -2)[self.pose]
 
 
-def hand_eye_of_poses(observations: Observations, state: CellState) -> np.ndarray:
+def hand_eye_of_poses(obs: Observations, state: CellState) -> np.ndarray:
     """T_flange_scanner (4, 4), or that of each pose (P, 4, 4) where there are several recordings."""
     T = state.T_flange_scanner
-    return T if T.ndim == 2 else T[observations.recording]
+    return T if T.ndim == 2 else T[obs.recording]
 
 
-def predict(observations: Observations, state: CellState, displacements: Displacements | None = None) -> Prediction:
+def predict(obs: Observations, state: CellState, displacements: Displacements | None = None) -> Prediction:
     """Evaluate the forward model at every measured centre."""
-    obs, moved = observations, displacements or Displacements()
-    q = obs.q if moved.joint is None else obs.q + moved.joint
-    frames = state.chain.frames(q, moved.frame)
-    T_base_scanner = frames[:, -1] @ hand_eye_of_poses(obs, state)
+    moved = displacements or Displacements()
+    T_flange_scanner = hand_eye_of_poses(obs, state)
+    frames = state.chain.frames(obs.q if moved.joint is None else obs.q + moved.joint, moved.frame)
+    T_base_scanner = frames[:, -1] @ T_flange_scanner
     T_base_station = state.T_base_station[obs.station]
     if moved.station is not None:
         T_base_station = T_base_station @ se3.exp(moved.station)
@@ -139,10 +139,10 @@ def predict(observations: Observations, state: CellState, displacements: Displac
     )
 
 
-def residual(observations: Observations, prediction: Prediction) -> np.ndarray:
+def residual(obs: Observations, prediction: Prediction) -> np.ndarray:
     """Measured minus predicted: (M, 3) mm, or (M, 6) with the rotation vector (rad) where an orientation is measured."""
-    difference = observations.xyz - prediction.xyz
+    difference = obs.xyz - prediction.xyz
     if prediction.rotation is None:
         return difference
-    turn = observations.rotation @ np.swapaxes(prediction.rotation, -1, -2)
+    turn = obs.rotation @ np.swapaxes(prediction.rotation, -1, -2)
     return np.concatenate([difference, se3.rotation_log(turn)], axis=1)

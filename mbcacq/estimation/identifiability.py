@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import computed_field
 
 from mbcacq.errors import CalibrationError
+from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.options import CalibrationOptions
-from mbcacq.estimation.parameters import ParameterLayout
+from mbcacq.estimation.linearization import Lineariser, Solution, system
+from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.parameters import UNDETERMINED, Estimate, ParameterLayout
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
 
-LIMIT = 1.5  # standard deviation of a direction, in plausible sizes of the parameters, beyond which it counts as undetermined
 VISIBLE_MM = 0.05  # effect of a plausible change somewhere in the workspace below which leaving it out does no harm
 PROBES = 300
 
@@ -42,28 +43,54 @@ class Undetermined:
         return f"{alone}; without effect on what is measured" if self.harmless else alone
 
 
-def hold_undetermined(
-    layout: ParameterLayout, information: np.ndarray, obs: Observations, state: CellState
-) -> tuple[ParameterLayout, list[Undetermined]]:
-    """Hold one parameter after another until the reduced information (g, g) determines the rest."""
+def determined(obs: Observations, options: CalibrationOptions, start: Estimate, noise: Noise | None) -> tuple[Solution, list[Undetermined]]:
+    """The system at a start, with what the data leave undetermined held; under the stated noise if none is given.
+
+    Raises CalibrationError where that would matter elsewhere in the workspace, unless ``options.refuse`` is off.
+    """
+    layout = parameters.build(obs, options)
+    lineariser = Lineariser(obs, layout, options)
+    at = system(lineariser, start, lineariser.first_noise if noise is None else noise, lineariser.everything)
+    layout, found = hold_undetermined(at)
+    return (system(lineariser.with_layout(layout), start, at.noise, at.weights) if found else at), found
+
+
+def still_determined(at: Solution) -> tuple[Solution, list[Undetermined]]:
+    """The system at a fit, with what the data leave undetermined under its noise held; the fit itself where that is nothing.
+
+    Held kinematic parameters return to their nominal values. Raises as ``determined``.
+    """
+    layout, found = hold_undetermined(at)
+    if not found:
+        return at, found
+    lineariser, state = at.lineariser.with_layout(layout), at.estimate.state
+    nominal = lineariser.obs.cell.robot.chain
+    free = layout.blocks[0].free.reshape(nominal.n, -1)
+    chain = nominal.with_errors(np.where(free, state.chain.rows - nominal.rows, 0.0))
+    return system(lineariser, replace(at.estimate, state=replace(state, chain=chain)), at.noise, at.weights), found
+
+
+def hold_undetermined(at: Solution) -> tuple[ParameterLayout, list[Undetermined]]:
+    """Hold one parameter after another until the reduced information determines the rest; raises as ``determined``."""
     found: list[Undetermined] = []
+    layout = at.lineariser.layout
+    if at.determined:
+        return layout, found
     scale, names = layout.scale, np.array(layout.names)
     arm = np.flatnonzero(~np.isfinite(layout.sigma))
-    H = scale[:, None] * information * scale
+    H = scale[:, None] * at.normal.information * scale
     reference = None
     kept = np.arange(len(names))
-    if determines(layout, information):
-        return layout, found
     while len(kept):
         value, vector = np.linalg.eigh(H[np.ix_(kept, kept)])
-        if value[0] > 1 / LIMIT**2:
+        if value[0] > 1 / UNDETERMINED**2:
             break
         v = np.abs(vector[:, 0]) * np.isin(kept, arm)
         if not v.any():
             break
         worst = int(np.argmax(v))
         if reference is None:
-            reference = scale[:, None] * workspace_information(obs, state, layout) * scale
+            reference = scale[:, None] * workspace_information(at.lineariser.obs, at.estimate.state, layout) * scale
         full = np.zeros(len(names))
         full[kept] = vector[:, 0]
         effect = float(np.sqrt(max(full @ reference @ full, 0.0)))
@@ -71,17 +98,8 @@ def hold_undetermined(
         found.append(Undetermined(str(names[kept[worst]]), tuple(others), effect))
         layout = layout.hold(found[-1].name, found[-1].reason)
         kept = np.delete(kept, worst)
+    refuse_undetermined(found, at.lineariser.obs, at.lineariser.options)
     return layout, found
-
-
-def determines(layout: ParameterLayout, information: np.ndarray) -> bool:
-    """Whether the reduced information (g, g) determines every direction; as its smallest eigenvalue says, but cheaper."""
-    scale = layout.scale
-    try:
-        np.linalg.cholesky(scale[:, None] * information * scale - np.eye(len(scale)) / LIMIT**2)
-    except np.linalg.LinAlgError:
-        return False
-    return True
 
 
 def refuse_undetermined(found: Sequence[Undetermined], obs: Observations, options: CalibrationOptions) -> None:

@@ -6,6 +6,7 @@ entries of the transform once each point's own place is eliminated by subtractin
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,17 +44,29 @@ def start(obs: Observations) -> CellState:
     """Nominal arm, with the better of the given hand-eye and the one found from the data; robust to gross outliers."""
     chain = obs.cell.robot.chain
     T_base_flange = chain.flange(obs.q)
-    best = place_stations(obs, T_base_flange, obs.cell.T_flange_scanner)
-    if best.misfit > NEAR_MM:
-        found = tracker_start(obs, T_base_flange) if obs.cell.measurement == TARGET_IN_BASE else scanner_start(obs, T_base_flange)
-        best = best if found is None or found.misfit >= best.misfit else found
+    best = None
+    for X, T_base_station in hand_eye_candidates(obs, T_base_flange):
+        placed = place_stations(obs, T_base_flange, X, T_base_station)
+        if best is None or placed.misfit < best.misfit:
+            best = placed
+        if best.misfit <= NEAR_MM:
+            break
+    assert best is not None, "one is given"
     return CellState(chain, best.X, best.T_base_station, obs.cell.ball_centres.copy())
 
 
-def scanner_start(obs: Observations, T_base_flange: np.ndarray) -> Placement | None:
-    """Scanner on the flange, and all stations; None where the poses do not determine it."""
-    X = hand_eye_from_fixed_points(obs, T_base_flange, obs.cell.T_flange_scanner)
-    return None if X is None else place_stations(obs, T_base_flange, X)
+def hand_eye_candidates(obs: Observations, T_base_flange: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
+    """The given hand-eye transform, then the one found from the data where the poses determine it; each with its stations if it comes with
+    them."""
+    yield obs.cell.T_flange_scanner, None
+    if obs.cell.measurement == TARGET_IN_BASE:
+        found = target_and_stations(obs, T_base_flange)
+        if found is not None:
+            yield found
+    else:
+        X = hand_eye_from_fixed_points(obs, T_base_flange, obs.cell.T_flange_scanner)
+        if X is not None:
+            yield X, None
 
 
 def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
@@ -82,8 +95,9 @@ def hand_eye_from_fixed_points(obs: Observations, T_base_flange: np.ndarray, gue
     return None if translation is None else se3.transform(rotation, translation)
 
 
-def tracker_start(obs: Observations, T_base_flange: np.ndarray) -> Placement | None:
-    """Target on the flange, and instrument in the base, one station after another; None where the poses do not determine it."""
+def target_and_stations(obs: Observations, T_base_flange: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Target on the flange (4, 4), and instrument in the base (S, 4, 4), one station after another; None where the poses do not determine
+    them."""
     stations = np.tile(np.eye(4), (len(obs.cell.stations), 1, 1))
     targets = []
     for s in np.unique(obs.station):
@@ -110,7 +124,7 @@ def tracker_start(obs: Observations, T_base_flange: np.ndarray) -> Placement | N
         elif np.linalg.matrix_rank(centres - centres.mean(axis=0), tol=1.0) > 1:
             R_target = se3.fit_rigid_transforms(centres, places, np.zeros(len(balls), int), 1)[0, :3, :3]
         targets.append(se3.transform(R_target, (places - centres @ R_target.T).mean(axis=0)))
-    return place_stations(obs, T_base_flange, targets[0], stations)
+    return targets[0], stations
 
 
 def place_stations(obs: Observations, T_base_flange: np.ndarray, X: np.ndarray, T_base_station: np.ndarray | None = None) -> Placement:

@@ -10,16 +10,16 @@ from functools import cached_property
 import numpy as np
 
 from mbcacq.estimation import forward_model, terms
-from mbcacq.estimation.identifiability import determines
-from mbcacq.estimation.noise import NoisePrior, first_noise, noise_prior, stated_weights
+from mbcacq.estimation.noise import first_noise, noise_prior, stated_weights
 from mbcacq.estimation.normal_equations import Normal, PoseSystem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.own_columns import OwnColumns
-from mbcacq.estimation.parameters import Estimate, ParameterLayout
+from mbcacq.estimation.parameters import UNDETERMINED, Estimate, ParameterLayout
 from mbcacq.estimation.pose_columns import WIDE, PoseColumns, WideColumns
 from mbcacq.estimation.pose_information import PoseInformation
 from mbcacq.estimation.prior import Prior, prior_rows
+from mbcacq.estimation.variance_components import NoisePrior
 from mbcacq.estimation.whitening import PoseRows, Whitening
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
@@ -66,14 +66,19 @@ class Lineariser:
     parameters; asked: as it was at first, before the data left any of them undetermined.
     """
 
-    def __init__(self, observations: Observations, layout: ParameterLayout, options: CalibrationOptions):
-        self.obs, self.options = observations, options
-        self.rows = PoseRows(observations, 3 if observations.rotation is None else 6)
-        self.first_noise = first_noise(observations.cell)
-        self.own_weight = stated_weights(observations, self.first_noise)
-        self.everything = Weights(np.ones(observations.n_centres), np.ones(observations.n_poses))
+    def __init__(self, obs: Observations, layout: ParameterLayout, options: CalibrationOptions):
+        self.obs, self.options = obs, options
+        self.rows = PoseRows(obs, 3 if obs.rotation is None else 6)
+        self.first_noise = first_noise(obs.cell)
+        self.own_weight = stated_weights(obs, self.first_noise)
+        self.everything = Weights(np.ones(obs.n_centres), np.ones(obs.n_poses))
         self.asked = layout
         self._set(layout)
+
+    @property
+    def random_links(self) -> tuple[str, ...]:
+        """Kinds of link errors that may have a size in common; none where the options have the links free."""
+        return self.layout.link_kinds if self.options.random_links else ()
 
     @cached_property
     def noise_prior(self) -> NoisePrior:
@@ -257,8 +262,13 @@ class Solution:
 
     @property
     def determined(self) -> bool:
-        """Whether the data determine every free parameter."""
-        return determines(self.lineariser.layout, self.normal.information)
+        """Whether the data determine every free parameter; as the smallest eigenvalue says, but cheaper."""
+        scale = self.lineariser.layout.scale
+        try:
+            np.linalg.cholesky(scale[:, None] * self.normal.information * scale - np.eye(len(scale)) / UNDETERMINED**2)
+        except np.linalg.LinAlgError:
+            return False
+        return True
 
     @cached_property
     def estimate(self) -> Estimate:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import LEAST_POINT, NoisePrior, pack
 from mbcacq.model.cell import Cell
 from mbcacq.model.joint_resolution import rounding_noise
 from mbcacq.model.observations import Observations
@@ -18,21 +17,6 @@ AXIS = 0.25  # deviation of an axis of the instrument from the level that all ax
 COMMON = 1.0  # the level that all joints of an arm share
 JOINT = 0.15  # deviation of a joint from that level
 EXACT = 1e-3  # a figure that is taken as it is
-# No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
-LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
-
-
-@dataclass(frozen=True)
-class NoisePrior:
-    """Normal prior of the logarithms of (point (3), joint (n), turn (1)): centre (K,), precision (K, K)."""
-
-    centre: np.ndarray
-    precision: np.ndarray
-
-    def log_density(self, noise: Noise) -> float:
-        """Log density of a noise, up to a constant."""
-        off = pack(noise) - self.centre
-        return -0.5 * float(off @ self.precision @ off)
 
 
 def first_noise(cell: Cell) -> Noise:
@@ -60,20 +44,6 @@ def noise_prior(cell: Cell, option: str = "auto") -> NoisePrior:
     precision[3:-1, 3:-1] = np.linalg.inv(single**2 * np.eye(n) + common**2 * alike)
     precision[-1, -1] = 1 / (STATED if cell.noise_rad and option != "estimate" else GUESSED) ** 2
     return NoisePrior(pack(noise), precision)
-
-
-def pack(noise: Noise) -> np.ndarray:
-    return np.log(np.concatenate([noise.point, noise.joint, [noise.turn]]))
-
-
-def unpack(theta: np.ndarray) -> Noise:
-    value = np.exp(theta)
-    return Noise(value[:3], value[3:-1], float(value[-1]))
-
-
-def between(noise: Noise, other: Noise) -> Noise:
-    """The noise halfway between two, of the logarithms."""
-    return unpack((pack(noise) + pack(other)) / 2)
 
 
 def stated_weights(obs: Observations, noise: Noise) -> np.ndarray | None:

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbcacq.estimation.options import Noise
-from mbcacq.estimation.pose_information import PoseInformation
+from mbcacq.estimation.pose_information import OutlierDistances
 
 # Median and 1e-7 tail of chi square for 3..7 degrees of freedom are interpolated by Wilson and Hilferty's cube root.
 TAIL = 5.2
@@ -28,31 +27,6 @@ class Weights:
 
     centre: np.ndarray
     pose: np.ndarray
-
-
-@dataclass(frozen=True)
-class OutlierDistances:
-    """Squared distances in sigma. centre: (M,) of each centre from where its pose, joints shifted to fit, expects it; pose: (P,) of each
-    pose from the model."""
-
-    centre: np.ndarray
-    pose: np.ndarray
-    centre_dof: int
-    pose_dof: np.ndarray
-
-
-def outlier_distances(poses: PoseInformation, noise: Noise, weights: Weights) -> OutlierDistances:
-    """poses: with this noise and these weights of the centres. Every centre and pose is judged, rejected or not."""
-    rows = poses.rows
-    # The twist of each pose that its joints' noise explains best moves its rows by so much.
-    explained = poses.by_pose(lambda of: (of.columns.basis @ (of.joints @ of.residual_joint[..., None]))[..., 0])
-    remaining = np.sum((rows.unpad(poses.columns.residual - explained) / rows.row_sigma(noise)) ** 2, axis=1)
-    pose = rows.pose_of_centre
-    # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.
-    used = np.bincount(pose, remaining * weights.centre, minlength=rows.n_poses)
-    by_pose = used + rows.per_pose(poses.by_pose(lambda of: np.einsum("pj,pj->p", of.residual_joint, of.residual_joint)))
-    dof = rows.width * np.bincount(pose, weights.centre, minlength=rows.n_poses)
-    return OutlierDistances(remaining, by_pose, rows.width, dof)
 
 
 def reject_outliers(d: OutlierDistances, weights: Weights, pose: np.ndarray) -> Weights:

@@ -25,6 +25,7 @@ HAND_EYE = ("x", "y", "z", "rx", "ry", "rz")
 # Size that an error of each kind may plausibly have; scales the parameters for the rank check and says what "undetermined" means.
 PLAUSIBLE = {"theta": 0.02, "d": 3.0, "a": 3.0, "alpha": 0.01, "beta": 0.01}
 PLAUSIBLE_HAND_EYE = np.array([30.0, 30.0, 30.0, 0.2, 0.2, 0.2])
+UNDETERMINED = 1.5  # standard deviation of a direction, in such sizes, beyond which it counts as undetermined
 # Groups of random effects whose common size is estimated: the links' errors of an arm that is not to be identified.
 LENGTHS, ANGLES = "link lengths", "link angles"
 LINK_GROUP = {"theta": ANGLES, "d": LENGTHS, "a": LENGTHS, "alpha": ANGLES, "beta": ANGLES}
@@ -140,14 +141,14 @@ class ParameterLayout:
         return {name: b.why[name] for b in self.blocks for name, free in zip(b.names, b.free, strict=True) if not free and name in b.why}
 
 
-def build(observations: Observations, options: CalibrationOptions) -> ParameterLayout:
+def build(obs: Observations, options: CalibrationOptions) -> ParameterLayout:
     """The layout for a recording: which parameters are free, with gauge and redundancy removed by what is known of every arm.
 
     theta_1 and d_1 move base and stations together; the last link moves the hand-eye transform; where axis i and i+1 are
     parallel, d_i acts like d_(i+1) and beta_i is needed; elsewhere beta_i acts like the neighbours' parameters.
     """
-    cell = observations.cell
-    blocks = [_chain(cell, options), _hand_eye(observations), _balls(observations, options)]
+    cell = obs.cell
+    blocks = [_chain(cell, options), _hand_eye(obs), _balls(obs, options)]
     layout = ParameterLayout((*blocks, *(term_block(t) for t in options.terms)))
     for name in options.hold:
         layout = layout.hold(name, "held on request")

@@ -177,7 +177,7 @@ class PoseBlock:
         bs = self.place.runs.products(columns.station, rest)[..., 0]
         return b, bs, self._squares(self.white_residual, self.residual_joint)
 
-    @property
+    @cached_property
     def joint_log_det(self) -> float:
         """Log determinant of I + J'J, summed over the poses."""
         return float(-np.linalg.slogdet(self.K)[1] @ self.share)

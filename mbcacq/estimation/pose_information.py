@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,16 +14,27 @@ from mbcacq.estimation.pose_columns import PoseColumns
 from mbcacq.estimation.whitening import PoseRows
 
 
+@dataclass(frozen=True)
+class OutlierDistances:
+    """Squared distances in sigma. centre: (M,) of each centre from where its pose, joints shifted to fit, expects it; pose: (P,) of each
+    pose from the model."""
+
+    centre: np.ndarray
+    pose: np.ndarray
+    centre_dof: int
+    pose_dof: np.ndarray
+
+
 class WeightedRows:
     """The rows of every pose under weights of the centres and poses, before any noise: what stays when the noise changes.
 
-    counted: weight of all rows of an axis.
+    weight: (M,) of the centres; counted: that of all rows of an axis.
     """
 
     def __init__(self, rows: PoseRows, columns: PoseColumns, weight: np.ndarray, pose_weight: np.ndarray):
         """weight: (M,) of the centres, pose_weight: (P,) of the poses, in the order of the observations; 1 full, 0 rejected."""
         P, R, B = rows.n_poses, rows.width, rows.depth
-        self.rows, share = rows, pose_weight[rows.order]
+        self.rows, self.weight, share = rows, weight, pose_weight[rows.order]
         scale = rows.pad(np.sqrt(weight)[:, None] / rows.sigma_scale)
         scale = np.ascontiguousarray(scale.reshape(P, B, R).transpose(0, 2, 1))
         self.counted = float(np.sum(weight * pose_weight[rows.pose_of_centre]))
@@ -33,7 +45,7 @@ class PoseInformation:
     """The columns of every pose under a noise and weights. precision: (R,) of each axis of the rows."""
 
     def __init__(self, weighted: WeightedRows, columns: PoseColumns, noise: Noise):
-        self.weighted, self.columns, self.rows = weighted, columns, weighted.rows
+        self.weighted, self.columns, self.rows, self.noise = weighted, columns, weighted.rows, noise
         self.precision = 1.0 / noise.row_sigma(self.rows.width) ** 2
         sigma = np.broadcast_to(self.rows.joint_sigma(noise), (self.rows.n_poses, 1, columns.joints.shape[2]))
         self.blocks = [PoseBlock(block, columns.of_poses(block.place.poses), noise, sigma[block.place.poses]) for block in weighted.blocks]
@@ -92,6 +104,17 @@ class PoseInformation:
             bs[block.place.stations] += of_stations
             chi2 += squares
         return b, bs, chi2
+
+    def outlier_distances(self) -> OutlierDistances:
+        """Distance of every centre and pose, rejected or not."""
+        rows, weight, pose = self.rows, self.weighted.weight, self.rows.pose_of_centre
+        # The twist of each pose that its joints' noise explains best moves its rows by so much.
+        explained = self.by_pose(lambda of: (of.columns.basis @ (of.joints @ of.residual_joint[..., None]))[..., 0])
+        remaining = np.sum((rows.unpad(self.columns.residual - explained) / rows.row_sigma(self.noise)) ** 2, axis=1)
+        # r' inv(I + J J') r = |r - J u|^2 + |u|^2 over the centres in use.
+        used = np.bincount(pose, remaining * weight, minlength=rows.n_poses)
+        by_pose = used + rows.per_pose(self.by_pose(lambda of: np.einsum("pj,pj->p", of.residual_joint, of.residual_joint)))
+        return OutlierDistances(remaining, by_pose, rows.width, rows.width * np.bincount(pose, weight, minlength=rows.n_poses))
 
     def by_pose(self, of_block: Callable[[PoseBlock], np.ndarray]) -> np.ndarray:
         """(P, ...) in the order of ``PoseRows``, of the (P, ...) of each block."""

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.parameters import with_common_sizes
-from mbcacq.estimation.variance_components import made_exact, settle_variances
+from mbcacq.estimation.solver import made_exact, settle_variances
 
 
 def with_random_links(fitted: Adjustment) -> Adjustment:
@@ -29,7 +29,7 @@ def with_random_links(fitted: Adjustment) -> Adjustment:
         The same where the links are to be free, have a prior of their own, or too few of them are free.
     """
     layout = fitted.lineariser.layout
-    if not (fitted.lineariser.options.random_links and layout.link_kinds):
+    if not fitted.lineariser.random_links:
         return fitted
     solution = settle_variances(fitted.solution.with_priors(with_common_sizes(layout)), sizes_first=True)
     solution = made_exact(solution)

@@ -1,20 +1,33 @@
-"""Gauss-Newton with Levenberg-Marquardt damping, on the manifold of the cell's transforms, with station poses eliminated; under a fixed
-noise, and outliers rejected by turns with it."""
+"""The fit of a linearised cell: Gauss-Newton with Levenberg-Marquardt damping, on the manifold of the cell's transforms, with station
+poses eliminated; and by turns with it the rejection of outliers, the noise, and the sizes of random effects."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from mbcacq.errors import ContradictionError
 from mbcacq.estimation.linearization import LINEAR_ROTATION, Solution, largest_rotation
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.outliers import Weights, outlier_distances, reject_outliers
+from mbcacq.estimation.outliers import Weights, reject_outliers
+from mbcacq.estimation.parameters import usual_sizes
+from mbcacq.estimation.random_effect_sizes import sizes_of_groups
+from mbcacq.estimation.variance_components import between, log_restricted_posterior, reml_step
 
-COARSE = 1e-2  # of chi square: tolerance of a fit that another follows
-OUTLIER_ROUNDS = 8
-REJECTED_SHARE = 0.4
+COARSE, FINE = 1e-2, 1e-7  # of chi square: tolerance of a fit that another follows, and of what is published
 SMALLEST_SHARE = 1e-4
 LINEAR_DECREASE = 10.0  # of chi square, a few standard deviations: over such a step the problem is as good as linear
+OUTLIER_ROUNDS = 8
+REJECTED_SHARE = 0.4
+NOISE_TURNS, NOISE_ROUNDS, HALVINGS = 8, 30, 6  # turns of noise and outliers; steps of the noise in each; halvings of a step
+NOISE_GAIN = 0.01  # of the log posterior: then the noise is within 0.14 of its own standard deviation before the last step
+# Gain of the log posterior below which the noise is settled, where it is settled once more, with random links: within two standard
+# deviations, of which the last step leaves little.
+ROUGH_NOISE_GAIN = 2.0
+# Sizes of random effects, as factors of their sigma at the start, which is large already.
+LEAST_SIZE, LARGEST_SIZE, SIZE_CONVERGED = 1e-4, 4.0, 0.05
+SIZE_TURNS, SIZE_ROUNDS = 12, 60  # turns of noise and sizes; steps of the fixed point in each
 
 
 def robust_solve(start: Solution, tolerance: float, reuse: float = LINEAR_ROTATION) -> Solution:
@@ -26,7 +39,7 @@ def robust_solve(start: Solution, tolerance: float, reuse: float = LINEAR_ROTATI
     solution = solve(start, tolerance=tolerance, within_linear=True, reuse=reuse)
     for _ in range(OUTLIER_ROUNDS if options.robust else 0):
         before = solution.weights
-        distances = outlier_distances(solution.poses, solution.noise, before)
+        distances = solution.poses.outlier_distances()
         weights = reject_outliers(distances, before, lineariser.obs.pose)
         if np.array_equal(weights.centre, before.centre) and np.array_equal(weights.pose, before.pose):
             break
@@ -89,3 +102,80 @@ def solve(
             # Damping holds back the parameters only; the share holds back the stations as well.
             damping, share = max(10 * damping, 1e-2), share / 4
     return now
+
+
+def settle_variances(solution: Solution, *, sizes_first: bool = False, links_follow: bool = False) -> Solution:
+    """Noise, and the sizes of the random effects that have none of their own, by turns until both are settled; the solution's layout has
+    them as priors. Sizes begin large: the noise then holds only what no random effect explains. sizes_first: the noise is settled with
+    the same effects free, which is as large as they can be. links_follow: all of it is settled once more, with random links.
+    """
+    noise_gain = ROUGH_NOISE_GAIN if links_follow and solution.lineariser.random_links else NOISE_GAIN
+    first = solution.lineariser.layout
+    size, cell = dict.fromkeys(first.sized, 1.0), solution.lineariser.obs.cell
+    for turn in range(SIZE_TURNS if size else 1):
+        if turn or not sizes_first:
+            solution = settle_noise(solution, noise_gain)
+        if not size:
+            break
+        before, limits = size, (LEAST_SIZE / min(size.values()), LARGEST_SIZE)
+        groups = solution.lineariser.layout.sized
+        factor = sizes_of_groups(solution.normal, solution.prior, groups, limits, SIZE_ROUNDS, usual_sizes(cell))
+        size = {name: float(np.clip(factor[name] * s, LEAST_SIZE, LARGEST_SIZE)) for name, s in size.items()}
+        layout = first.resized(size)
+        solution = solution.with_priors(layout)
+        solution = solve(solution, tolerance=COARSE, within_linear=True)
+        if max(abs(np.log(size[name] / before[name])) for name in size) < SIZE_CONVERGED:
+            break
+    return solution
+
+
+def settle_noise(solution: Solution, noise_gain: float = NOISE_GAIN) -> Solution:
+    """Estimate the noise by REML and refit, by turns, until its log posterior can rise by less than ``noise_gain``; reject outliers
+    again, and where that changes what takes part, all of it once more."""
+    for _ in range(NOISE_TURNS):
+        before = solution.weights
+        solution = most_probable_noise(refitted, solution, enough=noise_gain)
+        solution = robust_solve(solution, COARSE)
+        if solution.weights is before:
+            break
+    return solution
+
+
+def refitted(at: Solution, noise: Noise) -> Solution:
+    """The fit under another noise."""
+    return solve(at, noise, tolerance=COARSE, within_linear=True)
+
+
+def most_probable_noise(
+    refit: Callable[[Solution, Noise], Solution], solution: Solution, rounds: int = NOISE_ROUNDS, enough: float = NOISE_GAIN
+) -> Solution:
+    """The fit with the noise by REML. refit: the fit under another noise, from the one before. enough: gain of the log posterior, with a
+    step that promises less than which it ends.
+
+    A step that would lower the log posterior is halved: variance components that share one excess would all take it up at once, and give
+    it back in the next step.
+    """
+    prior = solution.lineariser.noise_prior
+    for _ in range(rounds):
+        before = solution
+        proposed, gain = reml_step(before.system, before.noise, prior)
+        reached = log_restricted_posterior(before.system, before.noise, prior)
+        for _ in range(HALVINGS):
+            there = refit(before, proposed)
+            if log_restricted_posterior(there.system, there.noise, prior) > reached - NOISE_GAIN:
+                solution = there
+                break
+            proposed = between(before.noise, proposed)
+        if gain < enough or solution is before:
+            break
+    return solution
+
+
+def made_exact(solution: Solution) -> Solution:
+    """A settled solution solved to the end with residuals at its estimate; settled again where the problem is less linear than its last
+    steps promised."""
+    exact = solution.evaluated()
+    if exact.normal.decrease(exact.normal.gauss_newton_step(exact.lineariser.layout.scale)) > COARSE:
+        exact = robust_solve(exact, COARSE)
+        exact = settle_noise(exact)
+    return solve(exact, tolerance=FINE)

@@ -83,23 +83,22 @@ def term(
     return Term(name, tuple(parts), given, unit, np.broadcast_to(np.asarray(sigma, dtype=float), (size,)).copy())
 
 
-def columns(observations: Observations, prediction: Prediction, term: Term) -> np.ndarray:
+def columns(obs: Observations, prediction: Prediction, term: Term) -> np.ndarray:
     """Derivative of the prediction by the term's coefficients: (M, R, k).
 
     ``prediction`` should include the displacements at which to linearise; second order in a displacement's rotation is left out.
     """
     total = np.zeros(())
     for part in term.parts:
-        _check_rows(observations, term, part)
+        _check_rows(obs, term, part)
         # All functions move a centre in one direction: a product a row and function, not one for each component of the twist.
-        basis = part.basis[observations.pose] if part.place in PER_POSE else part.basis
-        total = total + unit(observations, prediction, part.place, part.index, part.component)[:, :, None] * basis[:, None, :]
+        basis = part.basis[obs.pose] if part.place in PER_POSE else part.basis
+        total = total + unit(obs, prediction, part.place, part.index, part.component)[:, :, None] * basis[:, None, :]
     return total
 
 
-def unit(observations: Observations, prediction: Prediction, place: str, index: int, component: int) -> np.ndarray:
+def unit(obs: Observations, prediction: Prediction, place: str, index: int, component: int) -> np.ndarray:
     """(M, R): change of the prediction by a unit of one component of one place."""
-    obs = observations
     if place in PER_POSE:
         return np.einsum("mrc,mc->mr", prediction.gradient, unit_twist(obs, prediction, place, index, component)[obs.pose])
     out = np.zeros(prediction.gradient.shape[:2])
@@ -115,10 +114,10 @@ def unit(observations: Observations, prediction: Prediction, place: str, index: 
     return out
 
 
-def unit_twist(observations: Observations, prediction: Prediction, place: str, index: int, component: int) -> np.ndarray:
+def unit_twist(obs: Observations, prediction: Prediction, place: str, index: int, component: int) -> np.ndarray:
     """(P, 6): spatial twist of the arm, in the base frame, by a unit of one component of a joint, a frame of the arm or a station."""
     if place == "joint":
-        return observations.cell.robot.chain.joint_twists(prediction.frames)[:, index]
+        return obs.cell.robot.chain.joint_twists(prediction.frames)[:, index]
     if place == "frame":
         return se3.adjoint(prediction.frames[:, index])[:, :, component]
     if place == "station":
@@ -126,9 +125,9 @@ def unit_twist(observations: Observations, prediction: Prediction, place: str, i
     raise ValueError(f"{place} does not move the arm as a whole")
 
 
-def accumulate(observations: Observations, terms: Sequence[Term], coefficients: Sequence[np.ndarray]) -> Displacements:
+def accumulate(obs: Observations, terms: Sequence[Term], coefficients: Sequence[np.ndarray]) -> Displacements:
     """What the terms together do to the cell; coefficients: one (k,) array per term."""
-    obs, n = observations, observations.cell.robot.n
+    n = obs.cell.robot.n
     shapes = {
         "joint": (obs.n_poses, n),
         "frame": (obs.n_poses, n + 1, 6),

@@ -1,4 +1,4 @@
-"""Noise, and sizes of random effects, estimated from the data by turns with the fit: restricted maximum likelihood (REML).
+"""Noise estimated from the data: restricted maximum likelihood (REML).
 
 Components: scanner noise along each axis, turn of a measured orientation, repeatability of each joint. Stated figures are priors.
 Average-information scoring (Gilmour, Thompson, Cullis 1995) on the logarithms; degrees of freedom spent on the geometry are
@@ -8,103 +8,45 @@ accounted for through the traces.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.blas import dtrmm  # pyright: ignore[reportAttributeAccessIssue] -- compiled, without stubs
 
-from mbcacq.estimation.linearization import Solution
-from mbcacq.estimation.noise import LEAST_JOINT, LEAST_POINT, LEAST_TURN, NoisePrior, between, pack, unpack
 from mbcacq.estimation.normal_equations import Normal, PoseSystem, inverse_of_lower
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.parameters import usual_sizes
 from mbcacq.estimation.pose_block import PoseBlock, flat_product
-from mbcacq.estimation.random_effect_sizes import sizes_of_groups
-from mbcacq.estimation.solver import COARSE, robust_solve, solve
 
 LARGEST_STEP = 0.45  # of a scored log sigma, which may not reach 1/2; the noise grows by at most 3.2 at a time
-FINE = 1e-7  # tolerance of chi square of what is published
-NOISE_TURNS, NOISE_ROUNDS, HALVINGS = 8, 30, 6  # turns of noise and outliers; steps of the noise in each; halvings of a step
-NOISE_GAIN = 0.01  # of the log posterior: then the noise is within 0.14 of its own standard deviation before the last step
-# Sizes of random effects, as factors of their sigma at the start, which is large already.
-LEAST_SIZE, LARGEST_SIZE, SIZE_CONVERGED = 1e-4, 4.0, 0.05
-SIZE_TURNS, SIZE_ROUNDS = 12, 60  # turns of noise and sizes; steps of the fixed point in each
+# No instrument and no joint is better, and beyond it double precision ends: mm, rad of a joint, rad of a measured orientation.
+LEAST_POINT, LEAST_JOINT, LEAST_TURN = 1e-5, 1e-9, 1e-9
 
 
-def settle_variances(solution: Solution, *, sizes_first: bool = False, noise_gain: float = NOISE_GAIN) -> Solution:
-    """Noise, and the sizes of the random effects that have none of their own, by turns until both are settled; the solution's layout has
-    them as priors. Sizes begin large: the noise then holds only what no random effect explains. sizes_first: the noise is settled with
-    the same effects free, which is as large as they can be. noise_gain: as ``settle_noise`` has it.
-    """
-    first = solution.lineariser.layout
-    size, cell = dict.fromkeys(first.sized, 1.0), solution.lineariser.obs.cell
-    for turn in range(SIZE_TURNS if size else 1):
-        if turn or not sizes_first:
-            solution = settle_noise(solution, noise_gain)
-        if not size:
-            break
-        before, limits = size, (LEAST_SIZE / min(size.values()), LARGEST_SIZE)
-        groups = solution.lineariser.layout.sized
-        factor = sizes_of_groups(solution.normal, solution.prior, groups, limits, SIZE_ROUNDS, usual_sizes(cell))
-        size = {name: float(np.clip(factor[name] * s, LEAST_SIZE, LARGEST_SIZE)) for name, s in size.items()}
-        layout = first.resized(size)
-        solution = solution.with_priors(layout)
-        solution = solve(solution, tolerance=COARSE, within_linear=True)
-        if max(abs(np.log(size[name] / before[name])) for name in size) < SIZE_CONVERGED:
-            break
-    return solution
+@dataclass(frozen=True)
+class NoisePrior:
+    """Normal prior of the logarithms of (point (3), joint (n), turn (1)): centre (K,), precision (K, K)."""
+
+    centre: np.ndarray
+    precision: np.ndarray
+
+    def log_density(self, noise: Noise) -> float:
+        """Log density of a noise, up to a constant."""
+        off = pack(noise) - self.centre
+        return -0.5 * float(off @ self.precision @ off)
 
 
-def settle_noise(solution: Solution, noise_gain: float = NOISE_GAIN) -> Solution:
-    """Estimate the noise by REML and refit, by turns, until its log posterior can rise by less than ``noise_gain``; reject outliers
-    again, and where that changes what takes part, all of it once more."""
-    for _ in range(NOISE_TURNS):
-        before = solution.weights
-        solution = most_probable_noise(refitted, solution, enough=noise_gain)
-        solution = robust_solve(solution, COARSE)
-        if solution.weights is before:
-            break
-    return solution
+def pack(noise: Noise) -> np.ndarray:
+    return np.log(np.concatenate([noise.point, noise.joint, [noise.turn]]))
 
 
-def made_exact(solution: Solution) -> Solution:
-    """A settled solution solved to the end with residuals at its estimate; settled again where the problem is less linear than its last
-    steps promised."""
-    exact = solution.evaluated()
-    if exact.normal.decrease(exact.normal.gauss_newton_step(exact.lineariser.layout.scale)) > COARSE:
-        exact = robust_solve(exact, COARSE)
-        exact = settle_noise(exact)
-    return solve(exact, tolerance=FINE)
+def unpack(theta: np.ndarray) -> Noise:
+    value = np.exp(theta)
+    return Noise(value[:3], value[3:-1], float(value[-1]))
 
 
-def refitted(at: Solution, noise: Noise) -> Solution:
-    """The fit under another noise."""
-    return solve(at, noise, tolerance=COARSE, within_linear=True)
-
-
-def most_probable_noise(
-    refit: Callable[[Solution, Noise], Solution], solution: Solution, rounds: int = NOISE_ROUNDS, enough: float = NOISE_GAIN
-) -> Solution:
-    """The fit with the noise by REML. refit: the fit under another noise, from the one before. enough: gain of the log posterior, with a
-    step that promises less than which it ends.
-
-    A step that would lower the log posterior is halved: variance components that share one excess would all take it up at once, and give
-    it back in the next step.
-    """
-    prior = solution.lineariser.noise_prior
-    reached = log_restricted_posterior(solution.system, solution.noise, prior)
-    for _ in range(rounds):
-        before = solution
-        proposed, gain = reml_step(before.system, before.noise, prior)
-        for _ in range(HALVINGS):
-            there = refit(before, proposed)
-            value = log_restricted_posterior(there.system, there.noise, prior)
-            if value > reached - NOISE_GAIN:
-                solution, reached = there, value
-                break
-            proposed = between(before.noise, proposed)
-        if gain < enough or solution is before:
-            break
-    return solution
+def between(noise: Noise, other: Noise) -> Noise:
+    """The noise halfway between two, of the logarithms."""
+    return unpack((pack(noise) + pack(other)) / 2)
 
 
 def restricted_maximum_likelihood(

@@ -6,8 +6,8 @@ from cells import kr10, random_errors, scanner_cell
 
 from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.estimation.adjustment import adjust_recording
-from mbcacq.estimation.noise import pack
 from mbcacq.estimation.random_links import with_random_links
+from mbcacq.estimation.variance_components import pack
 from mbcacq.geometry import se3
 
 FREE = CalibrationOptions(random_links=False, discrepancy=False, refuse=False)

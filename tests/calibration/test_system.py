@@ -13,9 +13,8 @@ from mbcacq.estimation.normal_equations import Normal
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.pose_block import NormalBlocks
-from mbcacq.estimation.solver import solve
+from mbcacq.estimation.solver import NOISE_GAIN, most_probable_noise, solve
 from mbcacq.estimation.terms import Part, term
-from mbcacq.estimation.variance_components import NOISE_GAIN, most_probable_noise
 
 
 def simulated(kind, rng, more=1):
@@ -260,14 +259,14 @@ def test_a_step_within_the_linear_problem_leads_where_its_normal_equations_say(k
 def test_noise_scores_are_derivatives_of_the_log_posterior(kind):
     lineariser, at, _ = weighted_system(kind, np.random.default_rng(7), kinematics=False)
     prior = noise_model.noise_prior(lineariser.obs.cell)
-    theta = noise_model.pack(at.noise)
+    theta = variance_components.pack(at.noise)
 
     def fitted(theta):
-        there = at.reweighted(noise_model.unpack(theta), at.weights)
+        there = at.reweighted(variance_components.unpack(theta), at.weights)
         return there.stepped(there.normal.gauss_newton_step(lineariser.layout.scale, 0.0)).system
 
     def log_posterior(theta):
-        return variance_components.log_restricted_posterior(fitted(theta), noise_model.unpack(theta), prior)
+        return variance_components.log_restricted_posterior(fitted(theta), variance_components.unpack(theta), prior)
 
     score, _ = variance_components.reml_score_and_information(fitted(theta), at.noise)
     difference = [(log_posterior(theta + e) - log_posterior(theta - e)) / 2e-4 for e in 1e-4 * np.eye(len(theta))]
@@ -279,10 +278,10 @@ def test_the_adjusted_noise_is_where_its_log_posterior_is_largest():
     obs = scanner_cell(np.random.default_rng(8), stations=6, joint_rad=1e-3).observations
     found = adjust_recording(obs, CalibrationOptions(refuse=False))
     prior = noise_model.noise_prior(obs.cell)
-    theta = noise_model.pack(found.noise)
+    theta = variance_components.pack(found.noise)
 
     def log_posterior(theta):
-        noise = noise_model.unpack(theta)
+        noise = variance_components.unpack(theta)
         there = found.solution.reweighted(noise, found.weights)
         step = there.normal.gauss_newton_step(found.lineariser.layout.scale, 0.0)
         return variance_components.log_restricted_posterior(there.stepped(step).system, noise, prior)
@@ -322,4 +321,4 @@ def test_noise_that_was_taken_far_too_large_comes_down_without_swinging():
         reached.append(variance_components.log_restricted_posterior(at.system, at.noise, prior))
     assert np.all(np.diff(reached) > -NOISE_GAIN)
     assert reached[-1] - reached[-2] < NOISE_GAIN
-    assert np.all(noise_model.pack(large) - noise_model.pack(at.noise) > 2.0)
+    assert np.all(variance_components.pack(large) - variance_components.pack(at.noise) > 2.0)

@@ -4,10 +4,9 @@ import numpy as np
 from cells import scanner_cell
 
 from mbcacq.estimation.adjustment import adjust_recording
-from mbcacq.estimation.noise import pack, unpack
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.unknown_noise import covariance, under_the_noise
-from mbcacq.estimation.variance_components import log_restricted_posterior, reml_score_and_information
+from mbcacq.estimation.variance_components import log_restricted_posterior, pack, reml_score_and_information, unpack
 
 ALONE = CalibrationOptions(kinematics=False, refuse=False)
 

@@ -20,7 +20,7 @@ from mbcacq.effects import catalogue
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.forward_model import Displacements
-from mbcacq.estimation.noise import pack
+from mbcacq.estimation.variance_components import pack
 from mbcacq.workflow.effect_draft import write_draft
 
 PULL = 1.2e-4

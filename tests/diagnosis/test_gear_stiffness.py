@@ -12,7 +12,7 @@ from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.output.effects_table import merged_parameters, parameters_of_branches
 from mbcacq.diagnosis.reported_model import model_of
 from mbcacq.estimation.forward_model import Displacements
-from mbcacq.estimation.noise import pack
+from mbcacq.estimation.variance_components import pack
 
 BREAKPOINTS = np.array([25.0, 80.0])  # N m, of 159 that act at most
 STIFFNESS = np.array([0.15e6, 0.3e6, 1.0e6])  # N m/rad, below, between and beyond them

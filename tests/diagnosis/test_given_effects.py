@@ -20,8 +20,8 @@ from mbcacq.diagnosis.problem import prepare
 from mbcacq.effects.effect import Candidate, ParameterEstimate, StandstillRows, number, plain_report
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import pack
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.variance_components import pack
 from mbcacq.plan import expand, load
 
 PLAN = Path(__file__).parents[2] / "plans" / "seeing.yaml"

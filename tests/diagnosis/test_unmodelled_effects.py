@@ -25,7 +25,7 @@ from mbcacq.effects.described import parts_of
 from mbcacq.effects.effect_term import LearntRecording, learnt_ranges
 from mbcacq.effects.functions import DescribedPart, evaluate, of, sine
 from mbcacq.estimation.forward_model import Displacements
-from mbcacq.estimation.noise import pack
+from mbcacq.estimation.variance_components import pack
 
 
 def test_a_bayes_factor_of_a_hundred_is_rare_without_an_effect():

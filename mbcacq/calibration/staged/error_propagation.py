@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from mbcacq.calibration.staged.ball_pairs import PairDistances
-from mbcacq.estimation.noise import LEAST_POINT
 from mbcacq.estimation.options import Noise
+from mbcacq.estimation.variance_components import LEAST_POINT
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.observations import Observations

@@ -19,7 +19,7 @@ from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import pack
+from mbcacq.estimation.variance_components import pack
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,9 @@ from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
-from mbcacq.estimation.noise import NoisePrior, unpack
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.variance_components import reml_score_and_information
+from mbcacq.estimation.variance_components import NoisePrior, reml_score_and_information, unpack
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ from mbcacq.effects import unmodelled
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, learnt_ranges
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import pack
+from mbcacq.estimation.variance_components import pack
 
 
 @dataclass(frozen=True)

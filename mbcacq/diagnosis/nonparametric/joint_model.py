@@ -15,12 +15,11 @@ from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_sigma, prior_weight
 from mbcacq.estimation.linear_problem import LinearProblem
-from mbcacq.estimation.noise import NoisePrior
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.posterior import Posterior, root_of
 from mbcacq.estimation.random_effect_sizes import joined, sizes_by_marginal_likelihood
 from mbcacq.estimation.terms import Part
-from mbcacq.estimation.variance_components import restricted_maximum_likelihood
+from mbcacq.estimation.variance_components import NoisePrior, restricted_maximum_likelihood
 from mbcacq.estimation.whitened_columns import ColumnProducts, WhitenedColumns
 from mbcacq.estimation.whitening import CentreWhitening
 
