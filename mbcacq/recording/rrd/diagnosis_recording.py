@@ -32,18 +32,17 @@ def write_diagnosis(
     text: str,
     pictures: Mapping[str, Any],
     run: Path | None = None,
-    cards: str = "",
     motion: MotionDrawn | None = None,
 ) -> Path:
-    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.pictures`` makes them; text: the diagnosis in words;
-    cards: the same as Markdown, a card an effect, shown in its place where it is given).
+    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.pictures`` makes them; text: the diagnosis as
+    Markdown).
 
     run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose
     and is shown alone, with motion (the channels between the poses, on a timeline of their own) in further tabs. Raises RecordingError if
     it cannot be written.
     """
     with replacing(path) as partial:
-        stream_diagnosis(partial, observations, text, pictures, run, cards, motion)
+        stream_diagnosis(partial, observations, text, pictures, run, motion)
     return Path(path)
 
 
@@ -53,7 +52,6 @@ def stream_diagnosis(
     text: str,
     pictures: Mapping[str, Any],
     run: Path | None = None,
-    cards: str = "",
     motion: MotionDrawn | None = None,
 ) -> None:
     """The content of ``write_diagnosis`` into a file that is to become another. Raises RecordingError."""
@@ -77,7 +75,7 @@ def stream_diagnosis(
                 scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
                 _log_arm(stream, obs)
             stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=titles), static=True)
-            stream.log(layout.DIAGNOSIS_TEXT, drawn_text(cards or f"```\n{text}\n```"), static=True)
+            stream.log(layout.DIAGNOSIS_TEXT, drawn_text(text), static=True)
             _log_arrows(stream, point, before, after, scale)
             for k, cause in enumerate(pictures["causes"]):
                 entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"

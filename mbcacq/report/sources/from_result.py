@@ -13,6 +13,8 @@ import numpy as np
 from mbcacq.calibration.caveats import caveats
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
+from mbcacq.calibration.transfer import Transfer
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
@@ -67,7 +69,12 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     earlier = spacing_of(geometry) if folder else None
     earlier = earlier if earlier is not None and spacing is not None and earlier.place == spacing.place else None
     verdict = verdict_of(spacing, result, earlier)
-    diagnosis, name = run_info.get("diagnosis"), str(run_info.get("folder") or "RUN")
+    document, pictures, name = run_info.get("diagnosis"), run_info.get("pictures"), str(run_info.get("folder") or "RUN")
+    diagnosis = None if document is None else Diagnosis.from_json(document)
+    if diagnosis is not None and document is not None:
+        tried = [from_fields(Transfer, one) for one in document.get("checks", ())]
+        found["diagnosis"] = diagnosis_content(diagnosis, pictures, tried)
+        found["motion"] = kept_motion_content(document, pictures)
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
@@ -85,8 +92,6 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         parameters=_parameters(result),
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
-        diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
-        motion=None if diagnosis is None else kept_motion_content(diagnosis, run_info.get("pictures")),
         earlier=earlier,
         arm_improved=from_fields(ArmImprovement, geometry["arm_improved"]) if geometry.get("arm_improved") else None,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
