@@ -32,6 +32,11 @@ def effect_in_words(name: str) -> str:
     return f"{words} at {location}" if location else words
 
 
+def spelt_out(name: str) -> str:
+    """The same with spaces between its words, as pages and pictures have it."""
+    return effect_in_words(name).replace("_", " ")
+
+
 def _plain(value: float) -> str:
     """Two significant digits, without an exponent."""
     rounded = float(f"{value:.2g}")

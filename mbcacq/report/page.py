@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.effects.in_words import spelt_out
 from mbcacq.figure import Figure, drawing_library
 from mbcacq.files.atomic_write import write_file
-from mbcacq.quantities import fixed, pair, signed, uncertainty
+from mbcacq.quantities import capitalised, fixed, pair, signed, uncertainty
 from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
-from mbcacq.report.verdict import quantity, readable
+from mbcacq.report.verdict import quantity
 
 HERE = Path(__file__).parent
 PAGE_SCRIPT, SCENE_SCRIPT = HERE / "page.js", HERE / "scene.js"
@@ -137,7 +138,7 @@ def _template(name: str, **values: Any) -> str:
 
 
 def curve_title(effect: str, location: str) -> str:
-    return f"{'Unmodelled effect' if effect == 'unknown' else readable(effect).capitalize()} at {location}"
+    return f"{capitalised(spelt_out(effect))} at {location}"
 
 
 def static_figures(figures: Mapping[str, Figure]) -> dict[str, Any]:

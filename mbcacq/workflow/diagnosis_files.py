@@ -10,6 +10,7 @@ from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import capitalised
 from mbcacq.recording import write_diagnosis
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import note_made
@@ -35,7 +36,7 @@ def _drawn(found: MotionDiagnosis) -> MotionDrawn:
     from mbcacq.report.cards import diagnosis_cards
     from mbcacq.report.sources.from_motion import motion_content
 
-    titles = {kind: f"{text[:1].upper()}{text[1:]}" for kind, text in CHANNELS.items()}
+    titles = {kind: capitalised(text) for kind, text in CHANNELS.items()}
     return MotionDrawn(found.series, diagnosis_cards(motion_content(found)), titles)
 
 

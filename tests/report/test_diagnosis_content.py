@@ -16,7 +16,7 @@ def test_an_alternative_is_stated_by_its_odds():
         {"name": "joint_step", "where": ["A2"], "held_out_gain": 0.0, "odds": 0.0},
     ]
     effect = diagnosis_content(Diagnosis.from_json(content), None).effects[0]
-    assert effect.alternatives == ["an unmodelled effect at A1 (odds 1 : 650)", "joint step at A2 (excluded)"]
+    assert effect.alternatives == ["unmodelled effect at A1 (odds 1 : 650)", "joint step at A2 (excluded)"]
 
 
 def test_components_of_a_vector_are_no_harmonics():

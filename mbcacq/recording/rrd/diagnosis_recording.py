@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from mbcacq.effects.in_words import spelt_out
 from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import replacing
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import capitalised
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, place_camera
 from mbcacq.recording.rrd.chart import GRID, Chart, sheet_height
@@ -103,8 +105,9 @@ def _log_arrows(stream: rr.RecordingStream, point: np.ndarray, before: np.ndarra
 def _response_title(curve: Mapping[str, Any]) -> str:
     """What is drawn over what, with units, and which effect it is."""
     unit = f", {curve['x_unit']}" if curve["x_unit"] else ""
-    name = "unmodelled effect" if curve["effect"] == "unknown" else str(curve["effect"]).replace("_", " ")
-    return f"{name[:1].upper()}{name[1:]} at {curve['at']}: {curve['what']}, {curve['unit']}, over {curve['x_label']}{unit}"
+    return (
+        f"{capitalised(spelt_out(str(curve['effect'])))} at {curve['at']}: {curve['what']}, {curve['unit']}, over {curve['x_label']}{unit}"
+    )
 
 
 def _log_response(stream: rr.RecordingStream, entity: str, curve: Mapping[str, Any], height: float) -> None:

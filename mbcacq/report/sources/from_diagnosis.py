@@ -15,8 +15,8 @@ from mbcacq.diagnosis.output.pictures import axis_of
 from mbcacq.diagnosis.output.text import first_sentence, likelihood, noise_floor, open_lines, size_of_shape
 from mbcacq.diagnosis.result import Diagnosis, FitFigures
 from mbcacq.effects.effect import ParameterEstimate, Parameters
-from mbcacq.effects.in_words import CHANNELS
-from mbcacq.quantities import K, fixed, micrometres, p_value, pair, percent, split_unit
+from mbcacq.effects.in_words import CHANNELS, spelt_out
+from mbcacq.quantities import K, capitalised, fixed, micrometres, p_value, pair, percent, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent, TrialContent
 from mbcacq.report.verdict import readable
 
@@ -44,7 +44,7 @@ def what_every_diagnosis_says(found: Findings, floor: NoiseFloor | None = None) 
     """Fields of DiagnosisContent: verdict and effects, the findings before the trends."""
     headline, _, reason = first_sentence(found, floor).partition(": ")
     effects = sorted(map(effect_content, found.effects), key=lambda e: bool(e.trend))
-    return {"level": LEVELS[found.verdict], "headline": headline, "reason": sentence(reason), "effects": effects}
+    return {"level": LEVELS[found.verdict], "headline": headline, "reason": capitalised(reason), "effects": effects}
 
 
 def mismatch_rows(found: Findings, least_share: float = 0.0) -> list[tuple[str, str, str, str]]:
@@ -54,11 +54,6 @@ def mismatch_rows(found: Findings, least_share: float = 0.0) -> list[tuple[str, 
         for m in found.mismatch
         if not m.share < least_share
     ]
-
-
-def sentence(text: str) -> str:
-    """With a capital letter."""
-    return text[:1].upper() + text[1:]
 
 
 def _misfits(fit: FitFigures) -> tuple[str, str]:
@@ -79,7 +74,7 @@ def trial_content(tried: Transfer) -> TrialContent:
     if left := tried.parts_left_out:
         figures |= {"with effects, parts left out of the fit": left.as_learnt, "and what was not to be learnt drawn anew": left.drawn_anew}
     rows = [(label, micrometres(of.rms_mm), micrometres(of.median_mm), fixed(of.chi2_dof, 2)) for label, of in figures.items() if of]
-    rows += [(f"without {_effect_name(e.name)} at {', '.join(e.where)}", micrometres(e.without_mm), "", "") for e in tried.effects]
+    rows += [(f"without {spelt_out(e.name)} at {', '.join(e.where)}", micrometres(e.without_mm), "", "") for e in tried.effects]
     notes = [f"{tried.poses} poses, {placed}."]
     if tried.normalised_error:
         notes.append(f"Error over stated uncertainty: {tried.normalised_error.in_words}.")
@@ -114,18 +109,18 @@ def _complete(pictures: Mapping[str, Any]) -> bool:
 
 def effect_content(effect: EffectFound) -> EffectContent:
     """An effect of a diagnosis of poses or of motion; an unmodelled one of a motion has a size in place of parameters."""
-    name, trend = _effect_name(effect.name), effect.trend
+    name, trend = spelt_out(effect.name), effect.trend
     at = ", ".join(OF_CHANNELS.get(where, where) for where in effect.where)
     shown = {} if trend else effect.parameters
-    notes = [] if effect.shape is None else [f"{sentence(size_of_shape(effect, effect.shape))}."]
+    notes = [] if effect.shape is None else [f"{capitalised(size_of_shape(effect, effect.shape))}."]
     notes += [f"{split_unit(first)[0]} {rest}." for first, _, rest in (note.partition(" ") for note in effect.notes)]
     return EffectContent(
-        title=f"Trend: {name} at {at}" if trend else f"{sentence(name)} at {at}",
+        title=f"Trend: {name} at {at}" if trend else f"{capitalised(name)} at {at}",
         depends_on=axis_of(effect.depends_on)[0] if effect.depends_on else "",
         p_value=p_value(effect.p_value),
         gain=percent(effect.gain_here),
         parameters=[row for key, entry in shown.items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
-        alternatives=[f"{_effect_name(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives],
+        alternatives=[f"{spelt_out(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives],
         harmonics=_harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
         trend=trend,
         notes=notes,
@@ -141,11 +136,7 @@ def _note(note: str) -> str:
     """A note as a sentence; the name of an effect at its begin becomes words."""
     first, space, rest = note.partition(" ")
     first = readable(first)
-    return f"{first[:1].upper()}{first[1:]}{space}{rest}"
-
-
-def _effect_name(name: str) -> str:
-    return "an unmodelled effect" if name == "unknown" else readable(name)
+    return f"{capitalised(first)}{space}{rest}"
 
 
 def _is_vector(key: str, entry: ParameterEstimate) -> bool:

@@ -14,9 +14,9 @@ from mbcacq.diagnosis.output.text import VERDICTS
 from mbcacq.effects.in_words import CHANNELS
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.model.json_text import plain
-from mbcacq.quantities import significant, symbol
+from mbcacq.quantities import capitalised, significant, symbol
 from mbcacq.report.content import DiagnosisContent, MotionChannel, MotionKind, TrialContent
-from mbcacq.report.sources.from_diagnosis import mismatch_rows, open_remarks, sentence, what_every_diagnosis_says
+from mbcacq.report.sources.from_diagnosis import mismatch_rows, open_remarks, what_every_diagnosis_says
 
 STRETCH_S = 20.0  # of a recording that is drawn: longer, and a reversal of an axis is narrower than a line
 MOST = 1250  # samples a line: two for each point of the widest screen that a figure has half of
@@ -76,7 +76,7 @@ def _content(found: MotionDiagnosis, series: MotionSeries, both: PosesAndMotion 
     channels, listed = found.fit.channels, mismatch_rows(found, LEAST_SHARE)
     kinds = [
         MotionKind(
-            title=sentence(CHANNELS[kind]),
+            title=capitalised(CHANNELS[kind]),
             quantity=AXES[kind],
             unit=symbol(next(c.unit for c in channels if c.channel == kind)),
             rows=[_channel(c) for c in channels if c.channel == kind],

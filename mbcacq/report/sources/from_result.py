@@ -18,7 +18,7 @@ from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
+from mbcacq.quantities import K, capitalised, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
@@ -101,7 +101,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         correlation=_correlation(result),
         not_separable=[(" and ".join(names_in_words(c["parameters"])), float(c["correlation"])) for c in result.get("correlated", ())][:20],
         warnings=_warnings(result, spacing),
-        caveats=[sentence[0].upper() + sentence[1:] + "." for sentence in caveats(result)],
+        caveats=[f"{capitalised(sentence)}." for sentence in caveats(result)],
         versions=[*((str(k), str(v)) for k, v in (run_info.get("versions") or {}).items()), ("report written by", f"mbcacq {__version__}")],
         hashes=list(run_info.get("hashes") or ()),
         plan_yaml=str(run_info.get("plan_yaml") or ""),
@@ -325,5 +325,5 @@ def _warnings(result: Mapping[str, Any], spacing: Spacing | None) -> list[str]:
         listed = ", ".join(f"pose {r['pose']}" + (f" ball {r['ball']}" if r.get("ball") is not None else "") for r in rejected[:8])
         out.append(f"{len(rejected)} measurements contradict the rest and were left out: {listed}{' …' if len(rejected) > 8 else ''}.")
     if scope := str(result.get("scope") or ""):
-        out.append(f"{scope[0].upper()}{scope[1:]}.")
+        out.append(f"{capitalised(scope)}.")
     return out + [str(w) for w in result.get("warnings", ())]
