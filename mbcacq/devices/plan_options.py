@@ -43,7 +43,7 @@ def _fault(schema: type[BaseModel], error: Mapping[str, Any]) -> str:
     if error["type"] == "missing" or (field is not None and field.is_required() and given in (None, "")):
         return f"{where} is missing{f'; give {field.description}' if field is not None and field.description else ''}"
     if error["type"] == "value_error":  # of a validator of the driver
-        return f"{where}: {error['ctx']['error']}"
+        return f"{where}: {error['ctx']['error']}" if place else str(error["ctx"]["error"])
     if given is None:
         return f"{where} must not be empty"
     wanted = "" if field is None else _wanted(field)
