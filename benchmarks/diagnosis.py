@@ -58,7 +58,7 @@ SLIPPED = ("mount_shift", ("mount",), [0.02, 0.01, -0.02, 1e-4, -5e-5, 5e-5], 60
 TIMES = """# Diagnosis: time and memory
 
 Made by `python benchmarks/diagnosis.py time --tracker ../shared/data/ur10-tracker-a`: whole processes with the full catalogue and
-the proof on data left out, on two cores: the process itself and one more share the proof, each with one thread of linear
+the validation on data left out, on two cores: the process itself and one more share the validation, each with one thread of linear
 algebra. Memory is that of the larger one.
 How right it is: [challenge.md](challenge.md). What stands below the table was written by hand.
 

@@ -39,7 +39,7 @@ if "--atheris" in sys.argv:  # ours are instrumented while they are imported
             "mbcacq_gocator",
             "mbcacq_bus",
             "mbcacq.recording",
-            "mbcacq.plan.yaml_source",
+            "mbcacq.model.yaml_source",
             "mbcacq.exports",
             "mbcacq.files",
             "mbcacq.model",

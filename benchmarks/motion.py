@@ -33,17 +33,17 @@ from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.model import shipped
 from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.model.yaml_source import read
 from mbcacq.plan import LoadedPlan, load
 from mbcacq.quantities import significant
 from mbcacq.recording import read_trajectory_set
-from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text
 
 WITHIN = 3.0
 
 
 def robot(name: str = "kr10_r1100_2"):
     path = shipped.robot_file(name)
-    return RobotSpec.model_validate(load_yaml(read_yaml_text(path), str(path))[0]).model()
+    return RobotSpec.model_validate(read(path).data).model()
 
 
 def one_challenge(number: int) -> MotionChallengeResult:

@@ -75,6 +75,11 @@ def signed(value: float | None, places: int = 3) -> str:
     return text if text == "–" or text.startswith("−") or not text.strip("0.") else f"+{text}"
 
 
+def capitalised(text: str) -> str:
+    """With a capital letter at its begin."""
+    return text[:1].upper() + text[1:]
+
+
 def significant(value: float | None, digits: int = 3) -> str:
     """A value whose uncertainty is not known, to a number of significant digits; a power of ten only where zeros would fill the line."""
     if value is None or not math.isfinite(value):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import random
 import shutil
 from pathlib import Path
 
@@ -16,6 +15,8 @@ NAME = "check"
 
 class MeasuredCheck(Struck):
     """The second check of a cell, which is another one than the calibrated; the history holds the first."""
+
+    in_any_order = True
 
     def __init__(self, work: Path, library: ctypes.CDLL) -> None:
         import mbcacq.interim_check
@@ -42,12 +43,6 @@ class MeasuredCheck(Struck):
 
     def begin(self) -> Work:
         return self._measured("run")
-
-    def planned(self, rng: random.Random) -> list[tuple[str, int]]:
-        """In any order: each strike measures a check, and a campaign that is ended early has some of each kind."""
-        out = super().planned(rng)
-        rng.shuffle(out)
-        return out
 
     def judged(self, code: int | None) -> str:
         """'new': the history has the day, and its recording is whole; 'old': it has not, and the check is measured anew to the same day."""

@@ -7,7 +7,6 @@ holds, bit for bit.
 from __future__ import annotations
 
 import ctypes
-import random
 import shutil
 import sys
 from collections.abc import Callable
@@ -81,6 +80,8 @@ def sessions(work: Path) -> dict[str, Session]:
 class ResumedSession(Struck):
     """A session in the folder ``run`` below the one that is struck."""
 
+    in_any_order = True
+
     def __init__(self, name: str, case: Session, work: Path, library: ctypes.CDLL) -> None:
         # Imported before the forks: each of the many children would do it again.
         import mbcacq.recording.rrd.writer
@@ -104,12 +105,6 @@ class ResumedSession(Struck):
 
     def begin(self) -> Work:
         return self._case.begin(self._run)
-
-    def planned(self, rng: random.Random) -> list[tuple[str, int]]:
-        """In any order: a campaign that is ended early has some of each kind."""
-        out = super().planned(rng)
-        rng.shuffle(out)
-        return out
 
     def judged(self, code: int | None) -> str:
         """'new': resumed to what the undisturbed session holds; 'old': nothing had begun, and it was begun anew."""

@@ -8,6 +8,7 @@ import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
 
 from faults.preloaded import FOREIGN, Work, full_from, in_child, killed_at, recorded
 from faults.replayed_disk import Disk, Record, records
@@ -19,8 +20,11 @@ Files = dict[str, bytes]
 class Struck(ABC):
     """A command, run once undisturbed while what it writes below ``folder`` is recorded.
 
-    moments: at most so many of the replay. strikes: at most so many real runs that are killed, and that find the disk full.
+    moments: at most so many of the replay. strikes: at most so many real runs that are killed, and that find the disk full. in_any_order:
+    a campaign that is ended early has some of each kind.
     """
+
+    in_any_order: ClassVar[bool] = False
 
     def __init__(self, name: str, work: Path, library: ctypes.CDLL, moments: int, strikes: tuple[int, int]) -> None:
         self.name, self.folder, self._library = name, work / "out", library
@@ -69,7 +73,10 @@ class Struck(ABC):
         print(f"{self.name}: {len(self.records)} records, {writes} writes, {events} events", flush=True)
         kills, full = (sorted(rng.sample(range(n), min(most, n))) for n, most in zip((events, writes), self._strikes, strict=True))
         replayed = [(kind, moment) for moment in drawn(self._most, self.records, rng) for kind in REPLAYED]
-        return [*replayed, *(("kill", n + 1) for n in kills), *(("full disk", n) for n in full)]
+        out = [*replayed, *(("kill", n + 1) for n in kills), *(("full disk", n) for n in full)]
+        if self.in_any_order:
+            rng.shuffle(out)
+        return out
 
     def strike(self, kind: str, number: int, rng: random.Random) -> tuple[str, str]:
         """Exit of the command, and what stood there."""

@@ -107,7 +107,7 @@ def advice(given: argparse.Namespace) -> None:
             if sum(bool(row["rounds"]) for row in table.rows) >= given.count:
                 break
             if scenario.number not in table.done:
-                table.add(scenario.number, followed(loaded, scenario, Path(made)))
+                table.add_numbered(scenario.number, followed(loaded, scenario, Path(made)))
     count(table.rows)
 
 

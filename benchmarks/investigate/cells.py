@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import resource
 import tempfile
 import time
@@ -193,7 +192,7 @@ def cells(given: argparse.Namespace) -> None:
             subset = first_of(np.random.default_rng(scenario.seed).permutation(whole.n_poses), min(row["poses"], whole.n_poses))
             row["error_mm"] = places.error_mm(cell.measured, cell)
             row["fixed_error_mm"] = places.error_mm(whole.select(subset), cell)
-        table.add(scenario.number, row | {"processor_s": time.process_time() - began})
+        table.add_numbered(scenario.number, row | {"processor_s": time.process_time() - began})
 
 
 @threadpool_limits.wrap(limits=1)
@@ -216,7 +215,7 @@ def protocols(given: argparse.Namespace) -> None:
             last = list(made_of)[-1]
         row = {"kind": scenario.kind, "poses": last.poses, "moves": last.moves, "verdict": last.verdict, "found": last.sets[0][0]}
         row |= {"outcome": outcome(last.verdict, names_of(last.sets[0][0]), set(scenario.names)), "end": last.end}
-        table.add(scenario.number, row | {"seconds": time.monotonic() - began, "processor_s": processor_s() - used})
+        table.add_numbered(scenario.number, row | {"seconds": time.monotonic() - began, "processor_s": processor_s() - used})
 
 
 def processor_s() -> float:
@@ -231,20 +230,17 @@ def mixed(count: int) -> list[str]:
     return [one if isinstance(one := pattern[k % len(pattern)], str) else next(one) for k in range(count)]
 
 
-class Table:
-    """Rows by number, one line each, in a file to which they are appended."""
+class Table(bench.Kept):
+    """Rows by number, those of earlier calls among them."""
 
     def __init__(self, name: str):
         KEPT.mkdir(parents=True, exist_ok=True)
-        self.path = KEPT / f"{name}.jsonl"
-        self.rows = [json.loads(line) for line in self.path.read_text().splitlines()] if self.path.exists() else []
+        super().__init__(KEPT / f"{name}.jsonl")
         self.done = {row["number"] for row in self.rows}
 
-    def add(self, number: int, row: dict) -> None:
-        self.rows.append({"number": number, **row})
+    def add_numbered(self, number: int, row: dict) -> None:
+        self.add({"number": number, **row})
         self.done.add(number)
-        with self.path.open("a") as file:
-            print(json.dumps(self.rows[-1]), file=file, flush=True)
 
 
 @threadpool_limits.wrap(limits=1)
@@ -264,7 +260,7 @@ def looks(given: argparse.Namespace) -> None:
             obs = recorded(instrument, LOOKS[-1], scenario.seed, None, 1.0)
         order = np.random.default_rng(scenario.seed).permutation(obs.n_poses)
         log_e = [weigh(obs.select(first_of(order, n))).full.evidence.log_e_value for n in LOOKS]
-        table.add(scenario.number, {"instrument": instrument, "log_e_values": log_e, "processor_s": time.process_time() - began})
+        table.add_numbered(scenario.number, {"instrument": instrument, "log_e_values": log_e, "processor_s": time.process_time() - began})
 
 
 GROUPS = ("of the catalogue, at rest", "of the catalogue, in time", "two", "outside of the catalogue", "nothing")

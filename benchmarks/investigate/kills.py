@@ -79,4 +79,4 @@ def kills(given: argparse.Namespace) -> None:
             in_time, measured = whole.killed(folder, None if k % 2 else poses, share * whole.seconds)
             row = {"by": "moment" if k % 2 else "poses", "killed": in_time, "measured": measured}
             begun = (folder / INVESTIGATION_FILE).exists()  # else nothing was measured, and there is nothing to resume
-            table.add(k, row | (whole.resumed(folder) if begun else {"begun": False}))
+            table.add_numbered(k, row | (whole.resumed(folder) if begun else {"begun": False}))

@@ -16,6 +16,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.recording import load_observations
 from mbcacq.recording.rrd.reader import open_recordings
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
@@ -76,7 +77,7 @@ def scans_of(run: Path, most: int = 1500) -> dict[int, np.ndarray]:
 def sentences_of(run: Path) -> list[str]:
     """The diagnosis in a few lines; none where the run was not diagnosed."""
     try:
-        content = diagnosis_content(json.loads((run / "diagnosis.json").read_text(encoding="utf-8")), None)
+        content = diagnosis_content(Diagnosis.from_json(json.loads((run / "diagnosis.json").read_text(encoding="utf-8"))), None)
     except OSError:
         return []
     if not content.effects:

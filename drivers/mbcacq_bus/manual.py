@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import select
 import sys
 import threading
 from collections.abc import Mapping
 from typing import Any
 
-from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, Field, parse_options
+from mbcacq.devices import Aborted, ConfigError, ContextDevice, Description, Field, is_interactive, parse_options, typed_line
 from mbcacq_bus.options import BusOptions
-
-POLL_S = 0.1
 
 
 class ManualOptions(BusOptions):
@@ -43,7 +40,7 @@ class ManualPositioner(ContextDevice):
 
     def refuse_unattended(self) -> None:
         """Raises ConfigError where nobody can be asked; opens nothing."""
-        if not self._options.assume_yes and not _interactive():
+        if not self._options.assume_yes and not is_interactive():
             raise ConfigError(
                 "the manual positioner must ask an operator, but standard input is not a terminal; "
                 "run in a terminal, or use --yes if every artefact is already in place"
@@ -56,10 +53,10 @@ class ManualPositioner(ContextDevice):
         """Raises Aborted if the operator says so, closes the input, or ``stop`` is called meanwhile."""
         if self._options.assume_yes:
             return
-        if not _interactive():
+        if not is_interactive():
             raise ConfigError(f"station {station} needs an operator, but standard input is not a terminal; use --yes or a terminal")
         print(f"{prompt}\n  press Enter when it stands still, q and Enter to end the run: ", end="", file=sys.stderr, flush=True)
-        answer = self._answer()
+        answer = typed_line(self._stopped)
         if answer is None or answer.strip().lower() in ("q", "quit"):
             raise Aborted(f"the operator ended the run while station {station} was being prepared")
 
@@ -68,18 +65,3 @@ class ManualPositioner(ContextDevice):
 
     def close(self) -> None:
         self.stop()
-
-    def _answer(self) -> str | None:
-        """The line typed, None at the end of input or after ``stop``."""
-        while not self._stopped.is_set():
-            try:
-                ready = bool(select.select([sys.stdin], [], [], POLL_S)[0])
-            except (OSError, ValueError):  # where a terminal cannot be polled (Windows), wait for the line itself
-                ready = True
-            if ready:
-                return sys.stdin.readline() or None
-        return None
-
-
-def _interactive() -> bool:
-    return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()

@@ -19,7 +19,7 @@ from mbcacq_gocator.guard import HealthGuard
 from mbcacq_gocator.jobs import Before
 from mbcacq_gocator.locate import elsewhere, located
 from mbcacq_gocator.login import log_in
-from mbcacq_gocator.options import GocatorOptions
+from mbcacq_gocator.options import GocatorOptions, parse
 from mbcacq_gocator.session import GocatorSession, check_unchanged
 from mbcacq_gocator.snapshot_scanner import RESTORE_CONNECT_S, RESTORE_REPLY_S, SnapshotScanner
 
@@ -47,7 +47,7 @@ class Gocator(SnapshotScanner[GocatorSession]):
     )
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
-        self.options = GocatorOptions.read(name, options or {})
+        self.options = parse(name, options or {})
         about = Description("scanner", model or "LMI Gocator", _FIELDS)
         super().__init__(name, model, self.options.retries, self.options.exposure_us, about)
         self._before: Before | None = None

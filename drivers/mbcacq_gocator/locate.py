@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from ipaddress import ip_address
 
 from mbcacq.devices import ConnectError
@@ -21,13 +20,8 @@ def located(options: GocatorOptions) -> GocatorOptions:
         found = find_sensors(_LOOK_S, options.broadcast, options.discovery_port, options.serial)
         mine = [sensor for sensor in found if sensor.serial == options.serial]
         if mine:
-            return replace(
-                options,
-                address=mine[0].address,
-                control_port=mine[0].control_port,
-                health_port=mine[0].health_port,
-                data_port=mine[0].data_port,
-            )
+            found_at = ("address", "control_port", "health_port", "data_port")
+            return options.model_copy(update={key: getattr(mine[0], key) for key in found_at})
     others = find_sensors(_LOOK_S, options.broadcast, options.discovery_port)
     raise ConnectError(
         f"no Gocator with serial {options.serial} answers a broadcast ({_listed(others)}); check its power and cable, that "

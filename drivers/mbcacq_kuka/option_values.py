@@ -1,12 +1,11 @@
-"""Checks of option values that both drivers make. Each raises ConfigError with the robot's name and the option's."""
+"""Options that both drivers have, and the values that they check alike."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import fields
-from typing import Any
+from collections.abc import Sequence
+from typing import Annotated, Any
 
-import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from mbcacq.devices import ConfigError
 
@@ -14,64 +13,59 @@ MOST_OUTPUTS = 8  # that may be switched from here: the EKI program has room for
 LAST_OUTPUT = 4096  # $OUT of every KSS
 
 
-def refuse_unknown(name: str, given: Iterable[str], known: list[str]) -> None:
-    if unknown := sorted(set(given) - set(known)):
-        raise ConfigError(f"robot '{name}': unknown option {', '.join(unknown)}; known are {', '.join(known)}")
+def _rising(limits: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    if any(low >= high for low, high in limits):
+        raise ValueError("every lower limit must be below the upper one")
+    return limits
 
 
-def array(name: str, key: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """value as finite numbers of this shape."""
-    try:
-        numbers = np.asarray(value, dtype=float).reshape(shape)
-        if not np.isfinite(numbers).all():
-            raise ValueError("a value is not finite")
-        return numbers
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"robot '{name}': option {key} is wrong: {error}") from error
+def _positive(values: tuple[float, ...]) -> tuple[float, ...]:
+    if min(values) <= 0:
+        raise ValueError("every value must be positive")
+    return values
 
 
-def check_numbers(name: str, options: Any, ranges: Mapping[str, tuple[float, float, bool]]) -> None:
-    """ranges: option -> lowest, highest, whether it must be whole. None is let through where the option's type has it."""
-    optional = {field.name for field in fields(options) if "None" in str(field.type)}
-    for key, (low, high, whole) in ranges.items():
-        value = getattr(options, key)
-        if value is None and key in optional:
-            continue
-        if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not low <= value <= high:
-            raise ConfigError(
-                f"robot '{name}': option {key} must be a {'whole ' if whole else ''}number from {low:g} to {high:g}, it is {value!r}"
-            )
-
-
-def check_limits(name: str, limits_deg: tuple[tuple[float, float], ...]) -> None:
-    if any(low >= high for low, high in limits_deg):
-        raise ConfigError(f"robot '{name}': in limits_deg every lower limit must be below the upper one")
-
-
-def check_positive(name: str, key: str, values: tuple[float, ...] | None) -> None:
-    if values is not None and min(values) <= 0:
-        raise ConfigError(f"robot '{name}': option {key} must be positive")
-
-
-def output_numbers(name: str, given: Mapping[str, Any]) -> tuple[int, ...]:
-    """The option digital_outputs: numbers of $OUT, each once."""
-    numbers = given.get("digital_outputs", ())
+def _outputs(numbers: Any) -> Any:
     if not isinstance(numbers, list | tuple) or not all(type(n) is int and 1 <= n <= LAST_OUTPUT for n in numbers):
-        raise ConfigError(
-            f"robot '{name}': option digital_outputs must be a list of whole numbers from 1 to {LAST_OUTPUT}, it is {numbers!r}"
-        )
+        raise ValueError(f"it must be a list of whole numbers from 1 to {LAST_OUTPUT}, not {numbers!r}")
     if len(set(numbers)) != len(numbers) or len(numbers) > MOST_OUTPUTS:
-        raise ConfigError(
-            f"robot '{name}': option digital_outputs must name up to {MOST_OUTPUTS} outputs, each once, it is {list(numbers)}"
-        )
-    if numbers and given.get("follow"):
-        raise ConfigError(
-            f"robot '{name}': an arm that is only followed is sent nothing, digital_outputs neither; leave them out, or remove follow"
-        )
+        raise ValueError(f"it must name up to {MOST_OUTPUTS} outputs, each once, not {list(numbers)}")
     return tuple(numbers)
 
 
-def check_output(name: str, number: int, allowed: tuple[int, ...]) -> None:
+def _six(value: Any) -> Any:
+    return [value] * 6 if isinstance(value, int | float) else value
+
+
+Six = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
+PositiveSix = Annotated[Six, AfterValidator(_positive)]
+OneOrSix = Annotated[PositiveSix, BeforeValidator(_six)]
+
+
+class KukaOptions(BaseModel):
+    """limits_deg: (6, 2) joint limits. connect_timeout_s: how long to wait for the controller. silence_s: without a telegram or state that
+    long is a fault. follow: of the plan's robot section: a person, or another program, moves the arm. digital_outputs: numbers n of the
+    outputs $OUT[n] that may be switched from here, as to trigger a scanner.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    limits_deg: Annotated[tuple[tuple[float, float], ...], AfterValidator(_rising)] = Field(
+        description="the joint limits, six pairs in °", min_length=6, max_length=6
+    )
+    connect_timeout_s: float = Field(default=30.0, ge=1e-3, le=1e6, strict=True)
+    silence_s: float = Field(default=1.0, ge=1e-2, le=1e3, strict=True)
+    follow: bool = Field(default=False, strict=True)
+    digital_outputs: Annotated[tuple[int, ...], BeforeValidator(_outputs)] = ()
+
+    @model_validator(mode="after")
+    def _sends_nothing(self) -> KukaOptions:
+        if self.digital_outputs and self.follow:
+            raise ValueError("an arm that is only followed is sent nothing, digital_outputs neither; leave them out, or remove follow")
+        return self
+
+
+def check_output(name: str, number: int, allowed: Sequence[int]) -> None:
     """Raises ConfigError for an output that the plan does not name."""
     if number not in allowed:
         raise ConfigError(f"robot '{name}': output {number} may not be switched from here; add it to the option digital_outputs")

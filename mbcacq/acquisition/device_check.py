@@ -55,7 +55,8 @@ def refuse_unattended(loaded: LoadedPlan, assume_yes: bool = False) -> None:
 def _finding(loaded: LoadedPlan, role: str, sentence: str) -> PlanFinding:
     section: tuple[str | int, ...] = ("sensors", int(role.split()[1]) - 1) if role.startswith("sensor ") else (role,)
     keys = [where for where in loaded.lines if where[: len(section)] == section]
-    options = [where for where in keys if "options" in where and re.search(rf"\b{re.escape(str(where[-1]))}\b", sentence)]
+    fault = sentence.partition(" (it knows:")[0]  # of which the other options are no part
+    options = [where for where in keys if "options" in where and re.search(rf"\b{re.escape(str(where[-1]))}\b", fault)]
     driver = (*section, "driver")
-    at = options[0] if options else driver if driver in loaded.lines else section
+    at = max(options, key=len) if options else driver if driver in loaded.lines else section
     return PlanFinding(level="error", code="device", step="", place=f"{loaded.path}:{loaded.lines.get(at, 1)}", sentence=sentence)

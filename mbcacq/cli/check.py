@@ -12,6 +12,7 @@ from mbcacq.cli.next_step import command_line, forget_failure, on_failure, say_n
 from mbcacq.cli.plan_path import PlanPath
 from mbcacq.cli.run_path import RunPath
 from mbcacq.cli.terminal import echo
+from mbcacq.quantities import capitalised
 
 if TYPE_CHECKING:
     from mbcacq.interim_check.check import InterimCheck
@@ -103,7 +104,7 @@ def lines_of(done: InterimCheck) -> list[str]:
 
     v, days = done.verdict, len(done.history.days)
     sentence = done.sentence
-    out = [f"{sentence[0].upper()}{sentence[1:]}."]
+    out = [f"{capitalised(sentence)}."]
     since, before, alarm = (odds(value) for value in (v.log_e, v.log_e_calibration, v.log_threshold))
     out.append(f"evidence for a change since the first check {since}, since the calibration {before}; alarm at {alarm}")
     levels = f"noise {v.noise:g} times the calibration's, changes from day to day {v.day:g} times the usual"

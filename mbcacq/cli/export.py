@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,40 +14,6 @@ from mbcacq.cli.step_progress import StepProgress
 from mbcacq.cli.terminal import echo
 from mbcacq.quantities import K, uncertainty
 
-_OPTIONS = (
-    click.option(
-        "--results",
-        type=click.Path(path_type=Path, file_okay=False),
-        help="Write the calibration of RUN (a folder with result.json, or that file) into this folder: JSON, CSV, KUKA, ROS.",
-    ),
-    click.option(
-        "--only",
-        metavar="FORMAT",
-        multiple=True,
-        help="With --results: these formats alone (result, csv, kuka, ros, mjcf, urdf, those of further packages).",
-    ),
-    click.option("--tool", type=click.IntRange(1, 128), default=1, show_default=True, help="With --results: number of TOOL_DATA."),
-    click.option("--tool-name", default="mbcacq scanner", show_default=True, help="With --results: TOOL_NAME."),
-    click.option("--config-dat", type=click.Path(path_type=Path), help="With --results: a $config.dat to write a unified diff against."),
-    click.option("--urdf", type=click.Path(path_type=Path), help="With --results: a URDF or xacro to write a calibrated copy of."),
-    click.option("--joint", "joints", multiple=True, help="With --urdf: its moving joints, base first (default: all revolute ones)."),
-    click.option("--flange-frame", default="tool0", show_default=True, help="With --results: name of the flange in ROS."),
-    click.option("--scanner-frame", default="scanner_frame", show_default=True, help="With --results: name of the scanner in ROS."),
-    click.option(
-        "--artefact",
-        metavar="ID",
-        help="RUN is a certificate (CSV, YAML, DMIS output): write it as the artefact file ID.yaml here, or where --output says.",
-    ),
-    click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="With --artefact: the file to write."),
-)
-
-
-def result_options(command: Callable) -> Callable:
-    """Add the options to a click command; it takes them as keyword arguments."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
-
 
 @click.command("export")
 @click.argument("run", type=RunPath())
@@ -57,7 +22,30 @@ def result_options(command: Callable) -> Callable:
 @click.option("--trajectory", type=click.Path(path_type=Path, file_okay=False), help="Write the controller cycles as a trajectory set.")
 @click.option("--force", is_flag=True, help="Replace what is already there.")
 @click.option("--simulated-anyway", is_flag=True, help="With --results: also write the calibration of a dry run.")
-@result_options
+@click.option(
+    "--results",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write the calibration of RUN (a folder with result.json, or that file) into this folder: JSON, CSV, KUKA, ROS.",
+)
+@click.option(
+    "--only",
+    metavar="FORMAT",
+    multiple=True,
+    help="With --results: these formats alone (result, csv, kuka, ros, mjcf, urdf, those of further packages).",
+)
+@click.option("--tool", type=click.IntRange(1, 128), default=1, show_default=True, help="With --results: number of TOOL_DATA.")
+@click.option("--tool-name", default="mbcacq scanner", show_default=True, help="With --results: TOOL_NAME.")
+@click.option("--config-dat", type=click.Path(path_type=Path), help="With --results: a $config.dat to write a unified diff against.")
+@click.option("--urdf", type=click.Path(path_type=Path), help="With --results: a URDF or xacro to write a calibrated copy of.")
+@click.option("--joint", "joints", multiple=True, help="With --urdf: its moving joints, base first (default: all revolute ones).")
+@click.option("--flange-frame", default="tool0", show_default=True, help="With --results: name of the flange in ROS.")
+@click.option("--scanner-frame", default="scanner_frame", show_default=True, help="With --results: name of the scanner in ROS.")
+@click.option(
+    "--artefact",
+    metavar="ID",
+    help="RUN is a certificate (CSV, YAML, DMIS output): write it as the artefact file ID.yaml here, or where --output says.",
+)
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="With --artefact: the file to write.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON object on stdout.")
 def command(
     run: Path,

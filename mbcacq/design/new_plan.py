@@ -21,13 +21,13 @@ from mbcacq.files.atomic_write import write_file
 from mbcacq.geometry import se3
 from mbcacq.model import shipped, yaml12
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
+from mbcacq.model.yaml_source import read
 from mbcacq.plan import LoadedPlan
 from mbcacq.plan.clearance import clearance_of
 from mbcacq.plan.expansion import expand_reachable
 from mbcacq.plan.feasibility import check
 from mbcacq.plan.inverse_kinematics import inverse_kinematics
 from mbcacq.plan.loader import load
-from mbcacq.plan.yaml_source import read
 
 # Places tried, as shares of the arm's reach from its shoulder, and deg about axis 1; a joint's error shows itself at all distances.
 DISTANCES, HEIGHTS, AZIMUTHS_DEG = (0.45, 0.6, 0.75), (-0.35, -0.1, 0.15, 0.4), (-60, -25, 0, 25, 60)

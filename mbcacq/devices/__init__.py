@@ -16,6 +16,7 @@ from mbcacq.devices.life_cycle import ContextDevice
 from mbcacq.devices.plan_options import parse_options
 from mbcacq.devices.protocols import Cycles, Description, Device, Field, MotionLimits, Positioner, Robot, RobotState, Scan, Scanner, Sensor
 from mbcacq.devices.registry import available, create, load_driver
+from mbcacq.devices.terminal_input import is_interactive, typed_line
 from mbcacq.errors import (
     Aborted,
     ConfigError,
@@ -56,7 +57,9 @@ __all__ = [
     "available",
     "create",
     "is_host",
+    "is_interactive",
     "load_driver",
     "parse_options",
     "signals_deferred",
+    "typed_line",
 ]

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from mbcacq.errors import ConfigError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
+    from pydantic.fields import FieldInfo
 
 Options = TypeVar("Options", bound="BaseModel")
+ONE_SIDED = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
 
 
 def parse_options(schema: type[Options], device: str, options: Mapping[str, Any], hidden: tuple[str, ...] = ()) -> Options:
@@ -26,7 +29,42 @@ def parse_options(schema: type[Options], device: str, options: Mapping[str, Any]
     except ValidationError as error:
         found = error.errors()
         first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
-        where = ".".join(str(part) for part in first["loc"]) or "options"
-        wrong = f"unknown option '{where}'" if first["type"] == "extra_forbidden" else f"{where}: {first['msg']}"
         known = ", ".join(name for name in schema.model_fields if name not in hidden)
-        raise ConfigError(f"options of {device}: {wrong} (it knows: {known}); correct the plan") from error
+        raise ConfigError(f"options of {device}: {_fault(schema, first)} (it knows: {known}); correct the plan") from error
+
+
+def _fault(schema: type[BaseModel], error: Mapping[str, Any]) -> str:
+    """What is wrong, in words. error: of pydantic."""
+    place, given = error["loc"], error["input"]
+    where = ".".join(str(part) for part in place) or "options"
+    field = schema.model_fields.get(str(place[0])) if len(place) == 1 else None
+    if error["type"] == "extra_forbidden":
+        return f"unknown option '{where}'"
+    if error["type"] == "missing" or (field is not None and field.is_required() and given in (None, "")):
+        return f"{where} is missing{f'; give {field.description}' if field is not None and field.description else ''}"
+    if error["type"] == "value_error":  # of a validator of the driver
+        return f"{where}: {error['ctx']['error']}" if place else str(error["ctx"]["error"])
+    if given is None:
+        return f"{where} must not be empty"
+    wanted = "" if field is None else _wanted(field)
+    return f"{where} must be {wanted}, not {given!r}" if wanted else f"{where}: {error['msg']}, not {given!r}"
+
+
+def _wanted(field: FieldInfo) -> str:
+    """What a value should be, '' where it is neither a number nor a choice nor a text."""
+    kind: Any = field.annotation
+    if get_origin(kind) in (Union, UnionType):
+        kind = next(one for one in get_args(kind) if one is not NoneType)
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}"
+    if kind in (int, float):
+        return f"a {'whole ' if kind is int else ''}number{_bounds(field)}"
+    return {bool: "true or false", str: "a text"}.get(kind, "")
+
+
+def _bounds(field: FieldInfo) -> str:
+    """In which range a number must be."""
+    bounds = {name: float(getattr(one, name)) for one in field.metadata for name in ONE_SIDED if getattr(one, name, None) is not None}
+    if set(bounds) == {"ge", "le"}:
+        return f" from {bounds['ge']:g} to {bounds['le']:g}"
+    return "".join(f" {ONE_SIDED[name]} {bound:g}" for name, bound in bounds.items())

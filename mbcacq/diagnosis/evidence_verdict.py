@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import Alternative, EffectFound
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, not_separable, reported_hypothesis, undecided
-from mbcacq.diagnosis.findings import Alternative, NotSeparable
+from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.next_measurements import SizedEffect
-from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.effects.effect_term import UNKNOWN
 
 
@@ -40,7 +40,7 @@ def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
     return "partly_explained" if full.model.gain > rest else "unexplained"
 
 
-def with_alternatives(full: ModelFit, effects: Sequence[PoseEffect]) -> list[PoseEffect]:
+def with_alternatives(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
     """The effects, each with the strongest others that could stand in its place; an unmodelled one of a long recording with the other
     locations of most evidence.
     """

@@ -1,4 +1,4 @@
-"""What a diagnosis of poses and one of motion have in common: effects with their parameters, mismatch, alternatives, evidence, advice.
+"""What a diagnosis of poses and one of motion have in common: what was found, its evidence, what is not separable, advice.
 
 Every class here is plain data: it pickles, and its fields are the keys of the JSON object, in their order.
 """
@@ -12,8 +12,8 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Field, WithJsonSchema
 
+from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
-from mbcacq.effects.trend import trend
 from mbcacq.model.json_text import Number, fields_as_json, from_document
 from mbcacq.quantities import percent
 
@@ -25,73 +25,6 @@ MOST_PARAMETERS = 8  # of an effect, in a table of a notebook
 
 Format = Annotated[str, WithJsonSchema({"type": "string", "const": FORMAT})]
 Verdict = Annotated[str, WithJsonSchema({"enum": ["none", "explained", "partly_explained", "unexplained", "cannot_tell"]})]
-
-
-@dataclass(frozen=True)
-class MismatchEntry:
-    """A location and covariate at which recording and simulation differ. share: of the excess over the noise, 0 to 1."""
-
-    at: str
-    depends_on: str
-    share: Number
-    p_value: Number
-
-
-@dataclass(frozen=True)
-class Alternative:
-    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1. odds:
-    its posterior probability relative to the found effect's; None where that was not computed.
-    """
-
-    later = ("odds",)
-
-    name: str
-    where: tuple[str, ...]
-    held_out_gain: Number
-    odds: float | None = None
-
-    @classmethod
-    def of_label(cls, label: str, odds: float) -> Self:
-        """From ``name:where``; what it would remove is not computed."""
-        name, _, where = label.partition(":")
-        return cls(name, tuple(where.split("+")), 0.0, odds)
-
-
-@dataclass(frozen=True, kw_only=True)
-class EffectFound:
-    """An effect that a diagnosis reports. name: of the catalogue, or ``unknown`` for an unmodelled effect.
-
-    parameters: by name, with the unit as its suffix. held_out_gain: share of the held-out excess over the noise floor that the effect
-    removes, 0 to 1. trend: why it is a trend, of which no figure may be relied on; empty for a finding.
-    """
-
-    name: str
-    where: tuple[str, ...]
-    depends_on: str = ""
-    parameters: Mapping[str, ParameterEstimate]
-    p_value: Number
-    held_out_gain: Number
-    alternatives: tuple[Alternative, ...] = ()
-    trend: str = field(init=False, default="")
-
-    def __post_init__(self) -> None:
-        sizes = {name: estimate.components for name, estimate in self.parameters.items()}
-        object.__setattr__(self, "trend", trend(sizes, self.gain_here, self.gain_std))
-
-    @property
-    def gain_here(self) -> float:
-        """Share of the held-out excess that it removes where it acts."""
-        return self.held_out_gain
-
-    @property
-    def gain_std(self) -> float:
-        """Standard deviation of ``gain_here``, 0 where it is not known."""
-        return 0.0
-
-    @property
-    def at(self) -> str:
-        """Its locations in words."""
-        return ", ".join(self.where)
 
 
 @dataclass(frozen=True)
@@ -183,7 +116,7 @@ class Findings:
     to measure next. plot_data: from which pictures are drawn; it is no part of the JSON object, so None after ``from_json``.
     """
 
-    what: ClassVar[str] = "diagnosis"  # in the sentence that a document is none
+    data: ClassVar[str] = "poses"  # that it is of
 
     format: Format = field(init=False, default=FORMAT)
     verdict: Verdict
@@ -203,7 +136,7 @@ class Findings:
 
         Raises ConfigError where the object has another format or lacks a key.
         """
-        return from_document(cls, content, READABLE, THE_CONTENT, cls.what, CURE)
+        return from_document(cls, content, READABLE, THE_CONTENT, "diagnosis", CURE)
 
     @property
     def held_out(self) -> str:

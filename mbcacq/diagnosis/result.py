@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import EstimatedNoise, Parameter
-from mbcacq.diagnosis.findings import EffectFound, EvidenceSummary, Findings, MismatchEntry
+from mbcacq.diagnosis.findings import EvidenceSummary, Findings
 from mbcacq.effects.effect_file import EffectModelFile
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm
@@ -27,35 +27,6 @@ def _content(model: EffectModel | None) -> dict[str, Any] | None:
 
 
 Model = Annotated[EffectModel | None, InJson(EffectModelFile | None, _model, _content)]
-
-
-@dataclass(frozen=True)
-class PoseMismatch(MismatchEntry):
-    """equivalent: other locations that move these centres alike, so that these data cannot tell which it is."""
-
-    equivalent: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseEffect(EffectFound):
-    """An effect that was found in poses.
-
-    p_value: as in version 1 of the format: p_local of a parametric effect, exp(-log Bayes factor) of an unmodelled one.
-    held_out_gain_std: standard deviation of held_out_gain, 0 where it is not known.
-    p_local: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect. p_corrected: by anything
-    that was tried (all candidates and values of their hyper-parameters, or all locations). log_bayes_factor: natural logarithm, of an
-    unmodelled effect against none. equivalent: other locations that act alike on these data.
-    """
-
-    p_local: float | None = None
-    p_corrected: float | None = None
-    log_bayes_factor: float | None = None
-    equivalent: tuple[str, ...] = ()
-    held_out_gain_std: Number = 0.0
-
-    @property
-    def gain_std(self) -> float:
-        return self.held_out_gain_std
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,8 +191,6 @@ class Diagnosis(Findings):
 
     later = ("geometry_alone", "exclusion_limits", "between_recordings", "proposals", "noise_depends_on", "evidence")
 
-    mismatch: tuple[PoseMismatch, ...]
-    effects: tuple[PoseEffect, ...]
     fit: FitSummary
     geometry_alone: tuple[GeometryAlone, ...] = ()
     dropped: Mapping[str, str] = field(default_factory=dict)

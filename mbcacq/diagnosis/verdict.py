@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_alternatives
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
@@ -21,7 +22,7 @@ from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, s
 from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures, PoseEffect, PoseMismatch
+from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures
 from mbcacq.diagnosis.search.effect_set import NO_EFFECTS
 from mbcacq.diagnosis.time_budget import OUT_OF_TIME
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -40,8 +41,8 @@ class JudgedFit:
     before: PredictiveScore
     residual: np.ndarray
     verdict: str
-    mismatch: list[PoseMismatch]
-    effects: list[PoseEffect]
+    mismatch: list[MismatchEntry]
+    effects: list[EffectFound]
     not_separable: tuple[NotSeparable, ...]
     pairs: tuple[tuple[SizedEffect, SizedEffect], ...]
 

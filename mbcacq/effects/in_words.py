@@ -1,4 +1,4 @@
-"""Odds and names of effects as a person reads them."""
+"""Odds, effects and the channels of a motion as a person reads them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,12 @@ from mbcacq.effects.effect_term import UNKNOWN
 
 LEAST_ODDS = 1e-3  # what is less probable is not given a figure
 EXCLUDED_ODDS = 1e-6  # what is less probable still is said to be excluded
+
+CHANNELS = {
+    "q_joint": "joint-side against motor-side angle",
+    "q_set": "actual angle against set point",
+    "tau": "torque against the rigid arm",
+}
 
 
 def odds_in_words(odds: float) -> str:
@@ -24,6 +30,11 @@ def effect_in_words(name: str) -> str:
     name, _, location = name.partition(":")
     words = "unmodelled effect" if name == UNKNOWN else name
     return f"{words} at {location}" if location else words
+
+
+def spelt_out(name: str) -> str:
+    """The same with spaces between its words, as pages and pictures have it."""
+    return effect_in_words(name).replace("_", " ")
 
 
 def _plain(value: float) -> str:

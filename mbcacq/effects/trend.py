@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from mbcacq.quantities import K
 
@@ -24,16 +23,3 @@ def trend(parameters: Mapping[str, tuple[Iterable[float | None], Iterable[float 
     if known and all(abs(v) < K * s for v, s in known):
         return UNCERTAIN
     return REMOVES_NOTHING if gain is not None and gain < max(K * std, NOTHING) else ""
-
-
-def trend_in_json(effect: Mapping[str, Any]) -> str:
-    """``trend`` of an effect as a diagnosis is written; of one of an earlier version from its 'parameters' and 'held_out_gain'."""
-    said = effect.get("trend")
-    sizes = {name: components(entry) for name, entry in effect["parameters"].items()}
-    return trend(sizes, effect["held_out_gain"]) if said is None else said
-
-
-def components(entry: Mapping[str, Any]) -> tuple[list[float | None], list[float | None]]:
-    """Values and standard deviations of the components of a parameter as a diagnosis is written."""
-    values, stds = (v if isinstance(v, list) else [v] for v in (entry["value"], entry["std"]))
-    return values, stds

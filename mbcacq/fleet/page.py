@@ -11,7 +11,7 @@ import numpy as np
 from mbcacq.fleet.control_chart import ArmType, ControlChart, Outlier
 from mbcacq.fleet.row import EVALUATED, FleetRow
 from mbcacq.model.cell import SIMULATED
-from mbcacq.quantities import fixed, micrometres, with_unit
+from mbcacq.quantities import capitalised, fixed, micrometres, with_unit
 from mbcacq.report.content import ArmTypeContent, FleetChart, FleetContent
 
 TITLES = {"rms_mm": "rms of the residuals", "spacing_max_mm": "largest sphere spacing error"}
@@ -49,7 +49,7 @@ def _caveat(rows: Sequence[FleetRow]) -> str:
     """How many of the recordings no real arm made; '' where none."""
     simulated = sum(bool(row.simulated) for row in rows)
     share = "every recording is" if simulated == len(rows) else f"{simulated} of {len(rows)} recordings are"
-    return f"{share} {SIMULATED}"[:1].upper() + f"{share} {SIMULATED}"[1:] + "." if simulated else ""
+    return f"{capitalised(share)} {SIMULATED}." if simulated else ""
 
 
 def _recording(row: FleetRow) -> tuple[str, ...]:

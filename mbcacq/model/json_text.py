@@ -77,11 +77,16 @@ class EveryKey:
     left_out: ClassVar[tuple[str, ...]] = ()
     later: ClassVar[tuple[str, ...]] = ()
 
+    def unwritten(self) -> Sequence[str]:
+        """The fields that a file does not hold."""
+        mine: Any = self  # a base of dataclasses alone
+        return [f.name for f in fields(mine) if f.name in self.left_out and getattr(self, f.name) == f.default]
+
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         def write(value: Any, by_fields: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-            saying_nothing = {key[f.name] for f in fields(value) if f.name in cls.left_out and getattr(value, f.name) == f.default}
-            return {name: content for name, content in by_fields(value).items() if name not in saying_nothing}
+            unwritten = {key[name] for name in value.unwritten()}
+            return {name: content for name, content in by_fields(value).items() if name not in unwritten}
 
         schema = handler(source)
         found: Any = handler.resolve_ref_schema(schema)

@@ -12,13 +12,13 @@ from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.geometry.numerical_inverse import NumericalInverse
 from mbcacq.model.cell import Artefact
+from mbcacq.model.yaml_source import Path_
 from mbcacq.plan.field_of_view import T_base_scanner, aim_depth, margin
 from mbcacq.plan.ik_selection import select_solutions
 from mbcacq.plan.inverse_kinematics import wrist_axis
 from mbcacq.plan.planned import LoadedPlan, PlannedPose
 from mbcacq.plan.routing import find_paths, router_of
 from mbcacq.plan.schema import AnyStep, Look, Taught, Translate, View
-from mbcacq.plan.yaml_source import Path_
 
 SAME_POSTURE = 1e-6  # rad, full turns aside
 

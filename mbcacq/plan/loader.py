@@ -12,10 +12,10 @@ from mbcacq.files.atomic_write import finish_set
 from mbcacq.model import cell, shipped
 from mbcacq.model.cell_schema import ArtefactSpec, PoseSpec, RobotSpec
 from mbcacq.model.formats import newer_format
+from mbcacq.model.yaml_source import Path_, YamlFile, parse, read
 from mbcacq.plan.planned import LoadedPlan
 from mbcacq.plan.plausibility import SMALLEST_DISTANCE_MM, SMALLEST_MOUNT_MM, implausible_artefact, looks_like_metres, looks_like_radians
 from mbcacq.plan.schema import Look, Plan, Taught
-from mbcacq.plan.yaml_source import Path_, YamlFile, parse, read
 
 PLAN_FORMAT = "mbcacq-plan/1"
 ROTATION_TOLERANCE = 0.02  # of the format: published matrices carry two to four digits

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbcacq.model.cell import Artefact
 from mbcacq.model.cell_schema import ArtefactSpec
+from mbcacq.model.yaml_source import Path_
 from mbcacq.plan.planned import LoadedPlan
-from mbcacq.plan.yaml_source import Path_
 
 SMALLEST_BALL_MM, LARGEST_BALL_MM = 1.0, 500.0  # smaller ones show no scanner enough of themselves, larger ones no arm carries past
 SMALLEST_ARTEFACT_MM = 2.0  # an artefact of 2 m in metres is 2

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identity, read_run_info
 
 if TYPE_CHECKING:
+    from mbcacq.calibration.transfer import Transfer
     from mbcacq.diagnosis.motion.combine import PosesAndMotion
     from mbcacq.diagnosis.motion.result import MotionDiagnosis
+    from mbcacq.diagnosis.result import Diagnosis
     from mbcacq.model.observations import Observations
     from mbcacq.report.content import ChangesContent, Content, FleetContent, ReportVerdict
 
@@ -85,23 +87,24 @@ def pdf_from_result(
 
 
 def write_diagnosis_page(
-    diagnosis: Mapping[str, Any] | None,
+    poses: Diagnosis | None,
     pictures: Mapping[str, Any] | None,
     path: str | Path,
     title: str = "Diagnosis",
     about: Sequence[tuple[str, str]] = (),
     motion: MotionDiagnosis | PosesAndMotion | None = None,
+    checks: Sequence[Transfer] = (),
 ) -> Path:
-    """Write a diagnosis as a page of its own: of poses (its JSON and what its pictures need), of motion, or of both.
+    """Write a diagnosis as a page of its own: of poses (with what its pictures need), of motion, or of both.
 
-    motion: with the poses of the same run, where there are both. about: robot, data and date (label, text). Raises ConfigError for a motion
-    that was read from JSON, RecordingError where the file cannot be written.
+    motion: with the poses of the same run, where there are both. checks: what was found in poses, tried on other recordings. about: robot,
+    data and date (label, text). Raises ConfigError for a motion that was read from JSON, RecordingError where the file cannot be written.
     """
     from mbcacq.report.page import render_diagnosis, write
     from mbcacq.report.sources.from_diagnosis import diagnosis_content
     from mbcacq.report.sources.from_motion import motion_content
 
-    of_poses = None if diagnosis is None else diagnosis_content(diagnosis, pictures)
+    of_poses = None if poses is None else diagnosis_content(poses, pictures, checks)
     return write(render_diagnosis(of_poses, None if motion is None else motion_content(motion), title, about), path)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.report.content import Content, DiagnosisContent, EffectContent, MotionContent
+from mbcacq.report.content import Content, DiagnosisContent, EffectContent
 from mbcacq.report.verdict import largest_error
 
 SIGNS = {"pass": "✓", "fail": "✗", "undecided": "?", "found": "→", "none": "–"}
@@ -21,26 +21,19 @@ def verdict_card(content: Content) -> str:
 
 
 def diagnosis_cards(diagnosis: DiagnosisContent) -> str:
-    """The verdict, then a card for each effect: what, where, how much, how sure, what else it could be."""
+    """The verdict, what it leaves of the misfit, then a card for each effect: what, where, how much, how sure, what else it could be."""
     lines = [f"# {SIGNS[diagnosis.level]} {diagnosis.headline}", "", diagnosis.reason, ""]
-    lines += ["| difference between model and data (3D rms) | before | after |", "|---|---|---|"]
-    lines += [f"| {label} | {before} | {after} |" for label, before, after in diagnosis.validation]
-    lines += [f"| expected from noise alone | | {diagnosis.noise_floor} |", ""]
-    for number, effect in enumerate(diagnosis.effects, 1):
-        lines += _card(number, effect)
-    return "\n".join([*lines, *(f"- {remark}" for remark in diagnosis.remarks)])
-
-
-def motion_cards(motion: MotionContent) -> str:
-    """The verdict on a motion, its channels on held-out data, then a card for each effect."""
-    lines = [f"# {SIGNS[motion.level]} {motion.headline}", "", motion.reason, ""]
-    for kind in motion.kinds:
+    if diagnosis.validation:
+        lines += ["| difference between model and data (3D rms) | before | after |", "|---|---|---|"]
+        lines += [f"| {label} | {before} | {after} |" for label, before, after in diagnosis.validation]
+        lines += [f"| expected from noise alone | | {diagnosis.noise_floor} |", ""]
+    for kind in diagnosis.kinds:
         lines += [f"| {kind.title} | held-out rms before, {kind.unit} | after, {kind.unit} |", "|---|---|---|"]
         lines += [f"| {c.at} | {c.held_out[0]} | {c.held_out[1]}{f' ({c.remark})' if c.remark else ''} |" for c in kind.rows]
         lines.append("")
-    for number, effect in enumerate(motion.effects, 1):
+    for number, effect in enumerate(diagnosis.effects, 1):
         lines += _card(number, effect)
-    return "\n".join([*lines, *(f"- {remark}" for remark in motion.remarks)])
+    return "\n".join([*lines, *(f"- {remark}" for remark in diagnosis.remarks)])
 
 
 def _card(number: int, effect: EffectContent) -> list[str]:

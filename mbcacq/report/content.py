@@ -194,30 +194,6 @@ class TrialContent:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DiagnosisContent:
-    """A diagnosis in words and units.
-
-    mismatch: (location, covariate, share of the excess over noise). validation: (data, 3D rms before, after) with a row for the data fitted
-    and one for the held-out data; noise_floor: what is expected from noise alone. evidence_map: (locations, covariates, strengths (a, c),
-    NaN where nothing was tested). curves, covariates, centres: as in the file of pictures. trials: on other recordings.
-    """
-
-    level: str
-    headline: str
-    reason: str
-    effects: list[EffectContent] = field(default_factory=list)
-    mismatch: list[tuple[str, str, str]] = field(default_factory=list)
-    validation: list[tuple[str, str, str]] = field(default_factory=list)
-    noise_floor: str = ""
-    trials: list[TrialContent] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
-    evidence_map: tuple[list[str], list[str], np.ndarray] | None = None
-    curves: list[Mapping[str, Any]] = field(default_factory=list)
-    covariates: list[Mapping[str, Any]] = field(default_factory=list)
-    centres: Mapping[str, Any] | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
 class MotionChannel:
     """One joint of a channel as texts. noise: standard deviation; held_out, fitted: rms before and after the effects; chi2: per degree of
     freedom on the held-out data; remark: where its model is refused."""
@@ -242,25 +218,39 @@ class MotionKind:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionContent:
-    """A diagnosis of motion in words and units. mismatch: (joint, kind of channel, covariate, share); small: number of further ones of
-    small share; split: how data were held out; trials: on other recordings.
-    contradictions, both: what it and the poses of the same run say differently, and together (heading, lines).
+class DiagnosisContent:
+    """A diagnosis of poses or of a motion in words and units.
+
+    mismatch: (location, kind of channel or '', covariate, share of the excess over noise); small: number of further ones of small share.
+    trials: on other recordings.
+
+    A diagnosis of poses has validation: (data, 3D rms before, after) with a row for the data fitted and one for the held-out data;
+    noise_floor: what is expected from noise alone; evidence_map: (locations, covariates, strengths (a, c), NaN where nothing was tested);
+    curves, covariates, centres: as in the file of pictures.
+
+    A diagnosis of a motion has kinds: of channels; split: how data were held out; recordings: names; contradictions, both: what it and the
+    poses of the same run say differently, and together (heading, lines).
     """
 
     level: str
     headline: str
     reason: str
-    split: str
-    recordings: list[str]
     effects: list[EffectContent]
     mismatch: list[tuple[str, str, str, str]]
-    small: int
-    kinds: list[MotionKind]
     trials: list[TrialContent]
     remarks: list[str]
-    contradictions: list[str]
-    both: list[tuple[str, list[str]]]
+    small: int = 0
+    validation: list[tuple[str, str, str]] = field(default_factory=list)
+    noise_floor: str = ""
+    evidence_map: tuple[list[str], list[str], np.ndarray] | None = None
+    curves: list[Mapping[str, Any]] = field(default_factory=list)
+    covariates: list[Mapping[str, Any]] = field(default_factory=list)
+    centres: Mapping[str, Any] | None = None
+    kinds: list[MotionKind] = field(default_factory=list)
+    split: str = ""
+    recordings: list[str] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
+    both: list[tuple[str, list[str]]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -372,7 +362,7 @@ class Content:
     accuracy: AccuracyGrid | None = None
     devices: Devices | None = None
     diagnosis: DiagnosisContent | None = None
-    motion: MotionContent | None = None
+    motion: DiagnosisContent | None = None
     earlier: Spacing | None = None
     arm_improved: ArmImprovement | None = None
     warnings: list[str] = field(default_factory=list)

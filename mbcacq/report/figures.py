@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.figure import Figure
-from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, MotionContent, Residuals
+from mbcacq.report.content import Content, Coverage, Devices, DiagnosisContent, FleetContent, Residuals
 
 
 def report_figures(content: Content) -> dict[str, Figure]:
@@ -31,8 +31,8 @@ def report_figures(content: Content) -> dict[str, Figure]:
 
 
 def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Figure]:
-    """Figures of a diagnosis: evidence map, response curves, differences along covariates."""
-    from mbcacq.report.charts import diagnosis_charts
+    """Figures of a diagnosis: evidence map, response curves, differences along covariates; each joint of each channel of a motion."""
+    from mbcacq.report.charts import diagnosis_charts, motion_charts
 
     figures: dict[str, Figure] = {}
     if diagnosis.evidence_map is not None:
@@ -40,16 +40,9 @@ def diagnosis_figures(diagnosis: DiagnosisContent) -> dict[str, Figure]:
     figures |= {f"response_{k}": diagnosis_charts.response_curve(curve) for k, curve in enumerate(diagnosis.curves)}
     if centres := diagnosis.centres:
         figures |= {f"along_{k}": diagnosis_charts.difference_along(centres, c) for k, c in enumerate(diagnosis.covariates)}
-    return figures
-
-
-def motion_figures(motion: MotionContent) -> dict[str, Figure]:
-    """Figures of a diagnosis of motion: each joint of each channel over time."""
-    from mbcacq.report.charts import motion_charts
-
-    return {
+    return figures | {
         f"motion_{series.channel}_{series.at}": motion_charts.channel_over_time(series, kind.quantity, kind.unit)
-        for kind in motion.kinds
+        for kind in diagnosis.kinds
         for series in kind.series
     }
 

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.effects.in_words import spelt_out
 from mbcacq.figure import Figure, drawing_library
 from mbcacq.files.atomic_write import write_file
-from mbcacq.quantities import fixed, pair, signed, uncertainty
-from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, MotionContent, Spacing
-from mbcacq.report.figures import diagnosis_figures, fleet_figures, motion_figures, report_figures
+from mbcacq.quantities import capitalised, fixed, pair, signed, uncertainty
+from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, Spacing
+from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
 from mbcacq.report.tables import groups, held, matrices
-from mbcacq.report.verdict import quantity, readable
+from mbcacq.report.verdict import quantity
 
 HERE = Path(__file__).parent
 PAGE_SCRIPT, SCENE_SCRIPT = HERE / "page.js", HERE / "scene.js"
@@ -33,11 +34,10 @@ def render(content: Content, *, paper: bool = False) -> str:
 
     picture = None if content.spacing is None else Markup(spacing_picture(content.spacing))
     stages = "" if content.earlier is None or content.spacing is None else Markup(stages_of(content.earlier, content.spacing))
-    figures = report_figures(content) | ({} if content.diagnosis is None else diagnosis_figures(content.diagnosis))
     motion = content.motion
     if motion is not None and paper:  # curves over time are for the screen, where they can be enlarged
         motion = replace(motion, kinds=[replace(kind, series=[]) for kind in motion.kinds])
-    figures |= {} if motion is None else motion_figures(motion)
+    figures = report_figures(content) | _figures_of(content.diagnosis, motion)
     return _template(
         "page.html.j2",
         c=content,
@@ -49,8 +49,8 @@ def render(content: Content, *, paper: bool = False) -> str:
         groups=groups(content),
         matrices=matrices(content),
         held=held(content),
-        d=content.diagnosis,
-        m=motion,
+        poses=content.diagnosis,
+        motion=motion,
         scene=None if paper else _scene(content),
     )
 
@@ -83,11 +83,16 @@ def _scene(content: Content) -> Any:
 
 
 def render_diagnosis(
-    diagnosis: DiagnosisContent | None, motion: MotionContent | None, title: str, about: Sequence[tuple[str, str]] = ()
+    diagnosis: DiagnosisContent | None, motion: DiagnosisContent | None, title: str, about: Sequence[tuple[str, str]] = ()
 ) -> str:
     """HTML of a diagnosis by itself, of poses, of motion or of both. about: robot, data and date (label, text)."""
-    figures = ({} if diagnosis is None else diagnosis_figures(diagnosis)) | ({} if motion is None else motion_figures(motion))
-    return _template("diagnosis_page.html.j2", d=diagnosis, m=motion, title=title, about=about, figures=_embedded(figures))
+    figures = _embedded(_figures_of(diagnosis, motion))
+    return _template("diagnosis_page.html.j2", poses=diagnosis, motion=motion, title=title, about=about, figures=figures)
+
+
+def _figures_of(*each: DiagnosisContent | None) -> dict[str, Figure]:
+    """The figures of the poses and of the motion, as far as they are there."""
+    return {name: figure for one in each if one is not None for name, figure in diagnosis_figures(one).items()}
 
 
 def render_fleet(fleet: FleetContent, title: str) -> str:
@@ -133,7 +138,7 @@ def _template(name: str, **values: Any) -> str:
 
 
 def curve_title(effect: str, location: str) -> str:
-    return f"{'Unmodelled effect' if effect == 'unknown' else readable(effect).capitalize()} at {location}"
+    return f"{capitalised(spelt_out(effect))} at {location}"
 
 
 def static_figures(figures: Mapping[str, Figure]) -> dict[str, Any]:

@@ -10,8 +10,8 @@ import numpy as np
 from mbcacq.calibration.caveats import export_command
 from mbcacq.calibration.length_budget import temperature_sentence
 from mbcacq.calibration.verification import verdict_of_places
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.effects.trend import trend_in_json
 from mbcacq.errors import command_line
 from mbcacq.quantities import K, measured, micrometres, signed, uncertainty
 from mbcacq.report.content import Action, ReportVerdict, Spacing
@@ -179,7 +179,7 @@ def next_action(
     verdict: ReportVerdict,
     spacing: Spacing | None,
     result: Mapping[str, Any],
-    diagnosis: Mapping[str, Any] | None,
+    found: Diagnosis | None,
     name: str,
     with_effects: str = "",
     plan: str = "",
@@ -189,10 +189,10 @@ def next_action(
     if spacing is not None and not spacing.independent:
         return VERIFY_INDEPENDENTLY
     action = None
-    if not with_effects and diagnosis is None:
+    if not with_effects and found is None:
         action = _ask_for_diagnosis(verdict, max(result["noise"].get("check_factor") or [0.0]), name)
-    elif not with_effects and diagnosis is not None:
-        action = _after_diagnosis(verdict, diagnosis, name, plan)
+    elif not with_effects and found is not None:
+        action = _after_diagnosis(verdict, found, name, plan)
     return action or _without_finding(verdict, spacing, name, with_effects, plan, export_command(result, with_effects or name))
 
 
@@ -212,27 +212,27 @@ def _ask_for_diagnosis(verdict: ReportVerdict, factor: float, name: str) -> Acti
     return Action("Ask why", f"{reason}: something may be missing in the model. Ask what, and where.", command_line("diagnose", name))
 
 
-def _after_diagnosis(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: str, plan: str) -> Action | None:
+def _after_diagnosis(verdict: ReportVerdict, found: Diagnosis, name: str, plan: str) -> Action | None:
     """None where the diagnosis found nothing and advises nothing."""
-    if diagnosis["verdict"] in ("explained", "partly_explained", "unexplained"):
-        return _after_finding(verdict, diagnosis, name, plan)
-    if diagnosis.get("advice"):
-        return Action("Measure what is missing", str(diagnosis["advice"][0].get("reason", "")), measure_next(name, plan))
+    if found.verdict in ("explained", "partly_explained", "unexplained"):
+        return _after_finding(verdict, found, name, plan)
+    if found.advice:
+        return Action("Measure what is missing", found.advice[0].reason, measure_next(name, plan))
     return None
 
 
-def _after_finding(verdict: ReportVerdict, diagnosis: Mapping[str, Any], name: str, plan: str) -> Action:
-    effects = diagnosis.get("effects") or []
-    if diagnosis["verdict"] == "unexplained" or not effects or effects[0]["name"] == UNKNOWN:
-        first = (diagnosis.get("mismatch") or [{"at": "the arm", "depends_on": "something not recorded"}])[0]
+def _after_finding(verdict: ReportVerdict, found: Diagnosis, name: str, plan: str) -> Action:
+    effects = found.effects
+    if found.verdict == "unexplained" or not effects or effects[0].name == UNKNOWN:
+        at, depends_on = next(((m.at, m.depends_on) for m in found.mismatch), ("the arm", "something not recorded"))
         return Action(
-            f"Look at {first['at']}",
-            f"The residual structure there depends on {readable(first['depends_on'])}, and no known effect describes it. "
+            f"Look at {at}",
+            f"The residual structure there depends on {readable(depends_on)}, and no known effect describes it. "
             "A repeated measurement in another order separates a lasting cause from a passing one.",
             measure_next(name, plan),
         )
-    named = [e for e in effects if not trend_in_json(e)] or effects
-    names = " and ".join(f"{readable(e['name'])} at {', '.join(e['where'])}" for e in named[:2])
+    named = [e for e in effects if not e.trend] or effects
+    names = " and ".join(f"{readable(e.name)} at {', '.join(e.where)}" for e in named[:2])
     what = "Take it into the model" if verdict.level == "pass" else "Repair it, or take it into the model"
     return Action(
         f"{what}: {names}",

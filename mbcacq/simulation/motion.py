@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
-from mbcacq.diagnosis.motion.result import MotionDiagnosis, MotionEffect
+from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.effects.catalogue import declaration
 from mbcacq.errors import ConfigError
 from mbcacq.model.trajectory import Trajectory
@@ -107,7 +108,7 @@ def what_remains(found: MotionDiagnosis) -> tuple[str, ...]:
     )
 
 
-def _block_of(effect: MotionEffect, arm: MujocoArm, fit: RollOutFit, found: MotionDiagnosis) -> Block:
+def _block_of(effect: EffectFound, arm: MujocoArm, fit: RollOutFit, found: MotionDiagnosis) -> Block:
     kind = declaration(effect.name).model_block
     if kind == "inertia":
         return parameters.inertia(arm, _last_body(arm), _with_tool(arm, found), PAYLOAD_SIGMA)
@@ -126,7 +127,7 @@ def _block_of(effect: MotionEffect, arm: MujocoArm, fit: RollOutFit, found: Moti
     return replace(block, first=np.clip(block.start + added, block.lower, block.upper))
 
 
-def _value(effect: MotionEffect, name: str) -> float:
+def _value(effect: EffectFound, name: str) -> float:
     """A parameter of one component."""
     (value,), _ = effect.parameters[name].components
     return value

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbcacq.calibration import CalibratedCell
-from mbcacq.diagnosis.result import PoseEffect
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.effects.catalogue import declaration
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
@@ -58,7 +58,7 @@ def is_written(name: str) -> bool:
     return declaration(name).model_block == "gear"
 
 
-def write_into_model(arm: MujocoArm, found: CalibratedCell, effects: Sequence[PoseEffect]) -> ModelMatch:
+def write_into_model(arm: MujocoArm, found: CalibratedCell, effects: Sequence[EffectFound]) -> ModelMatch:
     """The model with the calibrated chain and the compliances of the cell. found: of observations that ``observations_of_model`` gave, with
     the effects that a model can hold; effects: all that the diagnosis named."""
     spec = with_chain(arm, found.state.chain)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mbcacq.quantities import symbol
+from mbcacq.quantities import capitalised, symbol
 from mbcacq.report import write_changes_page
 from mbcacq.report.content import Action, ChangeRow, ChangesContent
 from mbcacq.report.sources.from_result import spacing_of
@@ -55,7 +55,7 @@ def _content(found: RunComparison, first: Mapping[str, Any], second: Mapping[str
         headline=headline,
         reason=" ".join(f"{reason}." for reason in reasons),
         changed=bool(found.changed),
-        next=Action(f"{what[0].upper()}{what[1:]}", "", command),
+        next=Action(capitalised(what), "", command),
         charts=[(title, name) for title, name, _ in groups if name in drawn],
         rows=drawn,
         spacings=[(name, spacing) for name, spacing in spacings if spacing is not None],

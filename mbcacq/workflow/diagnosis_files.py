@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import capitalised
 from mbcacq.recording import write_diagnosis
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import note_made
@@ -18,12 +20,10 @@ from mbcacq.recording.rrd.motion_recording import MotionDrawn, write_motion
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"
 
 
-def write_rrd(
-    observations: Observations, words: str, pictures: dict[str, Any], path: Path, cards: str = "", motion: MotionDiagnosis | None = None
-) -> None:
+def write_rrd(observations: Observations, cards: str, pictures: dict[str, Any], path: Path, motion: MotionDiagnosis | None = None) -> None:
     """Arrows before and after in the cell, the misfit of each pose, and the covariate held responsible, for the viewer; and the motion
     between the poses."""
-    write_diagnosis(path, observations, words, pictures, cards=cards, motion=None if motion is None else _drawn(motion))
+    write_diagnosis(path, observations, cards, pictures, motion=None if motion is None else _drawn(motion))
 
 
 def write_motion_rrd(found: MotionDiagnosis, path: Path) -> Path:
@@ -32,34 +32,30 @@ def write_motion_rrd(found: MotionDiagnosis, path: Path) -> Path:
 
 
 def _drawn(found: MotionDiagnosis) -> MotionDrawn:
-    from mbcacq.diagnosis.motion.text import CHANNELS
-    from mbcacq.report.cards import motion_cards
+    from mbcacq.effects.in_words import CHANNELS
+    from mbcacq.report.cards import diagnosis_cards
     from mbcacq.report.sources.from_motion import motion_content
 
-    titles = {kind: f"{text[:1].upper()}{text[1:]}" for kind, text in CHANNELS.items()}
-    return MotionDrawn(found.series, motion_cards(motion_content(found)), titles)
+    titles = {kind: capitalised(text) for kind, text in CHANNELS.items()}
+    return MotionDrawn(found.series, diagnosis_cards(motion_content(found)), titles)
 
 
-def keep_in_run(content: dict[str, Any], words: str, pictures: dict[str, Any], observations: Observations, run: Path) -> None:
+def keep_in_run(content: dict[str, Any], cards: str, pictures: dict[str, Any], observations: Observations, run: Path) -> None:
     """Write diagnosis.json, what its pictures need, and diagnosis.rrd into the folder of a run, where report and viewer find them.
 
     Raises RecordingError where that cannot be written.
     """
-    cards = cards_of(content)
     files = {
         DIAGNOSIS_JSON: json.dumps(content, indent=1, allow_nan=False) + "\n",
         PICTURES_JSON: json.dumps(pictures, allow_nan=False),
-        layout.DIAGNOSIS_FILE: lambda partial: stream_diagnosis(partial, observations, words, pictures, run, cards),
+        layout.DIAGNOSIS_FILE: lambda partial: stream_diagnosis(partial, observations, cards, pictures, run),
     }
     write_files(run, files, on_disk=lambda name, partial: note_made(partial, run / name))
 
 
-def cards_of(content: dict[str, Any]) -> str:
-    """The diagnosis as Markdown for the viewer: a card an effect. '' where it is one of motion."""
+def cards_of(found: Diagnosis) -> str:
+    """The diagnosis of poses as Markdown for the viewer: a card an effect."""
     from mbcacq.report.cards import diagnosis_cards
     from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
-    try:
-        return diagnosis_cards(diagnosis_content(content, None))
-    except (KeyError, TypeError, ValueError):
-        return ""
+    return diagnosis_cards(diagnosis_content(found, None))

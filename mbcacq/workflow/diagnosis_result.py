@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbcacq.calibration.transfer import Transfer
-from mbcacq.diagnosis.findings import CURE, READABLE, THE_CONTENT, EffectFound, GivenEvidence
+from mbcacq.diagnosis.effect_found import EffectFound
+from mbcacq.diagnosis.findings import CURE, READABLE, THE_CONTENT, GivenEvidence
 from mbcacq.diagnosis.motion.result import MotionDiagnosis, is_of_motion
 from mbcacq.diagnosis.result import Diagnosis, Proposal
 from mbcacq.effects.effect_model import EffectModel
@@ -130,11 +131,11 @@ class DiagnosisResult:
         str
             Several lines.
         """
-        from mbcacq.diagnosis.motion.text import headline, motion_details, motion_text
-        from mbcacq.diagnosis.output.text import words
+        from mbcacq.diagnosis.motion.text import motion_details, motion_text
+        from mbcacq.diagnosis.output.text import first_sentence, words
 
         if self.motion is not None and self.simulation is not None and self.simulation.verdict is not None:
-            return "\n".join([headline(self.motion), self.simulation.text, "", HOW_LOCATED, "", motion_details(self.motion)])
+            return "\n".join([first_sentence(self.motion), self.simulation.text, "", HOW_LOCATED, "", motion_details(self.motion)])
         written = [] if self.simulation is None else [self.simulation.text]
         if self.poses is None:
             return "\n".join([motion_text(self.motion), *written]) if self.motion else ""
@@ -187,7 +188,8 @@ class DiagnosisResult:
         from mbcacq.report.figures import diagnosis_figures
         from mbcacq.report.sources.from_diagnosis import diagnosis_content
 
-        figures = diagnosis_figures(diagnosis_content(self.main.to_json(), self.pictures()))
+        pictures = self.pictures()
+        figures = {} if self.poses is None else diagnosis_figures(diagnosis_content(self.poses, pictures))
         name = "evidence_map" if curve is None else f"response_{curve}"
         if name not in figures:
             raise ConfigError(f"there are {sum(k.startswith('response_') for k in figures)} response curves, none has the number {curve}")
@@ -213,8 +215,8 @@ class DiagnosisResult:
         """
         from mbcacq.report import write_diagnosis_page
 
-        poses = (None, None) if self.poses is None else (self.poses.to_json(), self.pictures())
-        return write_diagnosis_page(*poses, path, about=self._about(), motion=self.both or self.motion)
+        pictures = None if self.poses is None else self.pictures()
+        return write_diagnosis_page(self.poses, pictures, path, about=self._about(), motion=self.both or self.motion, checks=self.checks)
 
     def _about(self) -> list[tuple[str, str]]:
         """Robot, data and date, as the page names them."""
@@ -256,12 +258,12 @@ class DiagnosisResult:
 
         if self.poses is None and self.motion is not None:
             return write_motion_rrd(self.motion, Path(path))
-        observations, drawn = self._drawable()
-        write_rrd(observations, self._words_of_poses(), drawn, Path(path), cards_of(self.main.to_json()), self.motion)
+        poses, observations, drawn = self._drawable()
+        write_rrd(observations, cards_of(poses), drawn, Path(path), self.motion)
         return Path(path)
 
     def keep(self, run: Path | str) -> None:
-        """Write the diagnosis into the folder of a run, where report and viewer find it.
+        """Write the diagnosis of a run's poses, and of the motion between them, into the run's folder, where report and viewer find it.
 
         Parameters
         ----------
@@ -273,10 +275,10 @@ class DiagnosisResult:
         RecordingError
             The files cannot be written.
         """
-        from mbcacq.workflow.diagnosis_files import keep_in_run
+        from mbcacq.workflow.diagnosis_files import cards_of, keep_in_run
 
-        observations, drawn = self._drawable()
-        keep_in_run(self.to_dict(), self._words_of_poses(), drawn, observations, Path(run))
+        poses, observations, drawn = self._drawable()
+        keep_in_run(self.to_dict(), cards_of(poses), drawn, observations, Path(run))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON content (see ``mbcacq.diagnosis.schema.diagnosis_schema``). If there are poses and motion, the motion has its own key.
@@ -341,15 +343,10 @@ class DiagnosisResult:
             simulation=beside.simulation,
         )
 
-    def _drawable(self) -> tuple[Observations, dict[str, Any]]:
-        if self.observations is None:
+    def _drawable(self) -> tuple[Diagnosis, Observations, dict[str, Any]]:
+        if self.poses is None or self.observations is None:
             raise ConfigError("there are no observations to draw; diagnose the recording anew")
-        return self.observations, self.pictures()
-
-    def _words_of_poses(self) -> str:
-        from mbcacq.diagnosis.output.text import words
-
-        return "" if self.poses is None else words(self.poses)
+        return self.poses, self.observations, self.pictures()
 
     def __repr__(self) -> str:
         return "\n".join(repr(found) for found in (self.poses, self.motion) if found is not None)

@@ -16,7 +16,7 @@ from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.errors import ConfigError
 from mbcacq.model.formats import newer_format
 from mbcacq.model.json_text import read_json
-from mbcacq.recording.datasets.yaml_text import RESEMBLES
+from mbcacq.recording.datasets.open_format import RESEMBLES
 from mbcacq.workflow.diagnosis_result import DiagnosisResult
 
 One = DiagnosisResult | Diagnosis | EffectModel | CalibratedCell | Path | str

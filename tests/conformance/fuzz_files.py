@@ -10,7 +10,7 @@ from fuzz_target import Target, in_file
 from mbcacq.exports.certificate import read_certificate
 from mbcacq.exports.result_json import load_result
 from mbcacq.files.table import read_table
-from mbcacq.plan import yaml_source
+from mbcacq.model import yaml_source
 from mbcacq.recording.datasets import csv_columns
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.datasets.observation_set import _read_centres, _read_poses, read_observation_set

@@ -2,18 +2,10 @@
 
 from dataclasses import replace
 
-from mbcacq.diagnosis.findings import Alternative, NotSeparable
+from mbcacq.diagnosis.effect_found import Alternative, EffectFound
+from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.output.text import words
-from mbcacq.diagnosis.result import (
-    Diagnosis,
-    EstimatedNoise,
-    ExclusionLimit,
-    FitFigures,
-    FitSummary,
-    GeometryAlone,
-    HeldOutFigures,
-    PoseEffect,
-)
+from mbcacq.diagnosis.result import Diagnosis, EstimatedNoise, ExclusionLimit, FitFigures, FitSummary, GeometryAlone, HeldOutFigures
 from mbcacq.effects.effect import ParameterEstimate
 
 NOISE = EstimatedNoise(scanner_mm=(0.003, 0.003, 0.005), joint_rad=(5e-6,) * 6)
@@ -28,7 +20,7 @@ def diagnosed(verdict, *effects, before=0.020, after=0.009, **fields):
     return Diagnosis(verdict=verdict, mismatch=(), effects=effects, fit=fit, geometry_alone=(GEOMETRY,), **fields)
 
 
-SOFT = PoseEffect(
+SOFT = EffectFound(
     name="joint_compliance",
     where=("A2",),
     parameters={"A2.compliance_rad_per_Nm": ParameterEstimate(2e-6, 1e-7)},

@@ -9,11 +9,12 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.formulas.propose import holds_up, located, propose, refused
 from mbcacq.diagnosis.formulas.search import FormulaSearch, FormulaSpace
-from mbcacq.diagnosis.result import Diagnosis, PoseEffect
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.diagnosis.verdict import verdict_of
 from mbcacq.effects import catalogue
@@ -41,7 +42,7 @@ def hose_between_two_angles(s):
 
 
 def found_at(where, on):
-    return PoseEffect(name=UNKNOWN, where=(where,), parameters={}, p_value=0.0, held_out_gain=1.0, depends_on=on)
+    return EffectFound(name=UNKNOWN, where=(where,), parameters={}, p_value=0.0, held_out_gain=1.0, depends_on=on)
 
 
 def terms_at(problem, places):

@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.output.text import limit_lines, summary_lines, words
-from mbcacq.diagnosis.result import Diagnosis, ExclusionBand, ExclusionLimit, PoseEffect
+from mbcacq.diagnosis.result import Diagnosis, ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 from mbcacq.effects.effect import ParameterEstimate
-from mbcacq.effects.trend import trend, trend_in_json
+from mbcacq.effects.trend import trend
+from mbcacq.model.json_text import from_fields
 
 
 def test_the_uncertainty_of_an_rms_is_that_of_the_chi_square_distribution():
@@ -45,13 +47,12 @@ def test_an_effect_below_its_expanded_uncertainty_is_a_trend(parameters, weak):
 
 @pytest.mark.parametrize(("gain", "nothing"), [(0.0, True), (0.0004, True), (0.0006, False), (1.0, False), (None, False), (np.nan, False)])
 def test_an_effect_that_removes_nothing_of_held_out_data_is_a_trend_however_sure_its_size_is(gain, nothing):
-    drift = {"name": "station_drift", "where": ["station3"], "parameters": {"drift_mm": {"value": [1.17], "std": [0.07]}}}
-    found = PoseEffect(
+    drift = {"name": "station_drift", "where": ["station3"], "parameters": {"drift_mm": {"value": [1.17], "std": [0.07]}}, "p_value": 1e-70}
+    found = EffectFound(
         name="station_drift", where=("station3",), parameters={"drift_mm": ParameterEstimate(1.17, 0.07)}, p_value=1e-70, held_out_gain=gain
     )
     assert ("as well without it" in found.trend) is nothing
-    assert trend_in_json({**drift, "held_out_gain": gain}) == found.trend  # of a file of an earlier version, which does not say it
-    assert trend_in_json({**drift, "held_out_gain": gain, "trend": ""}) == ""
+    assert from_fields(EffectFound, {**drift, "held_out_gain": gain}).trend == found.trend  # of an earlier version, which does not say it
 
 
 def test_what_an_effect_removes_has_the_uncertainty_of_the_noise_that_it_is_seen_in():
@@ -78,7 +79,7 @@ def diagnosed():
 
 
 def effect(name, where, **parameters):
-    return PoseEffect(name=name, where=(where,), parameters=parameters, p_value=1e-9, held_out_gain=0.1)
+    return EffectFound(name=name, where=(where,), parameters=parameters, p_value=1e-9, held_out_gain=0.1)
 
 
 def test_a_trend_is_no_finding(diagnosed):

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import simulated
 
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.output.notes import confounded_pauses, pauses
-from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.effects.effect import ParameterEstimate
 
 
@@ -22,7 +22,7 @@ def test_a_pause_is_found_with_the_temperatures_on_either_side():
 
 
 def test_a_change_at_the_pause_is_said_to_be_confounded():
-    shift = PoseEffect(
+    shift = EffectFound(
         name="mount_shift", where=("mount",), parameters={"mount.at_pose": ParameterEstimate(17.0, 0.5)}, p_value=1e-9, held_out_gain=0.5
     )
     (sentence,) = confounded_pauses(paused(15), [shift])

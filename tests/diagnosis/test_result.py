@@ -9,27 +9,18 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis.diagnose import diagnose
-from mbcacq.diagnosis.findings import Advice, Alternative, NotSeparable
+from mbcacq.diagnosis.effect_found import Alternative, EffectFound, MismatchEntry
+from mbcacq.diagnosis.findings import Advice, NotSeparable
 from mbcacq.diagnosis.output.pictures import pictures
-from mbcacq.diagnosis.result import (
-    Diagnosis,
-    ExclusionBand,
-    ExclusionLimit,
-    FitFigures,
-    FitSummary,
-    HeldOutFigures,
-    NoiseDependence,
-    PoseEffect,
-    PoseMismatch,
-)
+from mbcacq.diagnosis.result import Diagnosis, ExclusionBand, ExclusionLimit, FitFigures, FitSummary, HeldOutFigures, NoiseDependence
 from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.errors import ConfigError
 
 FOUND = Diagnosis(
     verdict="explained",
-    mismatch=(PoseMismatch("A2", "gravity_torque_2", 0.71, 1e-12),),
+    mismatch=(MismatchEntry("A2", "gravity_torque_2", 0.71, 1e-12),),
     effects=(
-        PoseEffect(
+        EffectFound(
             name="gear_transmission_error",
             where=("A2", "A3"),
             parameters={"A2.order": ParameterEstimate((1.0, 100.0), (0.01, 0.02)), "A3.order": ParameterEstimate(2.0, 0.01)},
@@ -91,7 +82,7 @@ def test_the_keys_are_those_of_the_format():
 
 
 def test_what_is_not_finite_is_null_in_json_and_not_a_number_again():
-    content = replace(FOUND, mismatch=(PoseMismatch("A2", "q2", np.inf, 0.5),)).to_json()
+    content = replace(FOUND, mismatch=(MismatchEntry("A2", "q2", np.inf, 0.5),)).to_json()
 
     assert content["mismatch"][0]["share"] is None
     assert np.isnan(Diagnosis.from_json(content).mismatch[0].share)

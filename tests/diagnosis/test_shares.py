@@ -2,8 +2,8 @@
 
 import pytest
 
+from mbcacq.diagnosis.effect_found import MismatchEntry
 from mbcacq.diagnosis.output.notes import sum_of_shares
-from mbcacq.diagnosis.result import PoseMismatch
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 
 
@@ -20,5 +20,5 @@ from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
 def test_what_the_shares_add_up_to_is_said(shares, left, said):
     """An excess of 1000 over 100 degrees of freedom, of which a model leaves some."""
     before, after = (PredictiveScore(1.0, 50, chi2, 100.0) for chi2 in (1100.0, left))
-    mismatch = [PoseMismatch(f"A{k + 1}", f"q{k + 1}", share, 1e-9) for k, share in enumerate(shares)]
+    mismatch = [MismatchEntry(f"A{k + 1}", f"q{k + 1}", share, 1e-9) for k, share in enumerate(shares)]
     assert sum_of_shares(mismatch, before, after) == said

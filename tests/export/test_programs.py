@@ -253,7 +253,7 @@ def test_names_of_a_rapid_statement_are_compared_once_each(monkeypatch):
 
     def comparisons(names):
         tree = SimpleNamespace(children=[Compared(f"n{k}") for k in range(names)])
-        monkeypatch.setattr(rapid, "_parser", lambda: SimpleNamespace(parse=lambda code: tree))
+        monkeypatch.setattr(rapid, "statement_parser", lambda grammar: SimpleNamespace(parse=lambda code: tree))
         Compared.count = 0
         rapid._RapidStatements().statement(0, "", lambda place: 1)
         return Compared.count

@@ -185,7 +185,7 @@ def test_a_sensor_is_found_by_its_serial_number(sensor):
         ({"address": 5}, "address must be a text"),
         ({"address": "x", "timeout_s": -1}, "timeout_s must be a number from 0.001"),
         ({"address": "x", "uniform": "yes"}, "uniform must be true or false"),
-        ({"address": "x", "retries": 99}, "retries must be a number from 0 to 10"),
+        ({"address": "x", "retries": 99}, "retries must be a whole number from 0 to 10"),
     ],
 )
 def test_wrong_options_are_named(given, words):

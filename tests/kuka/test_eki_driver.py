@@ -84,7 +84,7 @@ GOOD = {"address": "10.0.0.1", "limits_deg": EKI_LIMITS_DEG, "speed_deg_s": SPEE
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"adress": "x"}, "unknown option adress"),
+        ({"adress": "x"}, "unknown option 'adress'"),
         ({"address": ""}, "address is missing"),
         ({"limits_deg": None}, "limits_deg"),
         ({"speed_deg_s": None}, "speed_deg_s"),

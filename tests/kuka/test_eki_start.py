@@ -10,7 +10,7 @@ from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_fakes.protocols.krc.eki import FakeEki
 from mbcacq_kuka.eki.start import same_model
 from mbcacq_kuka.rsi.driver import KukaRsi
-from mbcacq_kuka.rsi.options import read_options
+from mbcacq_kuka.rsi.options import parse
 
 from mbcacq.devices import DeviceFault, IdentityError
 
@@ -33,9 +33,9 @@ def test_rsi_is_started_over_eki():
 
 
 def test_what_kukas_program_is_configured_for_is_the_default():
-    plain = read_options("arm", {"limits_deg": LIMITS_DEG})
-    started = read_options("arm", {"limits_deg": LIMITS_DEG, "eki": "172.31.1.147"})
-    chosen = read_options("arm", {"limits_deg": LIMITS_DEG, "eki": "172.31.1.147", "sen_type": "Mine", "port": 50000})
+    plain = parse("arm", {"limits_deg": LIMITS_DEG})
+    started = parse("arm", {"limits_deg": LIMITS_DEG, "eki": "172.31.1.147"})
+    chosen = parse("arm", {"limits_deg": LIMITS_DEG, "eki": "172.31.1.147", "sen_type": "Mine", "port": 50000})
     assert [(o.sen_type, o.port) for o in (plain, started, chosen)] == [("ImFree", 49152), ("KROSHU", 59152), ("Mine", 50000)]
 
 

@@ -253,7 +253,7 @@ def test_not_connected():
         ({}, "limits_deg"),
         ({"limits_deg": [[0, 1]]}, "limits_deg"),
         ({"limits_deg": [[5, -5]] * 6}, "lower limit"),
-        ({"limits_deg": LIMITS_DEG, "prot": 1}, "unknown option prot"),
+        ({"limits_deg": LIMITS_DEG, "prot": 1}, "unknown option 'prot'"),
         ({"limits_deg": LIMITS_DEG, "port": 70000}, "port"),
         ({"limits_deg": LIMITS_DEG, "cycle_ms": 8}, "cycle_ms"),
         ({"limits_deg": LIMITS_DEG, "silence_s": 0}, "silence_s"),

@@ -6,7 +6,7 @@ from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, motion_limits, until_error,
 from mbcacq_fakes.cell.ports import free_port
 from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
-from mbcacq_kuka.rsi.options import read_options
+from mbcacq_kuka.rsi.options import parse
 from mbcacq_kuka.rsi.recovery import PendingMove, off_path
 from mbcacq_kuka.rsi.shared import MOVE, RsiCommand
 
@@ -92,7 +92,7 @@ def test_an_arm_without_a_motion_must_stand_where_it_stood():
 
 def test_over_eki_a_person_must_start_the_program():
     with pytest.raises(ConfigError, match="eki and recover_s exclude each other"):
-        read_options("arm", {"limits_deg": LIMITS_DEG, "eki": "127.0.0.1:54600", "recover_s": 60.0})
+        parse("arm", {"limits_deg": LIMITS_DEG, "eki": "127.0.0.1:54600", "recover_s": 60.0})
 
 
 def test_external_axes_are_recorded_where_they_are_sent(cell):

@@ -6,10 +6,11 @@ import pickle
 import numpy as np
 import pytest
 
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.combine import PosesAndMotion
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
-from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures, PoseEffect
+from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures
 from mbcacq.effects.effect import ParameterEstimate, number
 from mbcacq.errors import ConfigError
 
@@ -18,7 +19,7 @@ FIT = FitSummary(FitFigures(0.1, 0.05, 4.0, 1.0), HeldOutFigures(0.1, 0.05, 4.0,
 
 def of_poses(*effects, not_separable=()):
     """effects: name, locations and parameters."""
-    found = tuple(PoseEffect(name=n, where=w, parameters=p, p_value=0.0, held_out_gain=1.0) for n, w, p in effects)
+    found = tuple(EffectFound(name=n, where=w, parameters=p, p_value=0.0, held_out_gain=1.0) for n, w, p in effects)
     return Diagnosis(verdict="explained", mismatch=(), effects=found, fit=FIT, not_separable=not_separable)
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mbcacq.diagnosis.motion.result import FitOfMotion, MotionDiagnosis, MotionEffect, ResponseShape, UnmodelledMotionEffect
+from mbcacq.diagnosis.effect_found import EffectFound, ResponseShape
+from mbcacq.diagnosis.motion.result import FitOfMotion, MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.output.text import describe
-from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.effects.effect import ParameterEstimate, number
 
 
@@ -17,7 +17,7 @@ def text_of(*effects):
 @pytest.mark.parametrize(("std", "said"), [(125.3, "A2 phase is not determined"), (20.0, "A2 phase (−84 ± 40)°")])
 def test_a_phase_that_may_be_anywhere_is_not_given_as_a_number(std, said):
     parameters = {"A2.order": number(829.2, 1.93), "A2.phase_deg": number(-83.65, std)}
-    effect = MotionEffect(
+    effect = EffectFound(
         name="gear_transmission_error",
         where=("A2",),
         depends_on="q2",
@@ -35,7 +35,7 @@ def test_a_phase_that_may_be_anywhere_is_not_given_as_a_number(std, said):
 
 
 def friction(at, value, std):
-    return MotionEffect(
+    return EffectFound(
         name="friction",
         where=(at,),
         depends_on="qd2",
@@ -61,14 +61,15 @@ def test_a_size_within_its_uncertainty_is_a_trend_without_a_figure():
 
 def test_the_same_of_poses():
     parameters = {"A2.phase_deg": ParameterEstimate((10.0, 20.0), (120.0, 200.0)), "A2.amplitude_deg": ParameterEstimate(0.01, 0.001)}
-    lines = describe(PoseEffect(name="gear_transmission_error", where=("A2",), parameters=parameters, p_value=1e-9, held_out_gain=0.1))
+    lines = describe(EffectFound(name="gear_transmission_error", where=("A2",), parameters=parameters, p_value=1e-9, held_out_gain=0.1))
     assert "  A2 phase is not determined" in lines
     assert "  A2 amplitude (0.0100 ± 0.0020)°" in lines
 
 
 def unmodelled(channel, y):
     shape = ResponseShape((0.0, 1.0), y)
-    return UnmodelledMotionEffect(where=("A2",), depends_on="q2", p_value=1e-9, held_out_gain=0.1, channel=channel, shape=shape)
+    found = {"parameters": {}, "p_value": 1e-9, "held_out_gain": 0.1, "shape": shape}
+    return EffectFound(name="unknown", where=("A2",), depends_on="q2", channel=channel, **found)
 
 
 def test_an_unmodelled_effect_has_a_size():

@@ -37,17 +37,21 @@ IMPOSSIBLE = [
     ("driver: kuka_rsi", "driver: fanuc_rmi", "there is no driver 'fanuc_rmi' among the robots"),
     ("driver: gocator", "driver: photoneo", "there is no driver 'photoneo' among the scanners"),
     ("positioner: {driver: manual}", "positioner: {driver: turntable9}", "there is no driver 'turntable9' among the positioners"),
-    (OPTIONS, OPTIONS.replace("49152", "70000"), "option port must be a whole number from 0 to 65535, it is 70000"),
-    (OPTIONS, OPTIONS.replace("49152", "-1"), "it is -1"),
-    (OPTIONS, OPTIONS.replace("12}", "0}"), "option cycle_ms must be 4 or 12, it is 0"),
-    (OPTIONS, OPTIONS.replace("127.0.0.1", "everywhere"), "option bind must be an IP address"),
+    (OPTIONS, OPTIONS.replace("49152", "70000"), "port must be a whole number from 0 to 65535, not 70000"),
+    (OPTIONS, OPTIONS.replace("49152", "-1"), "not -1"),
+    (OPTIONS, OPTIONS.replace("12}", "0}"), "cycle_ms must be one of 4, 12, not 0"),
+    (OPTIONS, OPTIONS.replace("127.0.0.1", "everywhere"), "bind must be an IP address"),
     (OPTIONS, "options: {address: 172.31.1.147, acceleration_percent: 50}", "unknown option"),
     ("options: {address: 127.0.0.1}", "options: {address: 127.0.0.1, cycle_ms: 12}", "unknown option 'cycle_ms'"),
     ("options: {address: 127.0.0.1}", "options: {}", "the option address is missing"),
     ("options: {address: 127.0.0.1}", "options: {address: no such host}", "must be a host name or an IP address"),
-    (OPTIONS, OPTIONS.replace("49152", "1:30"), "it is '1:30'"),
-    (OPTIONS, OPTIONS.replace("12}", "1e6}"), "option cycle_ms must be 4 or 12, it is 1000000"),
-    ("positioner: {driver: manual}", "positioner: {driver: modbus, options: {port: 70000}}", "less than or equal to 65535"),
+    (OPTIONS, OPTIONS.replace("49152", "1:30"), "not '1:30'"),
+    (OPTIONS, OPTIONS.replace("12}", "1e6}"), "cycle_ms must be one of 4, 12, not 1000000"),
+    (
+        "positioner: {driver: manual}",
+        "positioner: {driver: modbus, options: {port: 70000}}",
+        "port must be a whole number from 1 to 65535, not 70000",
+    ),
 ]
 
 
@@ -60,6 +64,13 @@ def test_what_its_driver_refuses_is_an_error_of_the_plan_with_its_line(plan, old
     line = int(found[0].place.rpartition(":")[2])
     text = path.read_text(encoding="utf-8").splitlines()
     assert re.search(r"driver|options", text[line - 1])
+
+
+def test_the_line_is_that_of_the_option_in_question_among_several(plan):
+    path = plan(OPTIONS, "options:\n    bind: 127.0.0.1\n    port: 70000\n    cycle_ms: 12")
+    (found,) = device_findings(load(path))
+    line = int(found.place.rpartition(":")[2])
+    assert path.read_text(encoding="utf-8").splitlines()[line - 1].strip() == "port: 70000"
 
 
 @pytest.mark.parametrize("driver", ["kuka_rsi", "kuka_eki", "simulated"])
@@ -85,7 +96,7 @@ def test_it_ends_a_command_before_anything_is_opened(plan, command):
     done = CliRunner().invoke(app, [command, str(path)])
     assert done.exit_code == 2
     line = next(i for i, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1) if "70000" in text)
-    assert f"{path}:{line}: robot 'kuka_rsi': option port must be" in done.stderr
+    assert f"{path}:{line}: options of robot 'kuka_rsi': port must be" in done.stderr
 
 
 def test_every_shipped_plan_has_devices_that_can_be():

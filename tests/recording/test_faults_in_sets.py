@@ -30,13 +30,13 @@ FAULTS = [
     ("centres.csv", "11,7", "11,9", r"centres\.csv:3: column ball: ball 9 is on no artefact"),
     ("centres.csv", "z_mm", "z", r"centres\.csv:1: column z_mm is missing"),
     ("centres.csv", "4,5,6", "4,5,1e999", r"centres\.csv:3: column z_mm: '1e999' is not a finite number"),
-    ("cell.yaml", "sign: -1", "sign: 2", r"cell\.yaml:6: robot\.links\.0\.sign"),
-    ("cell.yaml", "d_mm: 515", "d_mm: .nan", r"cell\.yaml:9: robot\.links\.3\.d_mm"),
+    ("cell.yaml", "sign: -1", "sign: 2", r"cell\.yaml:6: robot\.links\[0\]\.sign"),
+    ("cell.yaml", "d_mm: 515", "d_mm: .nan", r"cell\.yaml:9: robot\.links\[3\]\.d_mm"),
     ("cell.yaml", "id: 7, ", "id: 1, ", r"cell\.yaml:19: ball id 1 is used twice"),
     ("cell.yaml", "id: far, artefact: mbc", "id: far, artefact: bar", r"cell\.yaml:22: station 'far' names the artefact 'bar'"),
     ("cell.yaml", "id: far", "id: 1", r"cell\.yaml:22: stations: id '1' is used twice"),
     ("cell.yaml", "abc_deg: [10, 20, 30]", "rotation: [[1,0,0],[0,1,0],[0,0,-1]]", r"cell\.yaml:12: the rotation matrix is not"),
-    ("cell.yaml", "d_mm: 515", "d_mm: 515, d_mm: 516", r"cell\.yaml:9: the key 'd_mm' stands here twice"),
+    ("cell.yaml", "d_mm: 515", "d_mm: 515, d_mm: 516", r"cell\.yaml:9: key 'd_mm' stands here a second time"),
     ("cell.yaml", "stations:", "stations: [", r"cell\.yaml:\d+: not valid YAML"),
     ("cell.yaml", "observation-set/1", "observation-set/2", r"cell\.yaml:1: it was written by a newer mbcacq"),
 ]
@@ -66,12 +66,7 @@ def test_a_file_without_rows_is_refused(a_set, file):
 
 @pytest.mark.parametrize(
     ("text", "sentence"),
-    [
-        ("", "it is empty, where keys are expected"),
-        ("# nothing\n", "it is empty"),
-        ("- a\n", "found a list"),
-        ("12\n", "found a single value"),
-    ],
+    [("", "it is empty; write it as lines"), ("# nothing\n", "it is empty"), ("- a\n", "it is a list"), ("12\n", "it is a single value")],
 )
 def test_a_cell_without_keys_is_refused_in_words(a_set, text, sentence):
     (a_set / "cell.yaml").write_text(text)

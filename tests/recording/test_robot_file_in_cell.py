@@ -54,7 +54,7 @@ def test_a_robot_of_the_tool_is_named(cell):
     [
         ("../none.yaml", "", r"cell.yaml:2: robot: there is no file ../none.yaml"),
         ("../arm.yaml", "name: a\nlinks:\n  - {theta_deg: 0}\n", r"arm.yaml:\d+: "),
-        ("../arm.yaml", "- 1\n", r"arm.yaml:1: keys are expected"),
+        ("../arm.yaml", "- 1\n", r"arm.yaml:1: this is no robot file"),
     ],
 )
 def test_a_robot_file_that_is_absent_or_damaged_is_named_with_its_line(cell, tmp_path, robot, file, words):

@@ -2,17 +2,8 @@
 
 import numpy as np
 
-from mbcacq.diagnosis.findings import Alternative
-from mbcacq.diagnosis.motion.result import (
-    ChannelFit,
-    ErrorBeforeAfter,
-    FitOfMotion,
-    MotionDiagnosis,
-    MotionEffect,
-    MotionMismatch,
-    ResponseShape,
-    UnmodelledMotionEffect,
-)
+from mbcacq.diagnosis.effect_found import Alternative, EffectFound, MismatchEntry, ResponseShape
+from mbcacq.diagnosis.motion.result import ChannelFit, ErrorBeforeAfter, FitOfMotion, MotionDiagnosis
 from mbcacq.effects.effect import number
 from mbcacq.model.channel_series import ChannelSeries, MotionSeries
 from mbcacq.report.content import Devices
@@ -124,9 +115,9 @@ def motion(seed=0):
     parameters = {"A2.coulomb_Nm": number(90.0, 8.0), "A2.viscous_Nms_per_rad": number(390.0, 17.0)}
     return MotionDiagnosis(
         verdict="partly_explained",
-        mismatch=(MotionMismatch("A2", "qd2", 0.8, 1e-90, "tau"), MotionMismatch("q_joint", "qd", 0.001, 1e-9, "q_joint")),
+        mismatch=(MismatchEntry("A2", "qd2", 0.8, 1e-90, channel="tau"), MismatchEntry("q_joint", "qd", 0.001, 1e-9, channel="q_joint")),
         effects=(
-            MotionEffect(
+            EffectFound(
                 name="friction",
                 where=("A2",),
                 depends_on="qd2",
@@ -138,9 +129,11 @@ def motion(seed=0):
                 held_out_gain_here=0.9,
                 steps=(),
             ),
-            UnmodelledMotionEffect(
+            EffectFound(
+                name="unknown",
                 where=("A4",),
                 depends_on="q4",
+                parameters={},
                 p_value=1e-9,
                 held_out_gain=0.1,
                 channel="q_set",

@@ -12,6 +12,7 @@ from run_events import pose_done
 
 from mbcacq.acquisition import events
 from mbcacq.cli.app import app
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.recording import Journal
 from mbcacq.report import read_run_info, report_from_result, write_diagnosis_page
@@ -113,14 +114,14 @@ def test_the_diagnosis_of_a_run_folder_is_reported(tmp_path):
 
 
 def test_damaged_pictures_are_left_out_and_the_text_stays():
-    assert diagnosis_content(diagnosis(), {"format": "other"}).curves == []
-    assert diagnosis_content(diagnosis(), {"map": [], "curves": [{"x": 1}], "causes": 3}).headline == "Explained"
+    assert diagnosis_content(Diagnosis.from_json(diagnosis()), {"format": "other"}).curves == []
+    assert diagnosis_content(Diagnosis.from_json(diagnosis()), {"map": [], "curves": [{"x": 1}], "causes": 3}).headline == "Explained"
 
 
 def test_a_diagnosis_as_a_page_of_its_own(tmp_path):
-    page = Page(write_diagnosis_page(diagnosis(), pictures(), tmp_path / "d.html").read_text(encoding="utf-8"))
+    page = Page(write_diagnosis_page(Diagnosis.from_json(diagnosis()), pictures(), tmp_path / "d.html").read_text(encoding="utf-8"))
     assert page.loads == []
-    assert "With the effects below the model explains the data down to the measured noise" in page.words
+    assert "The effects below bring the simulation down to the measured noise" in page.words
 
 
 def test_timing_and_health_of_devices_are_reported(tmp_path):

@@ -2,8 +2,11 @@
 
 from made_up import diagnosis
 
+from mbcacq.calibration.transfer import Transfer
+from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.model.json_text import from_fields
 from mbcacq.report.cards import diagnosis_cards
-from mbcacq.report.sources.from_diagnosis import diagnosis_content
+from mbcacq.report.sources.from_diagnosis import diagnosis_content, trial_content
 
 
 def test_an_alternative_is_stated_by_its_odds():
@@ -12,15 +15,15 @@ def test_an_alternative_is_stated_by_its_odds():
         {"name": "unknown", "where": ["A1"], "held_out_gain": 0.0, "odds": 1 / 652},
         {"name": "joint_step", "where": ["A2"], "held_out_gain": 0.0, "odds": 0.0},
     ]
-    effect = diagnosis_content(content, None).effects[0]
-    assert effect.alternatives == ["an unmodelled effect at A1 (odds 1 : 650)", "joint step at A2 (excluded)"]
+    effect = diagnosis_content(Diagnosis.from_json(content), None).effects[0]
+    assert effect.alternatives == ["unmodelled effect at A1 (odds 1 : 650)", "joint step at A2 (excluded)"]
 
 
 def test_components_of_a_vector_are_no_harmonics():
     content = diagnosis()
     components = {"value": [0.0098, -0.003, 0.0102], "std": [0.0033, 0.0033, 0.0048]}
     content["effects"][0]["parameters"] = {"offset_mm": components, "rotation_deg": components}
-    effect = diagnosis_content(content, None).effects[0]
+    effect = diagnosis_content(Diagnosis.from_json(content), None).effects[0]
     expected = [(f"{what} {axis}", unit) for what, unit in (("offset", "mm"), ("rotation", "°")) for axis in "xyz"]
     assert [(name, unit) for name, _, _, unit in effect.parameters] == expected
     assert effect.harmonics is None
@@ -38,7 +41,7 @@ def test_a_trend_stands_behind_the_findings_without_a_number():
         "alternatives": [],
     }
     content["effects"] = [weak, *content["effects"]]
-    shown = diagnosis_content(content, None)
+    shown = diagnosis_content(Diagnosis.from_json(content), None)
     said = [("Joint compliance at A2", ""), ("Trend: scanner warmup at scanner", "no figure is beyond its expanded uncertainty (k = 2)")]
     assert [(e.title, e.trend) for e in shown.effects] == said
     assert shown.effects[1].parameters == []
@@ -63,9 +66,7 @@ def test_a_trial_on_another_recording_is_a_table():
         "warnings": ["q1 leaves the range"],
         "recording": "autumn",
     }
-    (shown,) = diagnosis_content(
-        {**diagnosis(), "checks": [{**trial, "parts_left_out": {"as_learnt": left(0.25, 9.9), "drawn_anew": left(0.1, 4.2)}}]}, None
-    ).trials
+    shown = trial_content(from_fields(Transfer, trial | {"parts_left_out": {"as_learnt": left(0.25, 9.9), "drawn_anew": left(0.1, 4.2)}}))
     assert shown.recording == "autumn"
     assert [row[0] for row in shown.rows] == [
         "the learnt geometry alone",
@@ -76,5 +77,5 @@ def test_a_trial_on_another_recording_is_a_table():
     ]
     assert [row[1] for row in shown.rows] == ["900.0 µm", "200.0 µm", "250.0 µm", "100.0 µm", "300.0 µm"]
     assert shown.notes[1:] == ["Error over stated uncertainty: 1.30 rms, 2.40 at 95 %, 99.2% below 3.", "q1 leaves the range."]
-    (earlier,) = diagnosis_content({**diagnosis(), "checks": [trial]}, None).trials  # as programs wrote it that drew nothing anew
+    earlier = trial_content(from_fields(Transfer, trial))  # as programs wrote it that drew nothing anew
     assert len(earlier.rows) == 3

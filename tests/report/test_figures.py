@@ -11,10 +11,11 @@ from made_up import diagnosis, motion, pictures
 from result_page import make_observations, make_result
 
 import mbcacq.figure
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.figure import Figure, drawing_library
 from mbcacq.report import content_of
-from mbcacq.report.figures import diagnosis_figures, motion_figures, report_figures
+from mbcacq.report.figures import diagnosis_figures, report_figures
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.sources.from_motion import motion_content
 
@@ -22,7 +23,9 @@ from mbcacq.report.sources.from_motion import motion_content
 def test_plotly_knows_every_property_of_every_figure():
     """Plotly for Python refuses what plotly.js would pass over in silence."""
     figures = report_figures(content_of(make_result(), make_observations(), {}))
-    figures |= diagnosis_figures(diagnosis_content(diagnosis(), pictures())) | motion_figures(motion_content(motion()))
+    figures |= diagnosis_figures(diagnosis_content(Diagnosis.from_json(diagnosis()), pictures())) | diagnosis_figures(
+        motion_content(motion())
+    )
     assert len(figures) > 20
     for figure in figures.values():
         assert len(go.Figure(figure.to_dict()).data) == len(figure.data)

@@ -6,6 +6,7 @@ from chromium import Browser, program
 from made_up import devices, diagnosis, motion, pictures
 from result_page import make_observations, make_result
 
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.report import report_from_result, write_diagnosis_page
 
 pytestmark = pytest.mark.skipif(program() is None, reason="no Chromium is installed (apt-get install chromium)")
@@ -56,7 +57,9 @@ def whole_page(tmp_path_factory):
 @pytest.fixture(scope="module")
 def diagnosis_page(tmp_path_factory):
     """A diagnosis of poses and of the motion between them."""
-    return write_diagnosis_page(diagnosis(), pictures(), tmp_path_factory.mktemp("page") / "diagnosis.html", motion=motion())
+    return write_diagnosis_page(
+        Diagnosis.from_json(diagnosis()), pictures(), tmp_path_factory.mktemp("page") / "diagnosis.html", motion=motion()
+    )
 
 
 DESK, PHONE = (1280, 900, False), (390, 844, True)

@@ -22,7 +22,7 @@ from mbcacq.report.sources.from_motion import motion_pictures
 
 
 def headline(verdict):
-    return {"none": "No effect found", "explained": "Explained", "cannot_tell": "Cannot tell"}.get(verdict, "Partly explained")
+    return {"none": "No effect", "explained": "Explained", "cannot_tell": "Cannot tell"}.get(verdict, "Partly explained")
 
 
 def test_the_report_of_a_run_holds_the_motion_between_its_poses_too(tmp_path):

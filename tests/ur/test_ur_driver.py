@@ -115,7 +115,7 @@ def test_a_controller_without_a_variable_names_it(controller):
         ({"limits_deg": [[1, -1]] * 6}, "lower limit"),
         ({"address": ""}, "address"),
         ({"adress": "127.0.0.1", "address": None}, "unknown option 'adress' .it knows: address, port"),
-        ({"payload_kg": -1.0}, "payload_kg: Input should be greater than or equal to 0"),
+        ({"payload_kg": -1.0}, "payload_kg must be a number of at least 0, not -1.0"),
     ],
 )
 def test_options_that_cannot_be_are_named(controller, options, sentence):

@@ -6,7 +6,7 @@ import json
 import socket
 import struct
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import Any
 
@@ -132,7 +132,7 @@ def located(options: GoPxLOptions) -> GoPxLOptions:
         found = find(_LOOK_S, options.broadcast, options.discovery_port, options.discovery_listen_port)
         mine = [one for one in found if one.serial == options.serial and not one.remote]
         if mine:
-            return replace(options, address=mine[0].address, control_port=mine[0].control_port, data_port=mine[0].data_port)
+            return options.model_copy(update={key: getattr(mine[0], key) for key in ("address", "control_port", "data_port")})
     others = ", ".join(f"{one.model or 'a sensor'} serial {one.serial} at {one.address}" for one in found[:8]) or "none does"
     raise ConnectError(
         f"no GoPxL sensor with serial {options.serial} answers a broadcast ({others}); check its power and cable, that "

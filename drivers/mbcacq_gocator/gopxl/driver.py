@@ -13,7 +13,7 @@ from mbcacq_gocator.generation import classic_answers
 from mbcacq_gocator.gopxl import tree
 from mbcacq_gocator.gopxl.control import GoPxLControl
 from mbcacq_gocator.gopxl.discovery import located
-from mbcacq_gocator.gopxl.options import GoPxLOptions
+from mbcacq_gocator.gopxl.options import GoPxLOptions, parse
 from mbcacq_gocator.gopxl.restore import Found, put_back
 from mbcacq_gocator.gopxl.session import GoPxLSession
 from mbcacq_gocator.guard import HealthGuard
@@ -42,7 +42,7 @@ class GoPxL(SnapshotScanner[GoPxLSession]):
     )
 
     def __init__(self, name: str, model: str = "", options: Mapping[str, Any] | None = None) -> None:
-        self.options = GoPxLOptions.read(name, options or {})
+        self.options = parse(name, options or {})
         about = Description("scanner", model or "LMI GoPxL sensor", _FIELDS)
         super().__init__(name, model, self.options.retries, self.options.exposure_us, about)
         self._found: Found | None = None

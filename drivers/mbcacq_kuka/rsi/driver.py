@@ -34,7 +34,7 @@ from mbcacq_kuka.eki.client import EkiClient
 from mbcacq_kuka.eki.start import start_by_eki
 from mbcacq_kuka.option_values import check_output
 from mbcacq_kuka.rsi.cycle_process import CycleProcess
-from mbcacq_kuka.rsi.options import RsiOptions, read_options
+from mbcacq_kuka.rsi.options import RsiOptions, parse
 from mbcacq_kuka.rsi.recovery import PendingMove, off_path
 from mbcacq_kuka.rsi.shared import ALL_OUTPUTS, ARRIVED, MOVE, MOVING, STOP, RsiCommand
 
@@ -84,7 +84,7 @@ class KukaRsi(ContextDevice):
 
     def __init__(self, name: str, model: str, options: Mapping[str, Any]) -> None:
         self._name, self._model = name, model
-        self._options = read_options(name, options)
+        self._options = parse(name, options)
         self._limits = np.array(self._options.limits_deg)
         self._process: CycleProcess | None = None
         self._kept: deque[Cycles] = deque()  # of sessions that are over
@@ -101,7 +101,7 @@ class KukaRsi(ContextDevice):
     @staticmethod
     def controller_files(name: str, model: str, options: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, str]:
         """Path -> text of everything that goes onto the controller, for this plan. See controller_files.rsi_files."""
-        return rsi_files(read_options(name, options), facts)
+        return rsi_files(parse(name, options), facts)
 
     def describe(self) -> Description:
         axes, rate, outputs = (6,), 1000.0 / self._options.cycle_ms, self._options.digital_outputs

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
@@ -20,7 +21,7 @@ from mbcacq.diagnosis.nonparametric.locations import Location
 from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.problem import DiagnosisProblem, thinned, transferred
-from mbcacq.diagnosis.result import PoseEffect, Proposal
+from mbcacq.diagnosis.result import Proposal
 from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.diagnosis.validation.cross_validation import summed
 from mbcacq.diagnosis.validation.folds import split
@@ -101,7 +102,7 @@ def refused(proposal: Proposal) -> str:
 
 
 def propose(
-    problem: DiagnosisProblem, full: ModelFit, effects: Sequence[PoseEffect], progress: Callable[[str], None] = lambda text: None
+    problem: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound], progress: Callable[[str], None] = lambda text: None
 ) -> Proposed:
     """At most a few formulas for what the unmodelled effects do together, the most probable first; none where none holds up on data left
     out.
@@ -157,7 +158,7 @@ def proposal_of(here: Setting, formula: Formula, scores: Sequence[PredictiveScor
     )
 
 
-def located(context: Context, effects: Sequence[PoseEffect]) -> list[Location]:
+def located(context: Context, effects: Sequence[EffectFound]) -> list[Location]:
     """Where the unmodelled effects are, where something acts alike (the joint behind a link too, which it can turn as well), and where else
     the evidence does not exclude them. A ball or a station has no covariates of its own.
     """

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry, MotionStep
 from mbcacq.diagnosis.findings import Advice, NotSeparable
 from mbcacq.diagnosis.motion.evidence_summary import pairs_not_separable, summarized
 from mbcacq.diagnosis.motion.fit import FitStep, FittedEffect, MotionFit
@@ -23,12 +24,9 @@ from mbcacq.diagnosis.motion.result import (
     ErrorBeforeAfter,
     FitOfMotion,
     MotionDiagnosis,
-    MotionEffect,
-    MotionMismatch,
-    MotionStep,
-    UnmodelledMotionEffect,
 )
 from mbcacq.effects import catalogue
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.motion_effect import MotionSignals
 
 MILLI = 1e3  # mm in a metre
@@ -73,8 +71,8 @@ class HeldOutTable:
 def assemble(fits: list[MotionFit], runs: tuple[MotionSignals, ...], cross_validated: dict[str, np.ndarray] | None) -> MotionDiagnosis:
     """cross_validated: mean squares (2, J) before and after by group, on held-out parts, not used in selecting or fitting; None for the
     figures by which effects were selected."""
-    effects: list[MotionEffect | UnmodelledMotionEffect] = []
-    mismatch: list[MotionMismatch] = []
+    effects: list[EffectFound] = []
+    mismatch: list[MismatchEntry] = []
     channels: list[ChannelFit] = []
     for fit in fits:
         table = HeldOutTable.of(fit, None if cross_validated is None else cross_validated[fit.group.name])
@@ -109,11 +107,11 @@ def cut_short(fits: list[MotionFit]) -> bool:
     return any(fit.sets is not None and fit.sets.cut_short for fit in fits)
 
 
-def _verdict(fits: list[MotionFit], effects: list[MotionEffect | UnmodelledMotionEffect], channels: list[ChannelFit]) -> str:
+def _verdict(fits: list[MotionFit], effects: list[EffectFound], channels: list[ChannelFit]) -> str:
     """As that of poses: ``cannot_tell`` where the evidence neither shows an effect nor is as weak as without one; a residual above the
     noise is unexplained.
     """
-    named = any(isinstance(e, MotionEffect) for e in effects)
+    named = any(e.name != UNKNOWN for e in effects)
     unexplained = any(c.held_out.after_chi2_dof > NUMBERS.unexplained_chi2_dof for c in channels)
     if not named and not unexplained and any(fit.sets is not None and fit.sets.undecided for fit in fits):
         return "cannot_tell"
@@ -122,11 +120,11 @@ def _verdict(fits: list[MotionFit], effects: list[MotionEffect | UnmodelledMotio
     return "unexplained" if unexplained else "none"
 
 
-def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MotionEffect:
+def _effect(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> EffectFound:
     fit = table.fit
     at = [fit.group.index(joint) for joint in effect.candidate.rows.joints]
     share = table.share(gain)
-    return MotionEffect(
+    return EffectFound(
         name=effect.candidate.name,
         where=effect.candidate.where,
         depends_on=effect.candidate.depends_on,
@@ -147,10 +145,10 @@ def _step(fit: MotionFit, step: FitStep, at: list[int]) -> MotionStep:
     return MotionStep(tuple(step.adds), before, after)
 
 
-def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MotionMismatch:
+def _mismatch(table: HeldOutTable, effect: FittedEffect, gain: np.ndarray) -> MismatchEntry:
     c = effect.candidate
     at = c.where[0] if len(c.rows.joints) == 1 and not catalogue.declaration(c.name).between_locations else c.where[-1]
-    return MotionMismatch(at, c.depends_on, table.share(gain), effect.p_value, table.fit.group.name)
+    return MismatchEntry(at, c.depends_on, table.share(gain), effect.p_value, channel=table.fit.group.name)
 
 
 def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:

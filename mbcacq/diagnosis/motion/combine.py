@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from mbcacq.diagnosis.findings import CURE, READABLE, ComparedEffect, EffectFound, EvidenceSummary, GivenEvidence, Verdict
+from mbcacq.diagnosis.effect_found import EffectFound
+from mbcacq.diagnosis.findings import CURE, READABLE, ComparedEffect, EvidenceSummary, GivenEvidence, Verdict
 from mbcacq.diagnosis.given_effects import StatedParameters
 from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointEvidence, StatedEffect, apart, joint_evidence, not_excluded, paired
 from mbcacq.diagnosis.motion.options import NUMBERS

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import Alternative
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets, log_e_value
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
-from mbcacq.diagnosis.findings import Alternative
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem

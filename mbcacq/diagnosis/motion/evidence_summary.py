@@ -7,15 +7,15 @@ import numpy as np
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import not_separable, reported_hypothesis, undecided
-from mbcacq.diagnosis.findings import ComparedEffect, EvidenceSummary, NotSeparable
+from mbcacq.diagnosis.findings import EvidenceSummary, NotSeparable
 from mbcacq.diagnosis.motion.gram_point import GramPoint, cholesky_of
-from mbcacq.diagnosis.output.evidence_summary import compared_effect, summary_of
-from mbcacq.diagnosis.search.effect_set import slices_of
+from mbcacq.diagnosis.output.evidence_summary import summary_of
+from mbcacq.diagnosis.search.effect_set import EffectSet
 
 
 def summarized(sets: RankedSets) -> EvidenceSummary:
     """The most probable sets, the empty one among them, with the parameters of each."""
-    return summary_of(sets, lambda hypothesis: _effects_of(sets, hypothesis))
+    return summary_of(sets, coefficients)
 
 
 def pairs_not_separable(sets: RankedSets) -> tuple[NotSeparable, ...]:
@@ -31,10 +31,10 @@ def _likeness(reported: Hypothesis[GramPoint], other: Hypothesis[GramPoint]) -> 
     keys = [{m.key for m in h.members} for h in (reported, other)]
     moved, members = [], []
     for hypothesis, elsewhere in ((reported, keys[1]), (other, keys[0])):
-        own = [m for m in hypothesis.members if m.key not in elsewhere]
-        mean, _ = _coefficients(hypothesis)
-        moved.append(np.concatenate([mean[p] for m, p in zip(hypothesis.members, slices_of(hypothesis.members), strict=True) if m in own]))
-        members += own
+        found = coefficients(hypothesis)
+        own = [(m, p) for m, p in zip(found.members, found.slices(), strict=True) if m.key not in elsewhere]
+        moved.append(np.concatenate([found.coefficients[p] / m.candidate.typical for m, p in own]))
+        members += [m for m, _ in own]
     point = reported.point
     A = point.with_effects(point.extended(members)).A
     k = len(moved[0])
@@ -42,23 +42,14 @@ def _likeness(reported: Hypothesis[GramPoint], other: Hypothesis[GramPoint]) -> 
     return float(min(abs(across) / np.sqrt(max(squares, 1e-300)), 1.0))
 
 
-def _coefficients(hypothesis: Hypothesis[GramPoint]) -> tuple[np.ndarray, np.ndarray]:
-    """Posterior mean (k,) and covariance (k, k) of all coefficients of a set, in typical sizes."""
+def coefficients(hypothesis: Hypothesis[GramPoint]) -> EffectSet:
+    """The effects of a set with the posterior of their coefficients, offsets and masses integrated out."""
     members, point = hypothesis.members, hypothesis.point
+    if not members:
+        return EffectSet(())
     system = point.with_effects(point.extended(members))
     size = np.concatenate([np.full(m.candidate.k, m.size) for m in members])
+    typical = np.concatenate([m.candidate.typical for m in members])
     root = np.linalg.inv(cholesky_of(system.A, size**-2.0))
     covariance = root.T @ root
-    return covariance @ system.a, covariance
-
-
-def _effects_of(sets: RankedSets, hypothesis: Hypothesis[GramPoint]) -> tuple[ComparedEffect, ...]:
-    """The effects of a set with the posterior mean of their parameters, beyond offsets and masses."""
-    if not hypothesis.members:
-        return ()
-    mean, covariance = _coefficients(hypothesis)
-    out = []
-    for member, own in zip(hypothesis.members, slices_of(hypothesis.members), strict=True):
-        typical = member.candidate.typical
-        out.append(compared_effect(sets, hypothesis, member, typical * mean[own], covariance[own, own] * np.outer(typical, typical)))
-    return tuple(out)
+    return EffectSet(members, typical * (covariance @ system.a), covariance * np.outer(typical, typical))

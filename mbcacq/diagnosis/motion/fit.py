@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import Alternative
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
-from mbcacq.diagnosis.findings import Alternative, NotSeparable
+from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Judged

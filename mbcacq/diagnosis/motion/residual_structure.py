@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, stdtr
 
+from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry, ResponseShape
 from mbcacq.diagnosis.motion.fit import MotionFit
 from mbcacq.diagnosis.motion.options import NUMBERS
-from mbcacq.diagnosis.motion.result import MotionMismatch, ResponseShape, UnmodelledMotionEffect
+from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.effects.motion_effect import MotionSignals
 
 FEWEST_BINS = 3  # a table of fewer has no shape
@@ -28,7 +29,7 @@ class Dependence:
 
 def residual_structure(
     fit: MotionFit, j: int, runs: tuple[MotionSignals, ...], weight: float
-) -> tuple[MotionMismatch | None, UnmodelledMotionEffect | None]:
+) -> tuple[MismatchEntry | None, EffectFound | None]:
     """The covariate that predicts most of the residual of joint j of the group, fitted on one part and tested on the other.
 
     (None, None) for noise; no effect where no covariate predicts enough. weight: the residual of this joint as a share of the whole
@@ -43,17 +44,20 @@ def residual_structure(
     axis, channel = f"A{fit.group.joints[j] + 1}", fit.group.name
     if best is None or best.share < NUMBERS.least_residual_share:
         segments = NUMBERS.residual_segments
-        return MotionMismatch(axis, "time", weight, float(chdtrc(segments, segments * mean_square / floor**2)), channel), None
+        p_value = float(chdtrc(segments, segments * mean_square / floor**2))
+        return MismatchEntry(axis, "time", weight, p_value, channel=channel), None
     share = best.share * weight
-    effect = UnmodelledMotionEffect(
+    effect = EffectFound(
+        name=UNKNOWN,
         where=(axis,),
         depends_on=best.covariate,
+        parameters={},
         p_value=best.p_value,
         held_out_gain=share,
         channel=channel,
         shape=ResponseShape(best.x, best.y),
     )
-    return MotionMismatch(axis, best.covariate, share, best.p_value, channel), effect
+    return MismatchEntry(axis, best.covariate, share, best.p_value, channel=channel), effect
 
 
 def _strongest(covariates: dict[str, list[np.ndarray]], used: list[np.ndarray], residual: list[np.ndarray]) -> Dependence | None:

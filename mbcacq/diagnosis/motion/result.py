@@ -3,85 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 
-from mbcacq.diagnosis.findings import FORMAT, Alternative, EffectFound, EvidenceSummary, Findings, MismatchEntry
-from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.diagnosis.effect_found import EffectFound
+from mbcacq.diagnosis.findings import FORMAT, EvidenceSummary, Findings
 from mbcacq.effects.effect_term import UNKNOWN
 from mbcacq.errors import ConfigError
 from mbcacq.model.channel_series import MotionSeries
 from mbcacq.model.json_text import EveryKey, Number
-
-
-@dataclass(frozen=True)
-class MotionMismatch(MismatchEntry):
-    """at: joint or channel; share: of the held-out excess of that kind of mismatch (``channel``)."""
-
-    channel: str
-
-
-@dataclass(frozen=True)
-class MotionStep:
-    """One form of an effect, in the order of selection. adds: names of its parameters; held_out_before_rms, held_out_after_rms: by joint,
-    in the unit of the channel (deg, N m)."""
-
-    adds: tuple[str, ...]
-    held_out_before_rms: Mapping[str, Number]
-    held_out_after_rms: Mapping[str, Number]
-
-
-@dataclass(frozen=True)
-class ResponseShape:
-    """Mean ``y`` over bins ``x`` of a covariate, in SI units."""
-
-    x: tuple[float, ...]
-    y: tuple[float, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class EffectInChannel(EffectFound):
-    """An effect in one kind of mismatch (``channel``). p_value: exp(-log Bayes factor). held_out_gain: of the excess of that kind."""
-
-    channel: str
-
-    @property
-    def at(self) -> str:
-        return f"{super().at} ({self.channel})"
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionEffect(EffectInChannel):
-    """A parametric effect that was found.
-
-    held_out_gain_here: share of the excess of its own joints that it removes on held-out data. Together the effects of a joint remove what
-    the table of channels says. notes: what its parameters leave open.
-    """
-
-    held_out_gain_here: Number
-    steps: tuple[MotionStep, ...]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def gain_here(self) -> float:
-        return self.held_out_gain_here
-
-
-@dataclass(frozen=True, kw_only=True)
-class UnmodelledMotionEffect(EffectInChannel):
-    """Structure in a residual that no effect of the catalogue explains: its ``shape`` over the covariate ``depends_on``."""
-
-    shape: ResponseShape
-    name: str = field(init=False, default=UNKNOWN)
-    parameters: Mapping[str, ParameterEstimate] = field(init=False, default_factory=dict)
-    alternatives: tuple[Alternative, ...] = field(init=False, default=())
-    trend: Annotated[str, Field(exclude=True)] = field(init=False, default="")
-
-    def __post_init__(self) -> None:
-        """It is never a trend: it was held against noise by itself."""
 
 
 @dataclass(frozen=True)
@@ -181,15 +114,6 @@ class FitOfMotion:
         return cls(train, HeldOutChi2(held.before_chi2_dof, held.after_chi2_dof, split), tuple(channels))
 
 
-def _kind(effect: Any) -> str:
-    """Which of both an effect is: of a content of JSON, or an object."""
-    name = effect.get("name") if isinstance(effect, Mapping) else getattr(effect, "name", None)
-    return "unmodelled" if name == UNKNOWN else "named"
-
-
-EitherEffect = Annotated[Annotated[MotionEffect, Tag("named")] | Annotated[UnmodelledMotionEffect, Tag("unmodelled")], Discriminator(_kind)]
-
-
 @dataclass(frozen=True, repr=False, kw_only=True)
 class MotionDiagnosis(Findings, EveryKey):
     """What was found in recordings of motion.
@@ -200,11 +124,10 @@ class MotionDiagnosis(Findings, EveryKey):
     the effects leave of other recordings, where that was asked. plot_data: a ``MotionSeries``.
     """
 
+    data = "motions"
     left_out = ("checks",)
     later = ("not_separable", "advice", "inertial", "suspicions", "evidence")
 
-    mismatch: tuple[MotionMismatch, ...]
-    effects: tuple[EitherEffect, ...]
     fit: FitOfMotion
     inertial: tuple[BodyInertia, ...] = ()
     suspicions: tuple[str, ...] = ()
@@ -219,9 +142,9 @@ class MotionDiagnosis(Findings, EveryKey):
         return self.plot_data
 
     @property
-    def named_effects(self) -> tuple[MotionEffect, ...]:
+    def named_effects(self) -> tuple[EffectFound, ...]:
         """The parametric effects."""
-        return tuple(e for e in self.effects if isinstance(e, MotionEffect))
+        return tuple(e for e in self.effects if e.name != UNKNOWN)
 
     @property
     def held_out(self) -> str:

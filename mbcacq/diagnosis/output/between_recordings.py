@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.problem import EACH_RECORDING
-from mbcacq.diagnosis.result import PoseEffect
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.effects.effect import Candidate, ParameterEstimate
@@ -34,7 +34,7 @@ def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
     return tuple(out)
 
 
-def with_common_values(effects: Sequence[PoseEffect], each: Sequence[BetweenRecordings]) -> list[PoseEffect]:
+def with_common_values(effects: Sequence[EffectFound], each: Sequence[BetweenRecordings]) -> list[EffectFound]:
     """The effects, whose parameters that differ between the recordings are what these have in common, as uncertain as they differ: a fit to
     all of them is more certain of its value than another day allows.
     """

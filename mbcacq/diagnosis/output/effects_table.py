@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
+from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.findings import TOGETHER, NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import PoseEffect, PoseMismatch
 from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_weight
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
@@ -30,18 +30,18 @@ STEP = 0.02  # relative, of the derivative by a breakpoint: over a few poses at 
 SMALLEST_P = float(np.finfo(float).tiny)  # no probability is reported as zero
 
 
-Ranked = tuple[bool, float, PoseEffect]  # whether it stands in front, chi2 that it explains beyond all others, the effect
+Ranked = tuple[bool, float, EffectFound]  # whether it stands in front, chi2 that it explains beyond all others, the effect
 
 
-def effects_by_contribution(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[PoseEffect]:
+def effects_by_contribution(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[EffectFound]:
     """All effects, named and unmodelled, those first that explain most of what the others cannot. An effect that shows only through another
     one (a wrong payload through elastic joints) stands in front of all others.
     """
-    ranked = parametric_effects(full, contributions, proof) + unmodelled_effects(full, contributions, proof)
+    ranked = parametric_effects(full, contributions, validation) + unmodelled_effects(full, contributions, validation)
     return [effect for *_, effect in sorted(ranked, key=lambda item: (-item[0], -item[1]))]
 
 
-def parametric_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[Ranked]:
+def parametric_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[Ranked]:
     """The effects gathered by name (several joints of one effect make one entry)."""
     model = full.model
     grouped: dict[str, list[int]] = {}
@@ -53,24 +53,24 @@ def parametric_effects(full: ModelFit, contributions: Contributions, proof: Cros
     for members in grouped.values():
         first = model.members[members[0]].candidate
         gain = contributions.of(members)
-        effect = PoseEffect(
+        effect = EffectFound(
             name=first.name,
             where=tuple(dict.fromkeys(w for j in members for w in model.members[j].candidate.where)),
             parameters=merged_parameters(full, members),
             p_value=likelihood_ratio_p(full, members, gain),
-            held_out_gain=(removed := gain_left_out(proof, model, members)),
-            held_out_gain_std=proof.gain_std(removed),
+            held_out_gain=(removed := gain_left_out(validation, model, members)),
+            held_out_gain_std=validation.gain_std(removed),
             depends_on=first.depends_on,
         )
         out.append((catalogue.declaration(first.name).coupling is not None, gain, effect))
     return out
 
 
-def gain_left_out(proof: CrossValidation, model: EffectSet, members: list[int]) -> float:
+def gain_left_out(validation: CrossValidation, model: EffectSet, members: list[int]) -> float:
     """Share of the held-out excess that an entry removes: of an effect with entries at several locations, the entry at its own."""
     first = model.members[members[0]].candidate
     everywhere = sum(m.candidate.name == first.name for m in model.members) == len(members)
-    return proof.gain(first.name if everywhere else first.label)
+    return validation.gain(first.name if everywhere else first.label)
 
 
 def likelihood_ratio_p(full: ModelFit, members: list[int], gain: float) -> float:
@@ -124,7 +124,7 @@ def covariance_with_free_breakpoints(full: ModelFit) -> np.ndarray:
     return (np.linalg.inv(S * np.outer(size, size) + 1e-12 * np.eye(len(S))) * np.outer(size, size))[:k, :k]
 
 
-def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: CrossValidation) -> list[Ranked]:
+def unmodelled_effects(full: ModelFit, contributions: Contributions, validation: CrossValidation) -> list[Ranked]:
     """One entry for each location of the unmodelled effects. In a long recording they act at all locations: there is one entry then, at the
     location of the largest evidence.
     """
@@ -135,13 +135,13 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
     if full.everywhere:
         first = full.cells[0]
         parameters, p_value = _rms_parameters(size, ranked[:12]), _bayes_p(first.log_bayes_factor)
-        effect = PoseEffect(
+        effect = EffectFound(
             name=UNKNOWN,
             where=(first.location,),
             parameters=parameters,
             p_value=p_value,
-            held_out_gain=proof.unmodelled_gain,
-            held_out_gain_std=proof.gain_std(proof.unmodelled_gain),
+            held_out_gain=validation.unmodelled_gain,
+            held_out_gain_std=validation.gain_std(validation.unmodelled_gain),
             depends_on=first.depends_on,
         )
         return [(False, contributions.of(contributions.unmodelled), effect)]
@@ -149,14 +149,14 @@ def unmodelled_effects(full: ModelFit, contributions: Contributions, proof: Cros
     for at in dict.fromkeys(at for at, _ in ranked):
         mine = [key for key in ranked if key[0] == at]
         evidence = max((c.log_bayes_factor for c in full.cells if c.location == at), default=0.0)
-        gain = proof.gain(f"{UNKNOWN}:{at}")
-        effect = PoseEffect(
+        gain = validation.gain(f"{UNKNOWN}:{at}")
+        effect = EffectFound(
             name=UNKNOWN,
             where=(at,),
             parameters=_rms_parameters(size, mine),
             p_value=_bayes_p(evidence),
             held_out_gain=gain,
-            held_out_gain_std=proof.gain_std(gain),
+            held_out_gain_std=validation.gain_std(gain),
             depends_on=mine[0][1],
         )
         out.append((False, contributions.of(contributions.groups_at(full, at)), effect))
@@ -210,7 +210,7 @@ def _rms_parameters(size: dict[tuple[str, str], Displacement], keys: list[tuple[
     return {f"{at}({on}).rms_mm": ParameterEstimate(size[at, on].value, size[at, on].std) for at, on in keys}
 
 
-def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore) -> list[PoseMismatch]:
+def mismatch_table(full: ModelFit, contributions: Contributions, before: PredictiveScore) -> list[MismatchEntry]:
     """Where simulation and recording differ: each location and covariate with its share of the excess chi2, largest first."""
     excess = max(before.chi2 - before.dof, full.model.gain, 1e-9)
     together: dict[tuple[str, str], list[int]] = {}  # several orders at one joint are one location
@@ -223,15 +223,15 @@ def mismatch_table(full: ModelFit, contributions: Contributions, before: Predict
     for cell in full.cells[:1] if full.everywhere else full.cells:
         gain = contributions.of(contributions.groups_at(full, cell.location, cell.depends_on))
         entries.append((cell.location, cell.depends_on, gain, _bayes_p(cell.log_bayes_factor)))
-    largest: dict[tuple[str, str], PoseMismatch] = {}
+    largest: dict[tuple[str, str], MismatchEntry] = {}
     for at, on, gain, p_value in entries:
-        entry = PoseMismatch(at, on, float(np.clip(gain / excess, 0, 1)), p_value)
+        entry = MismatchEntry(at, on, float(np.clip(gain / excess, 0, 1)), p_value)
         if (at, on) not in largest or largest[at, on].share < entry.share:
             largest[at, on] = entry
     return sorted(largest.values(), key=lambda e: -e.share)
 
 
-def with_significance(effects: Sequence[PoseEffect], setup: DiagnosisProblem, full: ModelFit) -> list[PoseEffect]:
+def with_significance(effects: Sequence[EffectFound], setup: DiagnosisProblem, full: ModelFit) -> list[EffectFound]:
     """The effects with p_local and p_corrected (Sidak, over all candidates and the independent values of their hyper-parameters), or
     with their Bayes factor, corrected for the number of locations.
     """
@@ -274,8 +274,8 @@ def classes(obs: Observations, not_separable: Sequence[NotSeparable]) -> list[tu
 
 
 def with_classes(
-    effects: Sequence[PoseEffect], mismatch: Sequence[PoseMismatch], found: Sequence[tuple[str, ...]]
-) -> tuple[list[PoseEffect], list[PoseMismatch]]:
+    effects: Sequence[EffectFound], mismatch: Sequence[MismatchEntry], found: Sequence[tuple[str, ...]]
+) -> tuple[list[EffectFound], list[MismatchEntry]]:
     """Effects and mismatch with the locations that are equivalent to theirs."""
 
     def others(places: Sequence[str]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from mbcacq.diagnosis.evidence.untried_rivals import stands_for_untried
 from mbcacq.diagnosis.findings import TOGETHER, ComparedEffect, ComparedSet, EvidenceSummary
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.search.effect_set import Member
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects.effect import ParameterEstimate, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words, odds_in_words
 
@@ -25,17 +25,26 @@ MOST_LOG_ODDS = 300.0  # whose exponential is a number
 
 def summarized(problem: DiagnosisProblem, fit: EvidenceFit) -> EvidenceSummary:
     """The most probable sets of a fit, the empty one among them, with the coefficients of each."""
-    sentences = tuple(untried_in_words(problem, fit))
-    return summary_of(fit, lambda hypothesis: effects_of(problem, fit, hypothesis), fit.linear.obs.n_poses, sentences)
+
+    def untried(hypothesis: Hypothesis) -> set[str]:
+        return {u.candidate.key for u in stands_for_untried(problem, hypothesis)}
+
+    return summary_of(fit, coefficients, untried, fit.linear.obs.n_poses, tuple(untried_in_words(problem, fit)))
 
 
 def summary_of(
-    sets: RankedSets, effects: Callable[[Hypothesis], tuple[ComparedEffect, ...]], poses: int = 0, untried: tuple[str, ...] = ()
+    sets: RankedSets,
+    solved: Callable[[Hypothesis], EffectSet],
+    untried: Callable[[Hypothesis], set[str]] = lambda hypothesis: set(),
+    poses: int = 0,
+    sentences: tuple[str, ...] = (),
 ) -> EvidenceSummary:
-    """The sets that are near the most probable one, and the empty one. effects: of a set, with their parameters."""
+    """The sets that are near the most probable one, and the empty one. solved: the coefficients of a set; untried: keys of the effects in
+    it that stand for what was not tried.
+    """
     best = sets.hypotheses[0].log_posterior
-    compared = tuple(ComparedSet(effects(h), float(h.log_posterior - best)) for h in shown(sets))
-    return EvidenceSummary(poses, sets.log_e_value, sets.least, compared, untried)
+    compared = tuple(ComparedSet(effects_of(sets, h, solved(h), untried(h)), float(h.log_posterior - best)) for h in shown(sets))
+    return EvidenceSummary(poses, sets.log_e_value, sets.least, compared, sentences)
 
 
 def shown(sets: RankedSets) -> list[Hypothesis]:
@@ -44,19 +53,16 @@ def shown(sets: RankedSets) -> list[Hypothesis]:
     return [h for h in sets.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
 
 
-def effects_of(problem: DiagnosisProblem, fit: EvidenceFit, hypothesis: Hypothesis) -> tuple[ComparedEffect, ...]:
+def effects_of(sets: RankedSets, hypothesis: Hypothesis, solved: EffectSet, untried: set[str]) -> tuple[ComparedEffect, ...]:
     """The effects of a set with their parameters."""
-    found, untried = coefficients(hypothesis), {u.candidate.key for u in stands_for_untried(problem, hypothesis)}
-    each = zip(hypothesis.members, found.slices(), strict=True)
+    each = zip(hypothesis.members, solved.slices(), strict=True)
     return tuple(
-        compared_effect(fit, hypothesis, m, found.coefficients[own], found.covariance[own, own], m.candidate.key not in untried)
+        compared_effect(sets, hypothesis, m, solved.coefficients[own], solved.covariance[own, own], m.candidate.key not in untried)
         for m, own in each
     )
 
 
-def compared_effect(
-    sets: RankedSets, hypothesis: Hypothesis, member: Member, c: np.ndarray, v: np.ndarray, tried: bool = True
-) -> ComparedEffect:
+def compared_effect(sets: RankedSets, hypothesis: Hypothesis, member: Member, c: np.ndarray, v: np.ndarray, tried: bool) -> ComparedEffect:
     """An effect of a set, whose coefficients are c (k,) with covariance v (k, k)."""
     candidate, before = member.candidate, np.diag((member.size * member.candidate.typical) ** 2)
     with np.errstate(divide="ignore", invalid="ignore"):  # an angle between coefficients that are zero is not a number

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
 from mbcacq.diagnosis.evidence.candidate_evidence import log_factors, log_weights, refined
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import coupled_instead, reported_hypothesis
@@ -13,7 +14,7 @@ from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.kept_model import partly_covered
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import NoiseDependence, PoseEffect, PoseMismatch
+from mbcacq.diagnosis.result import NoiseDependence
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.validation.cross_validation import CrossValidation
 from mbcacq.diagnosis.validation.predictive_score import PredictiveScore
@@ -53,7 +54,7 @@ def notes(setup: DiagnosisProblem, full: ModelFit) -> list[str]:
     return out
 
 
-def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[PoseEffect]) -> list[str]:
+def of_effects(setup: DiagnosisProblem, full: ModelFit, effects: Sequence[EffectFound]) -> list[str]:
     """Sentences on what qualifies the effects found."""
     if not effects:
         return []
@@ -119,7 +120,7 @@ def not_carried_over(verdict: str, validation: CrossValidation) -> list[str]:
     ]
 
 
-def sum_of_shares(mismatch: Sequence[PoseMismatch], before: PredictiveScore, after: PredictiveScore) -> list[str]:
+def sum_of_shares(mismatch: Sequence[MismatchEntry], before: PredictiveScore, after: PredictiveScore) -> list[str]:
     """A sentence where the shares do not add up to 100 %.
 
     The share of a place is what only this place explains: what several explain alike is in no share, and places that compensate each other
@@ -203,7 +204,7 @@ def near_built_orders(candidate: Candidate, own: float, resolution: float) -> li
     return [order for order in built if LEAST_APART < abs(order - own) <= resolution]
 
 
-def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[PoseEffect]) -> list[str]:
+def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[EffectFound]) -> list[str]:
     """Sentences on what fades with time so slowly that the recording shows only how it begins."""
     out = []
     names = {c.hyper.name for c in setup.candidates if c.hyper is not None and c.hyper.kind == FADING}
@@ -217,7 +218,7 @@ def unfinished_warm_ups(setup: DiagnosisProblem, effects: Sequence[PoseEffect]) 
     return out
 
 
-def bent_artefacts(obs: Observations, effects: Sequence[PoseEffect]) -> list[str]:
+def bent_artefacts(obs: Observations, effects: Sequence[EffectFound]) -> list[str]:
     """A sentence for each artefact of which several balls were found elsewhere than certified: that has one cause."""
     moved = [where for e in effects for where in e.where if where.startswith("ball")]
     out = []
@@ -232,7 +233,7 @@ def bent_artefacts(obs: Observations, effects: Sequence[PoseEffect]) -> list[str
     return out
 
 
-def confounded_pauses(obs: Observations, effects: Sequence[PoseEffect]) -> list[str]:
+def confounded_pauses(obs: Observations, effects: Sequence[EffectFound]) -> list[str]:
     """Sentences on pauses of the recording, where a change in time was found: what happens meanwhile no pose can tell apart."""
     found = [p for e in effects for name, p in e.parameters.items() if name.rpartition(".")[2] == "at_pose"]
     moments = [(float(v), float(s)) for p in found for v, s in zip(np.atleast_1d(p.value), np.atleast_1d(p.std), strict=True)]

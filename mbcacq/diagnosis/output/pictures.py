@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from mbcacq.diagnosis.effect_found import MismatchEntry
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.nonparametric.design_blocks import DesignBlocks
 from mbcacq.diagnosis.nonparametric.evidence_map import EvidenceMap
 from mbcacq.diagnosis.problem import DiagnosisProblem
-from mbcacq.diagnosis.result import Diagnosis, PoseMismatch
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
 from mbcacq.effects.context import Context
@@ -68,7 +69,9 @@ def pictures(diagnosis: Diagnosis) -> dict[str, Any]:
     return plain({"format": FORMAT, "map": map_, "centres": data.centres, "causes": data.causes, "curves": data.curves})
 
 
-def plot_data(setup: DiagnosisProblem, full: ModelFit, mismatch: Sequence[PoseMismatch], before: np.ndarray, after: np.ndarray) -> PlotData:
+def plot_data(
+    setup: DiagnosisProblem, full: ModelFit, mismatch: Sequence[MismatchEntry], before: np.ndarray, after: np.ndarray
+) -> PlotData:
     """The plot data of a fit; before, after: (M, R) mm residuals in the frame of the instrument, of the geometry alone and of the model."""
     context, linear = setup.context, full.geometry_only.linear
     obs = linear.obs
@@ -115,6 +118,7 @@ def axis_of(depends_on: str) -> tuple[str, str, float]:
         (r"direction_(\d+)", "direction of A{}'s last motion", "", 1.0),
         (r"time", "time", "min", 1 / 60),
         (r"pose", "order of measurement", "", 1.0),
+        (r"qd", "speed", "", 1.0),
         (r"qd(\d+)", "speed of A{}", "°/s", 180 / np.pi),
         (r"tau(\d+)", "motor torque of A{}", "N·m", 1.0),
         (r"([xyz])", "position in the view along {}", "mm", 1.0),

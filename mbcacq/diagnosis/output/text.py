@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Sequence
 
 import numpy as np
 
-from mbcacq.diagnosis.findings import Advice, Alternative, EffectFound, MismatchEntry, NotSeparable
+from mbcacq.diagnosis.effect_found import Alternative, EffectFound, MismatchEntry, ResponseShape
+from mbcacq.diagnosis.findings import Advice, Findings, NotSeparable
 from mbcacq.diagnosis.options import OPTIONS as DIAGNOSIS
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
 from mbcacq.diagnosis.result import Diagnosis, ExclusionLimit, GeometryAlone, Proposal
 from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
 from mbcacq.effects.effect_term import UNKNOWN
-from mbcacq.effects.in_words import effect_in_words, odds_in_words
+from mbcacq.effects.in_words import CHANNELS, effect_in_words, odds_in_words
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.quantities import K, fixed, listed, measured, micrometres, p_value, percent, significant, split_unit, uncertainty, with_unit
 
-E = TypeVar("E", bound=EffectFound)
-M = TypeVar("M", bound=MismatchEntry)
 VERDICTS = {
     "none": "No effect: the simulation explains the recording {distance}.",
     "explained": "Explained: the effects below bring the simulation {distance}.",
     "partly_explained": "Partly explained: the effects below help, but structure remains.",
     "unexplained": "Unexplained: there is a mismatch that no effect of the catalogue describes.",
-    "cannot_tell": "Cannot tell: these poses do not separate the candidates, or do not show them.",
+    "cannot_tell": "Cannot tell: these {data} do not separate the candidates, or do not show them.",
 }
-NOT_TOLD_APART = "Cannot tell: these poses do not separate the possible causes of the mismatch."
-OPEN = "Cannot tell: these poses leave open whether there is an effect."
+NOT_TOLD_APART = "Cannot tell: these {data} do not separate the possible causes of the mismatch."
+OPEN = "Cannot tell: these {data} leave open whether there is an effect."
 MOST_NAMED = 4  # effects in the first lines
 MOST_LIMITS = 3  # effects that could still hide, in the text
 NOT_DETERMINED = "is not determined"
@@ -56,11 +54,14 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
     return "\n".join(lines)
 
 
-def first_sentence(d: Diagnosis, floor: NoiseFloor) -> str:
-    """The verdict; of one that cannot tell, what of."""
+def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
+    """The verdict, with how near to the noise the model comes where that is known; of one that cannot tell, what of."""
+    sentence = VERDICTS[d.verdict]
     if d.verdict == "cannot_tell" and d.not_separable:
-        return NOT_TOLD_APART
-    return OPEN if d.verdict == "cannot_tell" and not d.effects else verdict_in_words(d.verdict, floor)
+        sentence = NOT_TOLD_APART
+    elif d.verdict == "cannot_tell" and not d.effects:
+        sentence = OPEN
+    return sentence.format(data=d.data, distance="down to the measured noise" if floor is None else floor.distance)
 
 
 def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
@@ -72,19 +73,20 @@ def held_out_line(d: Diagnosis, floor: NoiseFloor) -> str:
     return f"On held-out data (by {held.split}): {rms}; χ²/dof {chi2}; expected from noise alone: {floor.noise} (k = 2)."
 
 
-def mismatch_lines(mismatch: Sequence[M], kind: Callable[[M], str] = lambda m: "") -> list[str]:
-    """What depends on what, with an empty line at the end. kind: of a mismatch, where there are several, in words."""
-    lines = [f"  {m.at:<10} depends on {m.depends_on:<18} share {percent(m.share)}{kind(m)}" for m in mismatch]
+def mismatch_lines(mismatch: Sequence[MismatchEntry]) -> list[str]:
+    """What depends on what, with an empty line at the end."""
+    kinds = [f" ({CHANNELS[m.channel]})" if m.channel else "" for m in mismatch]
+    lines = [f"  {m.at:<10} depends on {m.depends_on:<18} share {percent(m.share)}{kind}" for m, kind in zip(mismatch, kinds, strict=True)]
     return ["Where model and data disagree:", *lines, ""] if lines else []
 
 
-def effect_lines(effects: Sequence[E], further: Callable[[E], Sequence[str]] = lambda e: ()) -> list[str]:
-    """The findings, then the trends. further: what is said of an effect beside its parameters."""
+def effect_lines(effects: Sequence[EffectFound]) -> list[str]:
+    """The findings, then the trends."""
     lines = list[str]()
     for heading, some in zip((FINDINGS, TRENDS), findings_and_trends(effects), strict=True):
         lines += [heading] if some else []
         for effect in some:
-            lines += describe(effect, further(effect))
+            lines += describe(effect)
     return lines
 
 
@@ -94,7 +96,7 @@ def open_lines(not_separable: Sequence[NotSeparable], advice: Sequence[Advice]) 
     return [*lines, *(f"Measure next: {a.reason}" for a in advice)]
 
 
-def findings_and_trends(effects: Sequence[E]) -> tuple[list[E], list[E]]:
+def findings_and_trends(effects: Sequence[EffectFound]) -> tuple[list[EffectFound], list[EffectFound]]:
     """The effects with a figure that may be relied on, and those without one, each in their order."""
     return [e for e in effects if not e.trend], [e for e in effects if e.trend]
 
@@ -174,11 +176,6 @@ def what_could_hide(limits: Sequence[ExclusionLimit]) -> str:
 def noise_floor(d: Diagnosis) -> NoiseFloor:
     """How near the model comes to the noise on held-out data."""
     return NoiseFloor.of(d.fit.held_out.after_rms_mm, d.fit.repeatability_floor_mm, sum(g.centres for g in d.geometry_alone))
-
-
-def verdict_in_words(verdict: str, floor: NoiseFloor | None = None) -> str:
-    """The verdict as a sentence, with how near to the noise the model comes where that is known."""
-    return VERDICTS[verdict].format(distance="down to the measured noise" if floor is None else floor.distance)
 
 
 def geometry_lines(each: Sequence[GeometryAlone]) -> list[str]:
@@ -267,18 +264,25 @@ def limited(limit: ExclusionLimit) -> str:
     return f"{at} of {words} {with_unit(low, unit)}" if low == high else f"{at} of any {words} from {low} to {with_unit(high, unit)}"
 
 
-def describe(effect: EffectFound, further: Sequence[str] = ()) -> list[str]:
-    """The lines of one effect, with an empty one at the end; of a trend no figure. further: what is said beside its parameters."""
+def describe(effect: EffectFound) -> list[str]:
+    """The lines of one effect, with an empty one at the end; of a trend no figure."""
     at = f"{effect_in_words(effect.name)} at {', '.join(effect.where)}"
     out = [f"{at} ({p_value(effect.p_value)}, removes {percent(effect.gain_here)} of the excess over noise)"]
     values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in effect.parameters.items()]
-    out += [f"  {line}" for line in (*values, *further)]
+    shape = [] if effect.shape is None else [size_of_shape(effect, effect.shape)]
+    out += [f"  {line}" for line in (*values, *shape, *effect.notes)]
     possible = [a for a in effect.alternatives if a.odds is None or a.odds > DIAGNOSIS.undecided]
     excluded = [a for a in effect.alternatives if a not in possible]
     for heading, some in (("could also be", possible), ("excluded in its place", excluded)):
         if some:
             out.append(f"  {heading}: " + "; ".join(f"{effect_in_words(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in some))
     return [*out, ""]
+
+
+def size_of_shape(effect: EffectFound, shape: ResponseShape) -> str:
+    """How large an unmodelled effect of a motion is."""
+    size = f"{significant(shape.rms)} N·m" if effect.channel == "tau" else f"{significant(float(np.degrees(shape.rms)))}°"
+    return f"rms {size}, as a function of {effect.depends_on} ({CHANNELS[effect.channel]})"
 
 
 def phase_is_undetermined(name: str, std: float) -> bool:
@@ -294,9 +298,9 @@ def reported(name: str, estimate: ParameterEstimate) -> str:
 
 
 def likelihood(a: Alternative) -> str:
-    """How probable an alternative is."""
+    """How probable an alternative is; the share of the mismatch that it would remove where only that is known."""
     if a.odds is None:
-        return percent(a.held_out_gain)
+        return f"would remove {percent(a.held_out_gain)}"
     return odds_in_words(a.odds)
 
 

@@ -7,13 +7,12 @@ description by rows (as of the maker's own for ROS).
 from __future__ import annotations
 
 import re
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.programs.program import LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses
+from mbcacq.exports.programs.program import LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Uses, statement_parser
 
 STATEMENT = r"""
 start: [SIGNED] ":" _any*
@@ -47,13 +46,6 @@ _REMARK = re.compile(r"\s*(\d+\s*)?:\s*(!|//)")
 DEGREES = float(np.pi / 180)
 
 
-@cache
-def _parser(grammar: str) -> Any:
-    from lark import Lark
-
-    return Lark(grammar, parser="lalr", maybe_placeholders=False)
-
-
 def read(text: str, n: int) -> RobotProgram:
     """The points of a program for an arm of n axes. Raises ConfigError with the line for positions that are not understood."""
     from lark.exceptions import UnexpectedInput
@@ -65,7 +57,7 @@ def read(text: str, n: int) -> RobotProgram:
     end = sections["END"].start() if "END" in sections and sections["END"].start() > begin else len(text)
     line_of = LineNumbers(text)
     try:
-        tree = _parser(POSITIONS).parse(text[begin:end])
+        tree = statement_parser(POSITIONS).parse(text[begin:end])
     except UnexpectedInput as error:
         place = begin + max(int(error.pos_in_stream or 0), 0)
         raise ConfigError(f"line {line_of(place)}: these positions are not understood; save the program as ASCII (.ls) anew") from None
@@ -120,7 +112,7 @@ def _uses(text: str, begin: int, end: int, line_of: LineNumbers) -> dict[str, Us
         if _REMARK.match(statement):
             continue
         try:
-            tree = _parser(STATEMENT).parse(statement)
+            tree = statement_parser(STATEMENT).parse(statement)
         except LarkError:
             for key in re.findall(r"\bP\[\s*(\d+)", statement):
                 out.setdefault(str(int(key)), Uses()).otherwise.append(number)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from mbcacq.exports.programs.program import LeftAlone, ProgrammedPoint, RobotProgram, Variables, lines, names_in
+from mbcacq.exports.programs.program import LeftAlone, ProgrammedPoint, RobotProgram, Variables, lines, names_in, statement_parser
 
 GRAMMAR = r"""
 start: (motion | _any+)?
@@ -51,13 +50,6 @@ _WORD = re.compile(r"[$A-Za-z_][\w$]*")
 _INLINE_FORM = re.compile(r"x", re.IGNORECASE)  # the controller's forms call the coordinates of point P1 XP1
 
 
-@cache
-def _parser() -> Any:
-    from lark import Lark
-
-    return Lark(GRAMMAR, parser="lalr", maybe_placeholders=False)
-
-
 class _KrlStatements:
     """What the lines of a program hold. points: coordinates of all axes, by variable or '' for those in a motion itself."""
 
@@ -76,7 +68,7 @@ class _KrlStatements:
         if code.startswith("&") or _DATA.match(code):
             return
         try:
-            tree = _parser().parse(code)
+            tree = statement_parser(GRAMMAR).parse(code)
         except LarkError:
             plain = code.split(";", 1)[0]
             for word in _WORD.findall(plain):

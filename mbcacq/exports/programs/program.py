@@ -6,6 +6,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,15 @@ LINE_END = re.compile(r"\r\n|\r|\n")  # and no other: to Python's splitlines byt
 NO_PLACE = re.compile(
     r"tol|offs|delta|step|incr|rel(?![a-z])|diff|limit|^max|^min|max$|min$|(?<!le)vel|acc(?!ess)|speed|dist|range|window", re.IGNORECASE
 )
+
+
+@cache
+def statement_parser(grammar: str) -> Any:
+    """The parser of one statement of a robot's language."""
+    from lark import Lark
+
+    return Lark(grammar, parser="lalr", maybe_placeholders=False)
+
 
 LeftAlone = tuple[str, int, str]  # name, line and reason
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 from mbcacq.errors import ConfigError
-from mbcacq.exports.programs.program import LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Variables
+from mbcacq.exports.programs.program import LeftAlone, LineNumbers, ProgrammedPoint, RobotProgram, Variables, statement_parser
 
 GRAMMAR = r"""
 start: _any* motion?
@@ -35,13 +34,6 @@ _PIECES = re.compile(r'![^\r\n]*|"(?:[^"\r\n]|"")*"?|;|[^!";]+')
 AXES = 6
 
 
-@cache
-def _parser() -> Any:
-    from lark import Lark
-
-    return Lark(GRAMMAR, parser="lalr", maybe_placeholders=False)
-
-
 class _RapidStatements:
     def __init__(self) -> None:
         self.uses = Variables()
@@ -54,7 +46,7 @@ class _RapidStatements:
         from lark.exceptions import LarkError
 
         try:
-            tree = _parser().parse(code)
+            tree = statement_parser(GRAMMAR).parse(code)
         except LarkError:
             for word in re.findall(r"[A-Za-z_]\w*", code):
                 self.uses[word.lower()].otherwise.append(line_of(begin))

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from mbcacq.exports.programs.program import LeftAlone, ProgrammedPoint, RobotProgram, Variables, lines, names_in
+from mbcacq.exports.programs.program import LeftAlone, ProgrammedPoint, RobotProgram, Variables, lines, names_in, statement_parser
 
 GRAMMAR = r"""
 start: (assignment | _any+)?
@@ -56,13 +55,6 @@ _COMMENT = re.compile(r"""#.*|"[^"]*"?|'[^']*'?""")
 _WORD = re.compile(r"[A-Za-z_]\w*")
 
 
-@cache
-def _parser() -> Any:
-    from lark import Lark
-
-    return Lark(GRAMMAR, parser="lalr", maybe_placeholders=False)
-
-
 class _UrStatements:
     def __init__(self, n: int) -> None:
         self.n = n
@@ -74,7 +66,7 @@ class _UrStatements:
         from lark.exceptions import LarkError
 
         try:
-            tree = _parser().parse(code)
+            tree = statement_parser(GRAMMAR).parse(code)
         except LarkError:
             plain = code.split("#", 1)[0]
             for word in _WORD.findall(plain):

@@ -19,8 +19,9 @@ from pydantic import Field
 from mbcacq.errors import ConfigError, DeviceFault
 from mbcacq.model.cell import Cell
 from mbcacq.model.cell_schema import Strict
+from mbcacq.model.yaml_source import LARGE, parse
 from mbcacq.recording.datasets import quaternions
-from mbcacq.recording.datasets.yaml_text import load_yaml, validate
+from mbcacq.recording.datasets.open_format import validate
 
 MM_IN_M = 1e3  # ROS says lengths in metres
 NS = 1e-9
@@ -67,11 +68,8 @@ def bag_of(text: str, folder: Path) -> BagSpec | None:
     path = folder / "cell.yaml"
     if "bag" not in text:
         return None
-    data, node = load_yaml(text, str(path))
-    if not isinstance(data.get("bag"), dict):
-        return None
-    inner = next(value for key, value in node.value if key.value == "bag")
-    return validate(BagSpec, data["bag"], inner, str(path))
+    file = parse(text, path, limits=LARGE)
+    return validate(BagSpec, file.part("bag")) if isinstance(file.data.get("bag"), dict) else None
 
 
 class Bag:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -13,10 +14,13 @@ from mbcacq.errors import ConfigError
 from mbcacq.model.cell import Cell
 from mbcacq.model.cell_schema import CellSpec, RobotSpec
 from mbcacq.model.shipped import named_file
+from mbcacq.model.yaml12 import Yaml12Loader
+from mbcacq.model.yaml_source import LARGE, Path_, YamlFile, parse, read
 from mbcacq.recording.datasets.cell_writer import cell_to_yaml, robot_to_yaml
-from mbcacq.recording.datasets.yaml_text import line_of, load_yaml, read_yaml_text, validate
+from mbcacq.recording.datasets.open_format import validate
 
-Fault = tuple[tuple[int | str, ...], str]  # path of keys and indices in the YAML, and what is wrong there
+Fault = tuple[Path_, str]  # path of keys and indices in the YAML, and what is wrong there
+CELL = "cell description"
 
 __all__ = ["cell_to_yaml", "parse_cell", "read_cell", "robot_to_yaml"]
 
@@ -24,26 +28,24 @@ __all__ = ["cell_to_yaml", "parse_cell", "read_cell", "robot_to_yaml"]
 def read_cell(path: Path) -> tuple[Cell, str]:
     """A cell and the text it was read from, in which a robot that is named by its file stands in full. Raises ConfigError with file and
     line."""
-    text = _with_its_robot(read_yaml_text(path), path)
+    text = _with_its_robot(read(path, CELL, LARGE))
     return parse_cell(text, str(path)), text
 
 
-def _with_its_robot(text: str, path: Path) -> str:
+def _with_its_robot(file: YamlFile) -> str:
     """``robot: ../arm.yaml`` or the name of a robot of the tool, replaced by what that file says; a robot that stands there stays."""
-    data, root = load_yaml(text, str(path))
-    named = data.get("robot")
+    named, text = file.data.get("robot"), file.text
     if not isinstance(named, str):
         return text
-    assert isinstance(root, yaml.MappingNode), "a mapping has a node of its own kind"
+    root: Any = yaml.compose(text, Yaml12Loader)
     value = next(value for key, value in root.value if key.value == "robot")
-    beside = path.parent / named
+    beside = file.path.parent / named
     try:
-        file = beside if beside.is_file() else named_file("robots", named)
+        robot = read(beside if beside.is_file() else named_file("robots", named), "robot file")
     except ConfigError as error:
-        raise ConfigError(f"{path}:{value.start_mark.line + 1}: robot: {error}") from None
-    robot, node = load_yaml(read_yaml_text(file), str(file))
-    validate(RobotSpec, robot, node, str(file))
-    whole = yaml.safe_dump(robot, sort_keys=False, default_flow_style=True, width=1 << 30, allow_unicode=True).strip()
+        raise file.error(("robot",), f"robot: {error}") from None
+    validate(RobotSpec, robot)
+    whole = yaml.safe_dump(robot.data, sort_keys=False, default_flow_style=True, width=1 << 30, allow_unicode=True).strip()
     lines = text.splitlines(keepends=True)
     begin, end = (sum(len(line) for line in lines[: mark.line]) + mark.column for mark in (value.start_mark, value.end_mark))
     return text[:begin] + whole + text[end:]
@@ -51,16 +53,16 @@ def _with_its_robot(text: str, path: Path) -> str:
 
 def parse_cell(text: str, name: str = "cell.yaml") -> Cell:
     """A cell from YAML text; ``name`` is what messages call it."""
-    data, node = load_yaml(text, name)
-    spec = validate(CellSpec, data, node, name)
-    _check_references(spec, node, name)
+    file = parse(text, Path(name), CELL, LARGE)
+    spec = validate(CellSpec, file)
+    _check_references(spec, file)
     return spec.model()
 
 
-def _check_references(spec: CellSpec, node: yaml.Node, name: str) -> None:
+def _check_references(spec: CellSpec, file: YamlFile) -> None:
     """Raise ConfigError at the first id, reference, direction or rotation that a schema cannot check."""
     for path, text in chain(_repeated_ids(spec), _unknown_artefacts(spec), _zero_gravity(spec), _wrong_rotations(spec)):
-        raise ConfigError(f"{name}:{line_of(node, path)}: {text}")
+        raise file.error(path, text)
 
 
 def _repeated_ids(spec: CellSpec) -> Iterator[Fault]:

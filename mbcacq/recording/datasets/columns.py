@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from mbcacq.errors import ConfigError
 from mbcacq.files.stated_unit import stated_unit
 from mbcacq.files.table import Table
 from mbcacq.model.cell import Cell
+from mbcacq.model.yaml_source import LARGE, parse
 from mbcacq.recording.datasets.csv_columns import XYZ, numbered
 from mbcacq.recording.datasets.pose_columns import (
     ANGLES,
@@ -23,7 +25,6 @@ from mbcacq.recording.datasets.pose_columns import (
     pose_groups,
     role,
 )
-from mbcacq.recording.datasets.yaml_text import load_yaml
 
 LEAST_AXES = 5  # four numbers q1 .. q4 are a quaternion
 _JOINT = re.compile(r"^(q|j|a|joint|axis|achse|actual_q|joint_angle)_?([0-9])(_act|_actual)?$")
@@ -36,7 +37,7 @@ STATISTICS = {"sigma", "std", "cov", "dir", "tau"}  # things whose x, y, z are n
 
 def columns_of(text: str) -> dict[str, str]:
     """What the text of a cell.yaml says under ``columns``: what a file calls a column, and this program's name of it."""
-    found = load_yaml(text, "cell.yaml")[0].get("columns") or {}
+    found = parse(text, Path("cell.yaml"), limits=LARGE).data.get("columns") or {}
     return {str(file): str(ours) for ours, file in found.items()}
 
 
@@ -86,7 +87,7 @@ def flange_columns(table: Table, cell: Cell, text: str) -> PoseHeadings | None:
             "(UR) or qw, qx, qy, qz"
         )
     table.expect_decimals([name for group in groups(table) for name in group.names])
-    said = load_yaml(text, "cell.yaml")[0].get("flange_poses") or {}
+    said = parse(text, Path("cell.yaml"), limits=LARGE).data.get("flange_poses") or {}
     if said.get("orientation"):
         where = f"{table.path.with_name('cell.yaml')}: flange_poses: orientation"
         found = replace(found, convention=named_convention(said["orientation"], where), alternatives=())

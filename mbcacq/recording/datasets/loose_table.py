@@ -312,8 +312,7 @@ def robot_of(name: str) -> RobotModel:
     """The arm of the tool's of that name, or of a robot file. Raises ConfigError."""
     from mbcacq.model.cell_schema import RobotSpec
     from mbcacq.model.shipped import named_file
-    from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
+    from mbcacq.model.yaml_source import read
+    from mbcacq.recording.datasets.open_format import validate
 
-    path = named_file("robots", name)
-    data, node = load_yaml(read_yaml_text(path), str(path))
-    return validate(RobotSpec, data, node, str(path)).model()
+    return validate(RobotSpec, read(named_file("robots", name), "robot file")).model()

@@ -17,10 +17,11 @@ from mbcacq.model.cell import RobotModel
 from mbcacq.model.cell_schema import LinkSpec, PayloadSpec, RobotSpec, Strict, Vector
 from mbcacq.model.shipped import robot_file
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.model.yaml_source import LARGE, read
 from mbcacq.recording.datasets.bag import bag_of, trajectory_columns
 from mbcacq.recording.datasets.cell_yaml import robot_to_yaml
 from mbcacq.recording.datasets.csv_columns import numbered, numbers, refuse_radians, table_text, trajectory_schema
-from mbcacq.recording.datasets.yaml_text import load_yaml, read_yaml_text, validate
+from mbcacq.recording.datasets.open_format import validate
 
 FORMAT = "mbcacq-trajectory-set/1"
 
@@ -52,7 +53,7 @@ def is_trajectory_set(folder: Path | str) -> bool:
         return False
     if (folder / "trajectory.csv").is_file():
         return True
-    text = read_yaml_text(folder / "cell.yaml")
+    text = read(folder / "cell.yaml", limits=LARGE).text
     return FORMAT in text and bag_of(text, folder) is not None
 
 
@@ -61,11 +62,10 @@ def read_trajectory_set(folder: Path | str) -> Trajectory:
     folder = Path(folder)
     finish_set(folder)
     path = folder / "cell.yaml"
-    text = read_yaml_text(path)
-    data, node = load_yaml(text, str(path))
-    spec = validate(_TrajectorySpec, data, node, str(path))
+    file = read(path, "description of trajectories", LARGE)
+    spec = validate(_TrajectorySpec, file)
     robot = _robot(spec.robot, str(path))
-    bag = None if (folder / "trajectory.csv").exists() else bag_of(text, folder)
+    bag = None if (folder / "trajectory.csv").exists() else bag_of(file.text, folder)
     if bag is not None:
         return Trajectory(robot, **trajectory_columns(folder, bag, robot.n), name=str(folder), simulated=spec.simulated)
     return read_motion(folder, robot, spec.simulated)
@@ -135,15 +135,14 @@ def _robot(use: _RobotUse, file: str) -> RobotModel:
 
 
 def _shipped_robot(model: str, use: _RobotUse) -> RobotModel:
-    path = robot_file(model)
-    data, node = load_yaml(read_yaml_text(path), str(path))
+    file = read(robot_file(model), "robot file")
     changes = {
         "name": use.name or None,
         "payload": use.payload,
         "base_to_gravity": use.base_to_gravity,
         "repeatability_mm": use.repeatability_mm,
     }
-    return validate(RobotSpec, data, node, str(path)).model_copy(update={k: v for k, v in changes.items() if v is not None}).model()
+    return validate(RobotSpec, file).model_copy(update={k: v for k, v in changes.items() if v is not None}).model()
 
 
 def _signal(table: Table, pattern: str, n: int, *, angle: bool = False) -> np.ndarray | None:

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from mbcacq.effects.in_words import spelt_out
 from mbcacq.errors import RecordingError
 from mbcacq.files.atomic_write import replacing
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations
+from mbcacq.quantities import capitalised
 from mbcacq.recording.rrd import layout, rows, scene
 from mbcacq.recording.rrd.blueprint import alone, place_camera
 from mbcacq.recording.rrd.chart import GRID, Chart, sheet_height
@@ -32,18 +34,17 @@ def write_diagnosis(
     text: str,
     pictures: Mapping[str, Any],
     run: Path | None = None,
-    cards: str = "",
     motion: MotionDrawn | None = None,
 ) -> Path:
-    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.pictures`` makes them; text: the diagnosis in words;
-    cards: the same as Markdown, a card an effect, shown in its place where it is given).
+    """Write a .rrd of a diagnosis (``pictures`` as ``mbcacq.diagnosis.output.pictures`` makes them; text: the diagnosis as
+    Markdown).
 
     run: the folder whose recording it belongs to; the viewer then shows both as one. Without it the file also holds the arm at each pose
     and is shown alone, with motion (the channels between the poses, on a timeline of their own) in further tabs. Raises RecordingError if
     it cannot be written.
     """
     with replacing(path) as partial:
-        stream_diagnosis(partial, observations, text, pictures, run, cards, motion)
+        stream_diagnosis(partial, observations, text, pictures, run, motion)
     return Path(path)
 
 
@@ -53,7 +54,6 @@ def stream_diagnosis(
     text: str,
     pictures: Mapping[str, Any],
     run: Path | None = None,
-    cards: str = "",
     motion: MotionDrawn | None = None,
 ) -> None:
     """The content of ``write_diagnosis`` into a file that is to become another. Raises RecordingError."""
@@ -77,7 +77,7 @@ def stream_diagnosis(
                 scene.log_static(stream, obs.cell, "", view=obs.cell.measurement != TARGET_IN_BASE)
                 _log_arm(stream, obs)
             stream.log(layout.ENLARGED, rows.row(layout.ENLARGED_ARCHETYPE, diagnosis=scale, responses=titles), static=True)
-            stream.log(layout.DIAGNOSIS_TEXT, drawn_text(cards or f"```\n{text}\n```"), static=True)
+            stream.log(layout.DIAGNOSIS_TEXT, drawn_text(text), static=True)
             _log_arrows(stream, point, before, after, scale)
             for k, cause in enumerate(pictures["causes"]):
                 entity = f"{layout.CAUSE}/{rr.escape_entity_path_part(cause['name'])}"
@@ -105,8 +105,9 @@ def _log_arrows(stream: rr.RecordingStream, point: np.ndarray, before: np.ndarra
 def _response_title(curve: Mapping[str, Any]) -> str:
     """What is drawn over what, with units, and which effect it is."""
     unit = f", {curve['x_unit']}" if curve["x_unit"] else ""
-    name = "unmodelled effect" if curve["effect"] == "unknown" else str(curve["effect"]).replace("_", " ")
-    return f"{name[:1].upper()}{name[1:]} at {curve['at']}: {curve['what']}, {curve['unit']}, over {curve['x_label']}{unit}"
+    return (
+        f"{capitalised(spelt_out(str(curve['effect'])))} at {curve['at']}: {curve['what']}, {curve['unit']}, over {curve['x_label']}{unit}"
+    )
 
 
 def _log_response(stream: rr.RecordingStream, entity: str, curve: Mapping[str, Any], height: float) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.files.atomic_write import write_file
 from mbcacq.model import yaml12
-from mbcacq.plan.yaml_source import parse
+from mbcacq.model.yaml_source import parse
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import digest_of_file, note_whole, read_stretches
 

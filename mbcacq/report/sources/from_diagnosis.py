@@ -1,63 +1,66 @@
-"""The JSON of a diagnosis and of its pictures to the content of a report: plain values in words and units."""
+"""A diagnosis to the content of a report, that of poses with its pictures: plain values in words and units."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from mbcacq.calibration.transfer import Transfer
+from mbcacq.diagnosis.effect_found import EffectFound
+from mbcacq.diagnosis.findings import Findings
 from mbcacq.diagnosis.output.noise_floor import NoiseFloor
-from mbcacq.effects.in_words import effect_in_words, odds_in_words
-from mbcacq.effects.trend import components, trend_in_json
-from mbcacq.model.json_text import from_fields
-from mbcacq.quantities import K, fixed, micrometres, p_value, pair, percent, split_unit
+from mbcacq.diagnosis.output.pictures import axis_of
+from mbcacq.diagnosis.output.text import first_sentence, likelihood, noise_floor, open_lines, size_of_shape
+from mbcacq.diagnosis.result import Diagnosis, FitFigures
+from mbcacq.effects.effect import ParameterEstimate, Parameters
+from mbcacq.effects.in_words import CHANNELS, spelt_out
+from mbcacq.quantities import K, capitalised, fixed, micrometres, p_value, pair, percent, split_unit
 from mbcacq.report.content import DiagnosisContent, EffectContent, TrialContent
 from mbcacq.report.verdict import readable
 
 TRIED = ["what is left there (3D)", "rms", "median", "χ²/dof, noise as learnt"]
-VERDICTS = {
-    "none": ("pass", "No effect found", "The model explains the data {distance}."),
-    "explained": ("found", "Explained", "With the effects below the model explains the data {distance}."),
-    "partly_explained": ("found", "Partly explained", "The effects below help, but residual structure remains."),
-    "unexplained": ("fail", "Unexplained", "There is a mismatch that no effect of the catalogue describes."),
-    "cannot_tell": ("none", "Cannot tell", "From these poses the candidates cannot be separated or detected."),
-}
+LEVELS = {"none": "pass", "explained": "found", "partly_explained": "found", "unexplained": "fail", "cannot_tell": "none"}
+OF_CHANNELS = {"tau": "the torque", "q_joint": "the joint-side angle", "q_set": "the set point"}  # all joints of a channel as a location
 
 
-def diagnosis_content(diagnosis: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> DiagnosisContent:
-    """Content of a diagnosis; damaged pictures are left out. Raises KeyError, TypeError or ValueError where the diagnosis itself is
-    damaged."""
-    if pictures is not None and not _complete(pictures):
-        pictures = None
-    from mbcacq.diagnosis.output.pictures import axis_of
-
-    level, headline, reason = VERDICTS.get(diagnosis["verdict"], ("none", readable(diagnosis["verdict"]), ""))
-    fit = diagnosis["fit"]
-    centres = sum(int(g.get("centres", 0)) for g in diagnosis.get("geometry_alone", ()))
-    floor = NoiseFloor.of(fit["held_out"]["after_rms_mm"], fit["repeatability_floor_mm"], centres)
-    validation = [
-        (label, _misfit(fit[key], "before"), _misfit(fit[key], "after"))
-        for key, label in (("train", "data fitted"), ("held_out", f"held-out data (by {fit['held_out']['split']})"))
-    ]
-    remarks = [*open_remarks(diagnosis), *(f"{_note(note)}." for note in diagnosis.get("notes", ()))]
+def diagnosis_content(found: Diagnosis, pictures: Mapping[str, Any] | None, checks: Iterable[Transfer] = ()) -> DiagnosisContent:
+    """Content of a diagnosis of poses; damaged pictures are left out. checks: what was found, tried on other recordings."""
+    fit, floor = found.fit, noise_floor(found)
+    each = (("data fitted", fit.train), (f"held-out data (by {fit.held_out.split})", fit.held_out))
     return DiagnosisContent(
-        level=level,
-        headline=headline,
-        reason=reason.format(distance=floor.distance),
-        effects=sorted((effect_content(e) for e in diagnosis["effects"]), key=lambda e: bool(e.trend)),
-        mismatch=[(m["at"], axis_of(m["depends_on"])[0], percent(m["share"])) for m in diagnosis["mismatch"]],
-        validation=validation,
+        **what_every_diagnosis_says(found, floor),
+        mismatch=mismatch_rows(found),
+        validation=[(label, *_misfits(figures)) for label, figures in each],
         noise_floor=floor.noise,
-        trials=[trial_content(from_fields(Transfer, one)) for one in diagnosis.get("checks", ())],
-        remarks=remarks,
-        **({} if pictures is None else _drawn(pictures, axis_of)),
+        trials=list(map(trial_content, checks)),
+        remarks=[*open_remarks(found), *(f"{_note(note)}." for note in found.notes)],
+        **(_drawn(pictures) if pictures is not None and _complete(pictures) else {}),
     )
 
 
-def _misfit(fit: Mapping[str, float], when: str) -> str:
-    return f"{micrometres(fit[f'{when}_rms_mm'])} (χ²/dof {fit[f'{when}_chi2_dof']:.2f})"
+def what_every_diagnosis_says(found: Findings, floor: NoiseFloor | None = None) -> dict[str, Any]:
+    """Fields of DiagnosisContent: verdict and effects, the findings before the trends."""
+    headline, _, reason = first_sentence(found, floor).partition(": ")
+    effects = sorted(map(effect_content, found.effects), key=lambda e: bool(e.trend))
+    return {"level": LEVELS[found.verdict], "headline": headline, "reason": capitalised(reason), "effects": effects}
+
+
+def mismatch_rows(found: Findings, least_share: float = 0.0) -> list[tuple[str, str, str, str]]:
+    """What depends on what, with its share of the excess; none below the least one."""
+    return [
+        (OF_CHANNELS.get(m.at, m.at), CHANNELS.get(m.channel, ""), axis_of(m.depends_on)[0], percent(m.share))
+        for m in found.mismatch
+        if not m.share < least_share
+    ]
+
+
+def _misfits(fit: FitFigures) -> tuple[str, str]:
+    """3D rms with chi2 per degree of freedom, before and after."""
+    each = (fit.before_rms_mm, fit.before_chi2_dof), (fit.after_rms_mm, fit.after_chi2_dof)
+    before, after = (f"{micrometres(rms)} (χ²/dof {chi2_dof:.2f})" for rms, chi2_dof in each)
+    return before, after
 
 
 def trial_content(tried: Transfer) -> TrialContent:
@@ -71,7 +74,7 @@ def trial_content(tried: Transfer) -> TrialContent:
     if left := tried.parts_left_out:
         figures |= {"with effects, parts left out of the fit": left.as_learnt, "and what was not to be learnt drawn anew": left.drawn_anew}
     rows = [(label, micrometres(of.rms_mm), micrometres(of.median_mm), fixed(of.chi2_dof, 2)) for label, of in figures.items() if of]
-    rows += [(f"without {_effect_name(e.name)} at {', '.join(e.where)}", micrometres(e.without_mm), "", "") for e in tried.effects]
+    rows += [(f"without {spelt_out(e.name)} at {', '.join(e.where)}", micrometres(e.without_mm), "", "") for e in tried.effects]
     notes = [f"{tried.poses} poses, {placed}."]
     if tried.normalised_error:
         notes.append(f"Error over stated uncertainty: {tried.normalised_error.in_words}.")
@@ -79,10 +82,10 @@ def trial_content(tried: Transfer) -> TrialContent:
     return TrialContent(recording=tried.recording or "another recording", heads=TRIED, rows=rows, notes=notes)
 
 
-def _drawn(pictures: Mapping[str, Any], axis_of: Any) -> dict[str, Any]:
+def _drawn(pictures: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of DiagnosisContent that its figures are drawn from."""
     return {
-        "evidence_map": _map(pictures["map"], axis_of),
+        "evidence_map": _map(pictures["map"]),
         "curves": pictures["curves"],
         "covariates": pictures["causes"],
         "centres": pictures["centres"],
@@ -104,65 +107,48 @@ def _complete(pictures: Mapping[str, Any]) -> bool:
     return all(even)
 
 
-def effect_content(effect: Mapping[str, Any]) -> EffectContent:
-    """An effect of a diagnosis of poses or of motion, from its JSON."""
-    from mbcacq.diagnosis.output.pictures import axis_of
-
-    name = _effect_name(effect["name"])
-    alternatives = [f"{_effect_name(a['name'])} at {', '.join(a['where'])} ({_likelihood(a)})" for a in effect["alternatives"]]
-    trend = trend_in_json(effect)
-    shown = {} if trend else effect["parameters"]
+def effect_content(effect: EffectFound) -> EffectContent:
+    """An effect of a diagnosis of poses or of motion; an unmodelled one of a motion has a size in place of parameters."""
+    name, trend = spelt_out(effect.name), effect.trend
+    at = ", ".join(OF_CHANNELS.get(where, where) for where in effect.where)
+    shown = {} if trend else effect.parameters
+    notes = [] if effect.shape is None else [f"{capitalised(size_of_shape(effect, effect.shape))}."]
+    notes += [f"{split_unit(first)[0]} {rest}." for first, _, rest in (note.partition(" ") for note in effect.notes)]
     return EffectContent(
-        title=f"{'Trend: ' if trend else ''}{name if trend else name[0].upper() + name[1:]} at {', '.join(effect['where'])}",
-        depends_on=axis_of(effect["depends_on"])[0] if effect.get("depends_on") else "",
-        p_value=p_value(effect["p_value"]),
-        gain=percent(effect["held_out_gain"]),
+        title=f"Trend: {name} at {at}" if trend else f"{capitalised(name)} at {at}",
+        depends_on=axis_of(effect.depends_on)[0] if effect.depends_on else "",
+        p_value=p_value(effect.p_value),
+        gain=percent(effect.gain_here),
         parameters=[row for key, entry in shown.items() if not _of_harmonics(key, entry) for row in _parameter(key, entry)],
-        alternatives=alternatives,
+        alternatives=[f"{spelt_out(a.name)} at {', '.join(a.where)} ({likelihood(a)})" for a in effect.alternatives],
         harmonics=_harmonics({key: entry for key, entry in shown.items() if _of_harmonics(key, entry)}),
         trend=trend,
+        notes=notes,
     )
 
 
-def open_remarks(diagnosis: Mapping[str, Any]) -> list[str]:
-    """What cannot be told apart, and what to measure next, of a diagnosis of poses or of motion."""
-    remarks = []
-    for one in diagnosis.get("not_separable", ()):
-        odds = "" if one.get("odds") is None else f", {odds_in_words(one['odds'])}"
-        both = " and ".join(map(effect_in_words, one["effects"]))
-        remarks.append(f"Not separable: {both} (correlation {one['correlation']:.2f}{odds}).")
-    return remarks + [f"Measure next: {a['reason'].removesuffix('.')}." for a in diagnosis.get("advice", ())]
+def open_remarks(found: Findings) -> list[str]:
+    """What cannot be told apart, and what to measure next."""
+    return [f"{line.removesuffix('.')}." for line in open_lines(found.not_separable, found.advice)]
 
 
 def _note(note: str) -> str:
     """A note as a sentence; the name of an effect at its begin becomes words."""
     first, space, rest = note.partition(" ")
     first = readable(first)
-    return f"{first[:1].upper()}{first[1:]}{space}{rest}"
+    return f"{capitalised(first)}{space}{rest}"
 
 
-def _effect_name(name: str) -> str:
-    return "an unmodelled effect" if name == "unknown" else readable(name)
-
-
-def _likelihood(alternative: Mapping[str, Any]) -> str:
-    """How probable an alternative is against what was selected; the share of the mismatch that it would remove where only that is known."""
-    odds = alternative.get("odds")
-    if odds is None:
-        return f"would remove {percent(alternative['held_out_gain'])}"
-    return odds_in_words(odds)
-
-
-def _is_vector(key: str, entry: Mapping[str, Any]) -> bool:
+def _is_vector(key: str, entry: ParameterEstimate) -> bool:
     """Whether the values are components along x, y and z."""
-    return (key.endswith("_mm") or key.startswith("rotation_")) and isinstance(entry["value"], list) and len(entry["value"]) == 3
+    return (key.endswith("_mm") or key.startswith("rotation_")) and len(entry.components[0]) == 3
 
 
-def _of_harmonics(key: str, entry: Mapping[str, Any]) -> bool:
-    return isinstance(entry["value"], list) and len(entry["value"]) > 1 and not _is_vector(key, entry)
+def _of_harmonics(key: str, entry: ParameterEstimate) -> bool:
+    return len(entry.components[0]) > 1 and not _is_vector(key, entry)
 
 
-def _harmonics(parameters: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]] | None:
+def _harmonics(parameters: Parameters) -> tuple[list[str], list[list[str]]] | None:
     """A column for each parameter that has several values, a row for each of them (a harmonic); as many rows as the longest has."""
     heads, columns = [], []
     for key, entry in parameters.items():
@@ -176,20 +162,20 @@ def _harmonics(parameters: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], 
     return heads, [[column[k] if k < len(column) else "" for column in columns] for k in range(count)]
 
 
-def _parameter(key: str, entry: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+def _parameter(key: str, entry: ParameterEstimate) -> list[tuple[str, str, str, str]]:
     name, unit, factor = split_unit(key)
-    values, stds = ([None if x is None else factor * x for x in v] for v in components(entry))
+    values, stds = entry.components
     return [
         (
             f"{name} {'xyz'[k] if _is_vector(key, entry) else f'[{k + 1}]'}" if len(values) > 1 else name,
-            *pair(v, None if s is None else K * s),
+            *pair(factor * v, K * factor * s),
             unit,
         )
-        for k, (v, s) in enumerate(zip(values, stds, strict=False))
+        for k, (v, s) in enumerate(zip(values, stds, strict=True))
     ]
 
 
-def _map(fields: list[Mapping[str, Any]], axis_of: Any) -> tuple[list[str], list[str], np.ndarray] | None:
+def _map(fields: list[Mapping[str, Any]]) -> tuple[list[str], list[str], np.ndarray] | None:
     """The largest strength of each location and covariate. Covariates without any evidence stay, so that the map shows what was tested."""
     if not fields:
         return None

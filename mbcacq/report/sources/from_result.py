@@ -13,10 +13,12 @@ import numpy as np
 from mbcacq.calibration.caveats import caveats
 from mbcacq.calibration.place_errors import ArmImprovement
 from mbcacq.calibration.result_file import FORMAT
+from mbcacq.calibration.transfer import Transfer
+from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.model.json_text import damage, from_fields
 from mbcacq.model.observations import Observations
-from mbcacq.quantities import K, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
+from mbcacq.quantities import K, capitalised, fixed, listed, micrometres, pair, significant, split_unit, symbol, uncertainty
 from mbcacq.report.content import AccuracyGrid, Content, ParameterRow, Spacing
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
@@ -67,7 +69,12 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
     earlier = spacing_of(geometry) if folder else None
     earlier = earlier if earlier is not None and spacing is not None and earlier.place == spacing.place else None
     verdict = verdict_of(spacing, result, earlier)
-    diagnosis, name = run_info.get("diagnosis"), str(run_info.get("folder") or "RUN")
+    document, pictures, name = run_info.get("diagnosis"), run_info.get("pictures"), str(run_info.get("folder") or "RUN")
+    diagnosis = None if document is None else Diagnosis.from_json(document)
+    if diagnosis is not None and document is not None:
+        tried = [from_fields(Transfer, one) for one in document.get("checks", ())]
+        found["diagnosis"] = diagnosis_content(diagnosis, pictures, tried)
+        found["motion"] = kept_motion_content(document, pictures)
     return Content(
         title=f"Calibration of {result['robot']['name'] or 'the cell'}",
         subtitle=" · ".join(_when(str(run_info[k])) for k in ("name", "started") if run_info.get(k)) or "hand-eye and kinematics",
@@ -85,8 +92,6 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         parameters=_parameters(result),
         accuracy=_accuracy(result.get("accuracy_map")),
         devices=run_info.get("devices"),
-        diagnosis=None if diagnosis is None else diagnosis_content(diagnosis, run_info.get("pictures")),
-        motion=None if diagnosis is None else kept_motion_content(diagnosis, run_info.get("pictures")),
         earlier=earlier,
         arm_improved=from_fields(ArmImprovement, geometry["arm_improved"]) if geometry.get("arm_improved") else None,
         hand_eye=np.array(result["T_flange_scanner"], dtype=float).reshape(4, 4),
@@ -96,7 +101,7 @@ def _content(geometry: Mapping[str, Any], observations: Observations | None, run
         correlation=_correlation(result),
         not_separable=[(" and ".join(names_in_words(c["parameters"])), float(c["correlation"])) for c in result.get("correlated", ())][:20],
         warnings=_warnings(result, spacing),
-        caveats=[sentence[0].upper() + sentence[1:] + "." for sentence in caveats(result)],
+        caveats=[f"{capitalised(sentence)}." for sentence in caveats(result)],
         versions=[*((str(k), str(v)) for k, v in (run_info.get("versions") or {}).items()), ("report written by", f"mbcacq {__version__}")],
         hashes=list(run_info.get("hashes") or ()),
         plan_yaml=str(run_info.get("plan_yaml") or ""),
@@ -320,5 +325,5 @@ def _warnings(result: Mapping[str, Any], spacing: Spacing | None) -> list[str]:
         listed = ", ".join(f"pose {r['pose']}" + (f" ball {r['ball']}" if r.get("ball") is not None else "") for r in rejected[:8])
         out.append(f"{len(rejected)} measurements contradict the rest and were left out: {listed}{' …' if len(rejected) > 8 else ''}.")
     if scope := str(result.get("scope") or ""):
-        out.append(f"{scope[0].upper()}{scope[1:]}.")
+        out.append(f"{capitalised(scope)}.")
     return out + [str(w) for w in result.get("warnings", ())]

@@ -5,33 +5,20 @@ Any client of the protocol may connect, the vendor's library included.
 
 from __future__ import annotations
 
-import argparse
-import json
-import signal
-import threading
-
+from mbcacq_fakes.protocols.gocator.alone import run_until_signal, sensor_parser
 from mbcacq_fakes.protocols.gocator.options import FakeGocatorOptions
 from mbcacq_fakes.protocols.gocator.scene import ball_on_plate
 from mbcacq_fakes.protocols.gocator.server import FakeGocator
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="mbcacq_fakes.protocols.gocator", description=__doc__)
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
-    for name, port in (("control", 3190), ("health", 3194), ("data", 3196)):
-        parser.add_argument(f"--{name}-port", type=int, default=port, help=f"default {port}; 0 for any free one")
+    parser = sensor_parser("mbcacq_fakes.protocols.gocator", __doc__, {"control": 3190, "health": 3194, "data": 3196}, "3210")
     parser.add_argument("--discovery", action="store_true", help="answer discovery on udp 3220, on all interfaces")
-    parser.add_argument("--model", default="3210")
     parser.add_argument("--generation", type=int, choices=(4, 5, 6), default=6, help="firmware generation")
     parser.add_argument("--uniform", action="store_true", help="switch uniform spacing on in the jobs")
-    parser.add_argument("--pixels", type=int, nargs=2, default=(1200, 1600), metavar=("ROWS", "COLUMNS"))
-    parser.add_argument("--scan-time", type=float, default=0.1, metavar="S", help="duration of an exposure")
     parser.add_argument("--frame-rate", type=float, default=0.0, metavar="HZ", help="trigger jobs by time, so often; 0: by software")
     given = parser.parse_args()
     frame = ball_on_plate(*given.pixels)
-    done = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: done.set())
     options = FakeGocatorOptions(
         host=given.host,
         control_port=given.control_port,
@@ -44,9 +31,7 @@ def main() -> None:
         scan_time_s=given.scan_time,
         frame_rate_hz=given.frame_rate,
     )
-    with FakeGocator(lambda exposure_us: frame, options) as sensor:
-        print(json.dumps({"host": given.host, **sensor.ports._asdict(), "model": given.model, "serial": options.serial}), flush=True)
-        done.wait()
+    run_until_signal(FakeGocator(lambda exposure_us: frame, options), host=given.host, model=given.model, serial=options.serial)
 
 
 if __name__ == "__main__":

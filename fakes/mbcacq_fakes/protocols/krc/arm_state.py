@@ -55,17 +55,35 @@ class ArmReading:
     fault: str
 
 
-class ArmState:
+class SharedBlock:
+    """A named block of shared memory, whose name goes away with the process that made it."""
+
+    def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
+        assert memory.buf is not None  # it is None only once the memory is closed
+        self._memory, self._buffer, self._owner, self.name = memory, memory.buf, owner, memory.name
+
+    def forget(self) -> None:
+        """Take the block's name away once everybody has attached: it then ends with them, whatever kills them."""
+        if self._owner:
+            self._owner = False
+            self._memory.unlink()
+
+    def close(self) -> None:
+        """Idempotent; the creator also removes the block."""
+        self._memory.close()
+        self.forget()
+
+
+class ArmState(SharedBlock):
     """A named block of shared memory. One process creates it (and unlinks it on close), any number attach by ``name``.
 
     axes: how many the arm has; 0 where that is read from the block.
     """
 
     def __init__(self, memory: shared_memory.SharedMemory, owner: bool, axes: int = 0) -> None:
-        assert memory.buf is not None  # it is None only once the memory is closed
-        self._memory, self._buffer, self._owner, self._count = memory, memory.buf, owner, 0
-        self.name, self.axes = memory.name, axes or _COUNT.unpack_from(memory.buf, _AXES_AT)[0]
-        _COUNT.pack_into(memory.buf, _AXES_AT, self.axes)
+        super().__init__(memory, owner)
+        self._count, self.axes = 0, axes or _COUNT.unpack_from(self._buffer, _AXES_AT)[0]
+        _COUNT.pack_into(self._buffer, _AXES_AT, self.axes)
         self._slot = struct.Struct(f"<{4 + 3 * self.axes}d")
 
     @classmethod
@@ -126,17 +144,6 @@ class ArmState:
             if _OUTPUT.unpack_from(self._buffer, at)[0] in (0, number + 1):
                 return at
         raise ValueError(f"no more than {_MOST_OUTPUTS} outputs can be switched")
-
-    def forget(self) -> None:
-        """Take the block's name away once everybody has attached: it then ends with them, whatever kills them."""
-        if self._owner:
-            self._owner = False
-            self._memory.unlink()
-
-    def close(self) -> None:
-        """Idempotent; the creator also removes the block."""
-        self._memory.close()
-        self.forget()
 
     def __enter__(self) -> Self:
         return self

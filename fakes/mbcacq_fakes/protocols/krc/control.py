@@ -6,7 +6,7 @@ import struct
 from collections.abc import Sequence
 from multiprocessing import shared_memory
 
-from mbcacq_fakes.protocols.krc.arm_state import attach_shared_memory, create_shared_memory
+from mbcacq_fakes.protocols.krc.arm_state import SharedBlock, attach_shared_memory, create_shared_memory
 from mbcacq_fakes.protocols.krc.settings import FAULTS
 
 COUNTERS = ("cycles", "sessions", "answers", "late", "rejected", "active", "ended")
@@ -17,13 +17,11 @@ _ROW = struct.Struct(f"<{len(LOG_COLUMNS)}d")
 _LOG_ROWS = 1 << 17
 
 
-class Control:
+class Control(SharedBlock):
     """``log``: keep the last 131072 cycles (15 MB)."""
 
     def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
-        self._memory, self._owner, self.name = memory, owner, memory.name
-        assert memory.buf is not None  # it is None only once the memory is closed
-        self._buffer = memory.buf
+        super().__init__(memory, owner)
         self._double = self._buffer.cast("d")
         self._int = self._buffer.cast("q")
         self.log_rows = (memory.size - _LOG_AT) // _ROW.size
@@ -36,17 +34,10 @@ class Control:
     def attach(cls, name: str) -> Control:
         return cls(attach_shared_memory(name), False)
 
-    def forget(self) -> None:
-        """Take the block's name away once both sides hold it: it then ends with them, whatever kills them."""
-        if self._owner:
-            self._owner = False
-            self._memory.unlink()
-
     def close(self) -> None:
         self._double.release()
         self._int.release()
-        self._memory.close()
-        self.forget()
+        super().close()
 
     def set_faults(self, values: dict[str, float]) -> None:
         for name, value in values.items():

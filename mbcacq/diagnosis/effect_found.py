@@ -1,0 +1,167 @@
+"""What a diagnosis finds, in poses or in a motion: an effect with its parameters and alternatives, and where model and data disagree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+
+from mbcacq.effects.effect import ParameterEstimate
+from mbcacq.effects.trend import trend
+from mbcacq.model.json_text import EveryKey, Number
+
+OF_POSES = ("p_local", "p_corrected", "log_bayes_factor", "equivalent", "held_out_gain_std")  # keys of an effect of poses alone
+OF_MOTION = ("channel", "held_out_gain_here", "steps", "notes", "shape")  # keys of an effect of a motion alone
+OF_MODELS = ("held_out_gain_here", "steps", "notes", "trend")  # of these, keys that an unmodelled effect of a motion does not have
+
+
+@dataclass(frozen=True)
+class MismatchEntry(EveryKey):
+    """A location and covariate at which recording and simulation differ.
+
+    share: of the excess over the noise, 0 to 1; of a motion, of the held-out excess of that kind of mismatch (``channel``), at a joint or
+    of all joints. equivalent: other locations that move the centres of a recording of poses alike, so that these data cannot tell which it
+    is.
+    """
+
+    left_out = ("channel",)
+    later = ("equivalent",)
+
+    at: str
+    depends_on: str
+    share: Number
+    p_value: Number
+    equivalent: tuple[str, ...] = ()
+    channel: str = ""
+
+    def unwritten(self) -> Sequence[str]:
+        return ("equivalent",) if self.channel else ("channel",)
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """An effect that could stand in place of a found one. held_out_gain: share of the excess that it would remove, 0 to 1. odds:
+    its posterior probability relative to the found effect's; None where that was not computed.
+    """
+
+    later = ("odds",)
+
+    name: str
+    where: tuple[str, ...]
+    held_out_gain: Number
+    odds: float | None = None
+
+    @classmethod
+    def of_label(cls, label: str, odds: float) -> Self:
+        """From ``name:where``; what it would remove is not computed."""
+        name, _, where = label.partition(":")
+        return cls(name, tuple(where.split("+")), 0.0, odds)
+
+
+@dataclass(frozen=True)
+class MotionStep:
+    """One form of an effect, in the order of selection. adds: names of its parameters; held_out_before_rms, held_out_after_rms: by joint,
+    in the unit of the channel (deg, N m)."""
+
+    adds: tuple[str, ...]
+    held_out_before_rms: Mapping[str, Number]
+    held_out_after_rms: Mapping[str, Number]
+
+
+@dataclass(frozen=True)
+class ResponseShape:
+    """Mean ``y`` over bins ``x`` of a covariate, in SI units."""
+
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of y. The bins hold equally many samples, so that the mean square over them is that over the recording."""
+        return float(np.sqrt(np.mean(np.square(self.y))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectFound(EveryKey):
+    """An effect that a diagnosis reports.
+
+    Attributes
+    ----------
+    name
+        Of the catalogue, or ``unknown`` for an unmodelled effect.
+    parameters
+        By name, with the unit as its suffix.
+    p_value
+        As in version 1 of the format: ``p_local`` of a parametric effect of poses; otherwise exp(-log Bayes factor).
+    held_out_gain
+        Share of the held-out excess over the noise floor that the effect removes, 0 to 1; of a motion, of the excess of its ``channel``.
+    trend
+        Why it is a trend, of which no figure may be relied on; empty for a finding.
+    p_local
+        Of poses: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect.
+    p_corrected
+        Of poses: the same by anything that was tried (all candidates and values of their hyper-parameters, or all locations).
+    log_bayes_factor
+        Of poses: natural logarithm, of an unmodelled effect against none.
+    equivalent
+        Of poses: other locations that act alike on these data.
+    held_out_gain_std
+        Of poses: standard deviation of ``held_out_gain``, 0 where it is not known.
+    channel
+        Of a motion: the kind of mismatch that shows it; empty for poses.
+    held_out_gain_here
+        Of a motion: share of the excess of its own joints that it removes on held-out data. Together the effects of a joint remove what
+        the table of channels says.
+    steps
+        Of a motion: its forms in the order of selection.
+    notes
+        Of a motion: what its parameters leave open.
+    shape
+        Of a motion: of structure in a residual that no effect of the catalogue explains, over the covariate ``depends_on``.
+    """
+
+    left_out = (*OF_MOTION, "trend")
+    later = ("depends_on", "alternatives", *OF_POSES)
+
+    name: str
+    where: tuple[str, ...]
+    depends_on: str = ""
+    parameters: Mapping[str, ParameterEstimate]
+    p_value: Number
+    held_out_gain: Number
+    alternatives: tuple[Alternative, ...] = ()
+    trend: str = field(init=False, default="")
+    p_local: float | None = None
+    p_corrected: float | None = None
+    log_bayes_factor: float | None = None
+    equivalent: tuple[str, ...] = ()
+    held_out_gain_std: Number = 0.0
+    channel: str = ""
+    held_out_gain_here: float | None = None
+    steps: tuple[MotionStep, ...] = ()
+    notes: tuple[str, ...] = ()
+    shape: ResponseShape | None = None
+
+    def __post_init__(self) -> None:
+        """An unmodelled effect of a motion is never a trend: it was held against noise by itself."""
+        if self.shape is None:
+            sizes = {name: estimate.components for name, estimate in self.parameters.items()}
+            object.__setattr__(self, "trend", trend(sizes, self.gain_here, self.held_out_gain_std))
+
+    def unwritten(self) -> Sequence[str]:
+        if not self.channel:
+            return OF_MOTION
+        return (*OF_POSES, "shape") if self.shape is None else (*OF_POSES, *OF_MODELS)
+
+    @property
+    def gain_here(self) -> float:
+        """Share of the held-out excess that it removes where it acts."""
+        return self.held_out_gain if self.held_out_gain_here is None else self.held_out_gain_here
+
+    @property
+    def at(self) -> str:
+        """Its locations in words."""
+        at = ", ".join(self.where)
+        return f"{at} ({self.channel})" if self.channel else at
