@@ -35,7 +35,7 @@ MULTIPLES = (0.8, 1.0, 1.2, 1.4, 1.7)
 LEAST = (10.0, 5.0, 3.0, 2.0, 1.5, 1.0)  # e-values
 CELLS = 40
 POWER_TEXT = """
-Share of cells in which the diagnosis, validation on data left out included, names the effect at its location (or as one of two that it cannot tell apart), and
+Share of cells in which the diagnosis names the effect at its location (or as one of two that it cannot tell apart), and
 in brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and location and
 estimate the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples
 of that at which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative

@@ -14,9 +14,7 @@ from mbcacq.diagnosis.memory import freed_memory_kept
 from mbcacq.diagnosis.model_fit import fit_model
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
 from mbcacq.diagnosis.output.kept_model import kept_model
-from mbcacq.diagnosis.output.next_measurements import elsewhere
 from mbcacq.diagnosis.output.notes import noise_in_words
 from mbcacq.diagnosis.problem import is_long, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
@@ -111,16 +109,14 @@ def _diagnose(
             full = fit_model(problem)
         pool = WorkerPool() if full.empty else pool  # nothing is claimed, there is nothing to validate
         again = begin_again(full.geometry_only.linear, bool(full.random))
-    # What is validated and concluded does not depend on the refit, which takes seconds: another process makes it meanwhile, and then its
-    # share of the limits of a long recording.
+    # What is validated and concluded does not depend on the refit, which takes seconds: another process makes it meanwhile.
     model = kept_model(full)
     refitted = pool.beside(refit, model) if refit is not None and model else None
-    limits = exclusion_limits(full, problem.candidates, elsewhere(problem.context), pool) if is_long(obs) else None
     validation = validated(full, again, progress)
     variations = noise_variations(full) if is_long(obs) else variations
     problem = replace(problem, budget=budget)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = conclude(problem, judge(problem, full, validation), limits)
+    result = conclude(problem, judge(problem, full, validation))
     if formulas:
         proposed = propose(problem, full, result.effects, progress)
         result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))

@@ -15,7 +15,7 @@ from mbcacq.diagnosis.output.between_recordings import between_recordings, with_
 from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
 from mbcacq.diagnosis.output.evidence_summary import summarized
-from mbcacq.diagnosis.output.exclusion_limits import Limits, exclusion_limits
+from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
 from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
@@ -67,11 +67,8 @@ def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation) 
     )
 
 
-def conclude(setup: DiagnosisProblem, fit: JudgedFit, limits: Limits | None = None) -> Diagnosis:
-    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found.
-
-    limits: returns these, where other processes have begun with them.
-    """
+def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
+    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found."""
     full, validation, before = fit.full, fit.validation, fit.before
     after, residual_after = training_score(full.joint)
     there = elsewhere(setup.context)
@@ -107,7 +104,7 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit, limits: Limits | None = No
             *undecided_evidence(full),
             *evidence.untried,
         ),
-        exclusion_limits=(limits or exclusion_limits(full, setup.candidates, there))(),
+        exclusion_limits=exclusion_limits(full, setup.candidates, there),
         between_recordings=recordings,
         model=kept_model(full) or None,
         evidence=evidence,

@@ -12,8 +12,6 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis import model_fit
-from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
-from mbcacq.diagnosis.output.next_measurements import elsewhere
 from mbcacq.diagnosis.validation import cross_validation
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.errors import CalibrationError
@@ -146,12 +144,3 @@ def test_two_workers_give_the_same_cross_validation_as_one(fitted, pool):
 
     assert one.after.chi2_dof < 0.7 * one.before.chi2_dof
     assert two == one
-
-
-def test_two_workers_state_the_same_limits_as_one(fitted, pool):
-    setup, full = fitted
-    there = elsewhere(setup.context)
-    one, two = (exclusion_limits(full, setup.candidates[::3], there, p)() for p in (None, pool))
-
-    assert [(e.name, e.where, e.parameter, e.holds_for) for e in two] == [(e.name, e.where, e.parameter, e.holds_for) for e in one]
-    assert [e.value for e in two] == pytest.approx([e.value for e in one], rel=1e-6)

@@ -13,7 +13,7 @@ Sizes have a prior of what machines have. A limit beyond it says nothing: the ef
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,13 +29,11 @@ from mbcacq.diagnosis.output.upper_limit import directions, independent_values, 
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_set import Member
-from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects import catalogue, steps
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import MOMENT, Candidate
 from mbcacq.effects.trend import NOT_SIZES
 
-Limits = Callable[[], tuple[ExclusionLimit, ...]]  # returns them; processes may have begun with them
 ABSORBED = 1e-6  # information on a typical size below which the geometry absorbs the effect
 
 
@@ -60,9 +58,10 @@ class BandLimit:
 
 
 def limits_of(problem: CandidateScoring, candidates: Sequence[Candidate], found: Sequence[Member]) -> list[BandLimit]:
-    """Limits of every candidate that was not found, by band and parameter. problem: conditioned on what was found."""
-    few = of_fewest_coefficients(candidates)
-    return [limit for candidate in few for limit in limits_of_candidate(problem, candidate, few, found)]
+    """Limits of every candidate that was not found, by band and parameter. problem: conditioned on what was found; candidates: of each
+    effect at a location the variants of fewest coefficients.
+    """
+    return [limit for candidate in candidates for limit in limits_of_candidate(problem, candidate, candidates, found)]
 
 
 def limits_of_candidate(
@@ -202,77 +201,40 @@ def parameters_of(candidate: Candidate, hyper: float | None) -> dict[str, tuple[
     return {name: (np.array([j for j, _ in each]), np.array([size for _, size in each])) for name, each in own.items()}
 
 
-@dataclass(frozen=True, kw_only=True)
-class LimitedFit:
-    """What limits need of a fit. geometry_only, conditioned: the projected problem with geometry alone, and beside all that was found.
-
-    effects: that were found; candidates: of each effect at a location the variants of fewest coefficients.
-    """
-
-    geometry_only: CandidateScoring
-    conditioned: CandidateScoring
-    effects: Sequence[Member]
-    candidates: Sequence[Candidate]
-    there: Elsewhere
-
-
-def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Elsewhere, pool: WorkerPool | None = None) -> Limits:
-    """A function that returns the limits as they are reported: those that these poses test first, of these the ones with the largest error
-    in the workspace, and each reading but once. pool: of processes that share the candidates.
-    """
-    fit = LimitedFit(
-        geometry_only=full.geometry_only,
-        conditioned=conditioned_on_everything(full),
-        effects=full.model.members,
-        candidates=of_fewest_coefficients(candidates),
-        there=there,
-    )
-    pool = pool or WorkerPool()
-    shares = pool.begin(limits_of_share, *zip(*((fit, number, pool.workers) for number in range(pool.workers)), strict=True))
-
-    def limits() -> tuple[ExclusionLimit, ...]:
-        each = sorted((one for share in shares() for one in share), key=lambda one: one[0])
-        out: dict[tuple, ExclusionLimit] = {}
-        for _, one in each:
-            out.setdefault((one.name, one.where, one.parameter, one.holds_for), one)
-        return tuple(sorted(out.values(), key=lambda e: (not e.tested, -(e.workspace_mm or 0.0), e.in_usual_sizes or np.inf)))
-
-    return limits
-
-
-def limits_of_share(fit: LimitedFit, first: int, step: int) -> list[tuple[int, ExclusionLimit]]:
-    """The limits of every ``step``-th candidate, each with the candidate's number.
+def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Elsewhere) -> tuple[ExclusionLimit, ...]:
+    """The limits as they are reported: those that these poses test first, of these the ones with the largest error in the workspace, and
+    each reading but once.
 
     What the geometry absorbs and no length shows is not listed, nor a change in time that the places of the stations absorb: it acts on
     nothing that will be measured.
     """
-    linear, there = fit.geometry_only.linear, fit.there
+    problem, effects, few = conditioned_on_everything(full), full.model.members, of_fewest_coefficients(candidates)
+    linear = full.geometry_only.linear
     context = Context(linear.obs, there.context.state, linear.prediction)
-    compensation = Compensation.of(fit.geometry_only, there)
-    found = {m.candidate.location for m in fit.effects}
-    others = [c for c in fit.candidates if c.location not in found]
-    out = list[tuple[int, ExclusionLimit]]()
-    for number in range(first, len(fit.candidates), step):
-        for limit in limits_of_candidate(fit.conditioned, fit.candidates[number], fit.candidates, fit.effects):
-            gone = not np.isfinite(limit.value)
-            if gone and (catalogue.declaration(limit.candidate.name).acts_in_time or harmless(there, limit.sized)):
-                continue
-            tested = limit.in_usual_sizes <= OPTIONS.largest_usual
-            moved = compensation.displacement(limit.sized, confounders(limit.candidate, others)) if tested else None
-            workspace_mm, length_mm = errors_of(there, moved)
-            one = ExclusionLimit(
-                name=limit.candidate.name,
-                where=limit.candidate.where,
-                parameter=limit.parameter,
-                value=None if gone else limit.value,
-                workspace_mm=workspace_mm,
-                length_mm=length_mm,
-                in_usual_sizes=None if gone else limit.in_usual_sizes,
-                tested=tested,
-                holds_for=holds_for(context, limit),
-            )
-            out.append((number, one))
-    return out
+    compensation = Compensation.of(full.geometry_only, there)
+    found = {m.candidate.location for m in effects}
+    others = [c for c in few if c.location not in found]
+    out: dict[tuple, ExclusionLimit] = {}
+    for limit in limits_of(problem, few, effects):
+        gone = not np.isfinite(limit.value)
+        if gone and (catalogue.declaration(limit.candidate.name).acts_in_time or harmless(there, limit.sized)):
+            continue
+        tested = limit.in_usual_sizes <= OPTIONS.largest_usual
+        moved = compensation.displacement(limit.sized, confounders(limit.candidate, others)) if tested else None
+        workspace_mm, length_mm = errors_of(there, moved)
+        one = ExclusionLimit(
+            name=limit.candidate.name,
+            where=limit.candidate.where,
+            parameter=limit.parameter,
+            value=None if gone else limit.value,
+            workspace_mm=workspace_mm,
+            length_mm=length_mm,
+            in_usual_sizes=None if gone else limit.in_usual_sizes,
+            tested=tested,
+            holds_for=holds_for(context, limit),
+        )
+        out.setdefault((one.name, one.where, one.parameter, one.holds_for), one)
+    return tuple(sorted(out.values(), key=lambda e: (not e.tested, -(e.workspace_mm or 0.0), e.in_usual_sizes or np.inf)))
 
 
 def holds_for(context: Context, limit: BandLimit) -> ExclusionBand | None:
