@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from mbcacq.diagnosis.motion.noise import covariance
+from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
 from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
@@ -56,3 +56,16 @@ def test_a_coefficient_that_the_data_do_not_determine_keeps_its_prior():
     value, std = fitted(1e6 * np.random.default_rng(6).normal(size=LENGTH), np.array([0.3]))
     assert std == pytest.approx(0.3, rel=0.02)
     assert abs(value) < 0.1
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_coefficient_of_a_column_that_is_zero_has_a_variance_beyond_any_size_and_no_other_one_changes():
+    noise = np.random.default_rng(7).normal(size=LENGTH)
+    store = normal_store(noise)
+    (number,), (empty,) = store.add([0], [COLUMN], None), store.add([0], [np.zeros_like(COLUMN)], None)
+    weights = np.array([1.0 / np.mean(noise**2)])
+    for stated in (sandwich_covariance, lambda *of: covariance(*of, NUMBERS.correlation_s)):
+        alone, both = (np.concatenate([store.base, chosen]).astype(int) for chosen in ([number], [number, empty]))
+        one, other = (stated(store, weights, chosen, store.solve(store.normal(weights), chosen)) for chosen in (alone, both))
+        assert other[-2, -2] == pytest.approx(one[-1, -1], rel=1e-6)
+        assert 1e100 < other[-1, -1] < np.inf

@@ -19,6 +19,9 @@ from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
 MISMATCH = -1  # the number of the mismatch among the columns of every joint
 
 Factor = tuple[np.ndarray, bool]
+# Least square of a column. One that is zero where a recording was cut leaves its coefficient unknown, and the variance of that, which has
+# RIDGE and this one below it, must stay a number.
+LEAST_SQUARE = 1e-200
 
 
 class NormalStore:
@@ -182,7 +185,7 @@ class NormalStore:
         rest."""
         A = N[np.ix_(chosen, chosen)]
         A[np.diag_indices_from(A)] += 1.0 / np.array(self.prior)[chosen] ** 2
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(A), LEAST_SQUARE))
         A *= np.outer(scale, scale)
         A[np.diag_indices_from(A)] += RIDGE
         return cho_factor(A, lower=True, check_finite=False), scale
