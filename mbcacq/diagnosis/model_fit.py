@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import relinearized
-from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence
+from mbcacq.diagnosis.evidence.evidence_fit import compared, fit_evidence
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres
@@ -28,45 +28,20 @@ from mbcacq.estimation.variance_components import NoisePrior, pack
 __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "fit_part", "prepare"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SearchedEffects:
-    """What the search has found. best: the set that is reported, of all poses; linear: its linearisation, without discrepancy. part, found:
-    of a long recording, the part that was searched, and the set in it.
-    """
-
-    fit: EvidenceFit
-    best: Hypothesis
-    linear: LinearProblem
-    part: DiagnosisProblem | None = None
-    found: Hypothesis | None = None
-
-
 def fit_model(problem: DiagnosisProblem) -> ModelFit:
-    """The model of all centres; outliers are judged with it in place."""
-    return completed(problem, searched(problem))
-
-
-def searched(problem: DiagnosisProblem) -> SearchedEffects:
-    """The effects of all centres; of a long recording they are searched in a part of it."""
+    """The model of all centres; outliers are judged with it in place. The effects of a long recording are searched in a part of it; what is
+    left of all of it is random effects at every location.
+    """
     if not is_long(problem.linear.obs):
         fit = with_untried_rivals(problem, fit_evidence(problem))
-        return SearchedEffects(fit=fit, best=reported_hypothesis(fit), linear=fit.linear)
+        return model_of(problem, fit, reported_hypothesis(fit), fit.linear)
     part = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
     fit = with_untried_rivals(part, compared(part, part.linear, pack(part.noise), alternatives=True, staged=True))
     found = reported_hypothesis(fit)
     whole = on_the_whole(problem, part, found)
-    return SearchedEffects(fit=fit, best=whole, linear=whole.point.linear, part=part, found=found)
-
-
-def completed(problem: DiagnosisProblem, effects: SearchedEffects) -> ModelFit:
-    """The model of the effects that were found; what is left of a long recording is random effects at every location."""
-    best, random, cells = effects.best, (), ()
-    if effects.part is not None and effects.found is not None:
-        random, noise, cells = random_effects_everywhere(problem, effects.part, effects.found, best.point.noise)
-        if random:
-            best = under(replace(best.point, theta=pack(noise)), best.members, best.log_prior)
-    model = model_of(problem, effects.fit, best, effects.linear)
-    return model if effects.part is None else replace(model, random=random, cells=cells)
+    random, noise, cells = random_effects_everywhere(problem, part, found, whole.point.noise)
+    best = under(replace(whole.point, theta=pack(noise)), whole.members, whole.log_prior) if random else whole
+    return replace(model_of(problem, fit, best, whole.point.linear), random=random, cells=cells)
 
 
 def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> tuple[EffectSet, tuple[RandomEffect, ...]]:
