@@ -15,7 +15,7 @@ from mbcacq.challenge.simulated_cells import observe
 from mbcacq.design.simulated_observations import planned_noise, planned_state
 from mbcacq.diagnosis.nonparametric.joint_model import noise_with
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.exclusion_limits import BandLimit, limits_of_band, parameters_of, with_confounders
+from mbcacq.diagnosis.output.exclusion_limits import BandLimit, limits_of_bands, parameters_of, with_confounders
 from mbcacq.diagnosis.output.limit_bands import ORDERS, LimitBand, bands
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring, ProductStore
@@ -87,7 +87,7 @@ class Family:
 
     def limit(self, drawn: CandidateScoring, beside: list[Candidate]) -> BandLimit | None:
         """As a diagnosis would state it, with these effects free; None where it is not tested."""
-        stated = limits_of_band(with_confounders(drawn, self.candidate, beside), self.candidate, self.band)
+        stated = limits_of_bands(with_confounders(drawn, self.candidate, beside), self.candidate, [self.band])
         one = next(limit for limit in stated if limit.parameter == self.parameter)
         return one if one.in_usual_sizes <= OPTIONS.largest_usual else None
 

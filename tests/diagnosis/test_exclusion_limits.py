@@ -7,7 +7,14 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis.output.compensation import Compensation
-from mbcacq.diagnosis.output.exclusion_limits import confounders, independent, limits_of, limits_of_band, parameters_of, with_confounders
+from mbcacq.diagnosis.output.exclusion_limits import (
+    BandScan,
+    confounders,
+    limits_of,
+    limits_of_bands,
+    parameters_of,
+    with_confounders,
+)
 from mbcacq.diagnosis.output.limit_bands import ORDERS, bands
 from mbcacq.diagnosis.output.next_measurements import as_measured
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
@@ -63,7 +70,7 @@ def test_orders_that_a_gear_has_by_its_construction_have_a_limit_of_their_own(fe
 def test_the_first_order_may_hide_where_a_fast_one_may_not(projected, few):
     gear = one(few, "gear_transmission_error", "A2")
     beside = with_confounders(projected, gear, few)
-    slow, fast = (limits_of_band(beside, gear, band_of(gear, order))[0].value for order in (SLOW, FAST))
+    slow, fast = (limits_of_bands(beside, gear, [band_of(gear, order)])[0].value for order in (SLOW, FAST))
     assert slow > 5 * fast
 
 
@@ -71,8 +78,8 @@ def test_a_limit_beside_what_it_is_confused_with_is_larger(projected, few):
     """Elasticity and a slow error of one joint compensate each other."""
     soft = one(few, "joint_compliance", "A2")
     (band,) = bands(soft)
-    (alone,) = limits_of_band(projected, soft, band)
-    (beside,) = limits_of_band(with_confounders(projected, soft, few), soft, band)
+    (alone,) = limits_of_bands(projected, soft, [band])
+    (beside,) = limits_of_bands(with_confounders(projected, soft, few), soft, [band])
     assert beside.value > 1.5 * alone.value
 
 
@@ -86,10 +93,10 @@ def test_nineteen_of_twenty_errors_of_a_gear_are_below_the_limit_of_their_band(p
     for _ in range(trials):
         value, angle = rng.choice(band.values), rng.uniform(0, 2 * np.pi)
         quiet = drawn(projected, blocks[value], nothing, rng)
-        (limit,) = limits_of_band(with_confounders(quiet, gear, few), gear, band)
+        (limit,) = limits_of_bands(with_confounders(quiet, gear, few), gear, [band])
         true = np.radians(limit.value) * np.array([np.cos(angle), np.sin(angle)])
         one_day = drawn(projected, blocks[value], np.r_[true, soft.typical], rng)
-        (again,) = limits_of_band(with_confounders(one_day, gear, few), gear, band)
+        (again,) = limits_of_bands(with_confounders(one_day, gear, few), gear, [band])
         below += again.value >= limit.value
     assert 0.90 <= below / trials <= 0.995
 
@@ -129,14 +136,14 @@ def test_nineteen_of_twenty_effects_of_any_direction_at_any_of_many_values_are_b
 def test_moments_next_to_each_other_are_hardly_two_independent_values(projected, few):
     step = one(few, "joint_step", "A4")
     (band,) = bands(step)
-    number = independent(projected, step, band, "A4.step_deg", np.array([0]))
+    number = BandScan(projected, step, [band]).independent(band, "A4.step_deg", np.array([0]))
     assert 2 < number < 0.7 * len(band.values)
 
 
 def test_what_hides_an_effect_acts_elsewhere_too(projected, few, setup):
     """At the poses of the recording a slow error of a gear is hidden, as large as its limit: what compensates it leaves little of it."""
     gear = one(few, "gear_transmission_error", "A2")
-    (limit,) = limits_of_band(with_confounders(projected, gear, few), gear, band_of(gear, SLOW))
+    (limit,) = limits_of_bands(with_confounders(projected, gear, few), gear, [band_of(gear, SLOW)])
     there = as_measured(setup.context)
     alone = there.displacement(limit.sized)
     hidden = Compensation.of(projected, there).displacement(limit.sized, confounders(gear, few))
@@ -163,7 +170,7 @@ def test_what_an_effect_reports_are_lengths_of_its_own_coefficients(few):
 
 def test_limits_hold_at_moments_within_a_station_alone(projected, few, setup):
     """A mount that shifts just when the station changes moves every station as a whole."""
-    (translation, _) = limits_of_band(projected, one(few, "mount_shift", "mount"), bands(one(few, "mount_shift", "mount"))[0])
+    (translation, _) = limits_of_bands(projected, one(few, "mount_shift", "mount"), bands(one(few, "mount_shift", "mount")))
     station = setup.linear.obs.station[np.argsort(setup.context.order)]
     changes = set((np.flatnonzero(np.diff(station)) + 1).tolist())
     inside = [v for v in translation.band.values if v not in changes]

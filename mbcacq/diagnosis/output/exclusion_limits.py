@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def limits_of_candidate(
     if candidate.location in there and not (candidate.periodic and candidate.several):
         return []
     beside = with_confounders(problem, candidate, [c for c in few if c.location not in there])
-    return [limit for band in bands(candidate, orders) for limit in limits_of_band(beside, candidate, band)]
+    return limits_of_bands(beside, candidate, bands(candidate, orders))
 
 
 def with_confounders(problem: CandidateScoring, candidate: Candidate, others: Sequence[Candidate]) -> CandidateScoring:
@@ -106,9 +107,68 @@ def values_beside(other: Candidate) -> tuple[float | None, ...]:
     return (1.0, 2.0) if other.periodic else (float(np.sort(hyper.values)[len(hyper.values) // 2]),)
 
 
-def limits_of_band(problem: CandidateScoring, candidate: Candidate, band: LimitBand) -> list[BandLimit]:
+class BandScan:
+    """An effect at all values of its bands, scanned at once, in typical sizes.
+
+    Normal matrices (H, k, k) and right-hand sides (H, k) are beyond what the problem is conditioned on.
+    """
+
+    def __init__(self, problem: CandidateScoring, candidate: Candidate, own: Sequence[LimitBand]):
+        self.problem, self.candidate, t = problem, candidate, candidate.typical
+        self.values: tuple[float | None, ...] = own[0].values
+        if len(own) > 1:
+            self.values = tuple(np.unique([value for band in own for value in band.values]).tolist())
+        if candidate.components:
+            S, b = problem.normal_matrices(candidate, np.array(self.values, dtype=float))
+        else:
+            S, b = (np.array(each) for each in zip(*(self._products(value) for value in self.values), strict=True))
+        self._information, self._gradient = S * np.outer(t, t), b * t
+
+    def _products(self, value: float | None) -> tuple[np.ndarray, np.ndarray]:
+        X, own, along = self.problem.candidate_products(self.candidate, value)
+        absorbed_part = self.problem.conditioned.T @ X
+        return own - absorbed_part.T @ absorbed_part, along - absorbed_part.T @ self.problem.along
+
+    def at(self, band: LimitBand) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrices and right-hand sides at the values of a band."""
+        some = self._places(band)
+        return self._information[some], self._gradient[some]
+
+    def _places(self, band: LimitBand) -> list[int]:
+        place = {value: j for j, value in enumerate(self.values)}
+        return [place[value] for value in band.values]
+
+    @cached_property
+    def _noise(self) -> tuple[np.ndarray, np.ndarray]:
+        """Covariances (H, k, k) with geometry alone, and coefficients (H, k, draws) of recordings of noise."""
+        S, b = self.problem.scores_of_noise(self.candidate, self.values)
+        t = self.candidate.typical
+        covariance = np.linalg.inv(S * np.outer(t, t))
+        return covariance, covariance @ (b * t[:, None])
+
+    def independent(self, band: LimitBand, parameter: str, which: np.ndarray) -> float:
+        """Number of independent values of a band, for a parameter of some coefficients (indices): by recordings of noise alone."""
+        if len(band.values) == 1:
+            return 1.0
+        key, kept = (self.candidate.key, band.values, parameter), self.problem.store.independent
+        if key not in kept:
+            covariance, drawn = (each[self._places(band)][:, which] for each in self._noise)
+            positive = self.candidate.positive and self.candidate.k == 1
+            kept[key] = independent_values(largest_ratio(drawn, covariance[:, :, which], positive), len(which), positive)
+        return kept[key]
+
+
+def limits_of_bands(problem: CandidateScoring, candidate: Candidate, own: Sequence[LimitBand]) -> list[BandLimit]:
+    """Those of a candidate over its bands, with free what the problem is conditioned on."""
+    if not own:
+        return []
+    scan = BandScan(problem, candidate, own)
+    return [limit for band in own for limit in limits_of_band(scan, band)]
+
+
+def limits_of_band(scan: BandScan, band: LimitBand) -> list[BandLimit]:
     """One limit for each parameter that is a size."""
-    information, gradient = in_typical_sizes(problem, candidate, band)
+    candidate, (information, gradient) = scan.candidate, scan.at(band)
     value, vectors = np.linalg.eigh(information)
     std = 1.0 / np.sqrt(np.maximum(value[:, 0], ABSORBED))
     chosen = alike(candidate, band, std) & (value[:, 0] > ABSORBED)
@@ -125,7 +185,7 @@ def limits_of_band(problem: CandidateScoring, candidate: Candidate, band: LimitB
         c, V = estimate[:, which] * unit, covariance[:, which][:, :, which] * np.outer(unit, unit)
         along = directions(len(which))
         precision = np.einsum("dk,hkl,dl->hd", along, np.linalg.inv(V), along)
-        number = independent(problem, candidate, own, name, which)
+        number = scan.independent(own, name, which)
         size = upper_limit(float(largest_ratio(c, V, positive)), precision, number, len(which), positive)
         h, d = np.unravel_index(int(precision.argmin()), precision.shape)
         coefficients = np.zeros(candidate.k)
@@ -144,20 +204,6 @@ def limits_of_band(problem: CandidateScoring, candidate: Candidate, band: LimitB
     return out
 
 
-def independent(problem: CandidateScoring, candidate: Candidate, band: LimitBand, parameter: str, which: np.ndarray) -> float:
-    """Number of independent values of a band, for a parameter of some coefficients (indices): by recordings of noise alone."""
-    if len(band.values) == 1:
-        return 1.0
-    key, kept = (candidate.key, band.values, parameter), problem.store.independent
-    if key not in kept:
-        S, b = problem.scores_of_noise(candidate, band.values)
-        t, positive = candidate.typical, candidate.positive and candidate.k == 1
-        covariance = np.linalg.inv(S * np.outer(t, t))
-        drawn = (covariance @ (b * t[:, None]))[:, which]
-        kept[key] = independent_values(largest_ratio(drawn, covariance[:, which][:, :, which], positive), len(which), positive)
-    return kept[key]
-
-
 def absorbed(candidate: Candidate, band: LimitBand, parameter: str) -> BandLimit:
     """No limit: the geometry absorbs the effect at every value of the band."""
     return BandLimit(
@@ -169,21 +215,6 @@ def absorbed(candidate: Candidate, band: LimitBand, parameter: str) -> BandLimit
         coefficients=np.full(candidate.k, np.inf),
         in_usual_sizes=np.inf,
     )
-
-
-def in_typical_sizes(problem: CandidateScoring, candidate: Candidate, band: LimitBand) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrices (H, k, k) and right-hand sides (H, k) of coefficients in typical sizes, beyond what the problem is conditioned on."""
-    t = candidate.typical
-    if candidate.components:
-        S, b = problem.normal_matrices(candidate, np.array(band.values, dtype=float))
-        return S * np.outer(t, t), b * t
-    S, b = [], []
-    for value in band.values:
-        X, own, along = problem.candidate_products(candidate, value)
-        absorbed_part = problem.conditioned.T @ X
-        S.append((own - absorbed_part.T @ absorbed_part) * np.outer(t, t))
-        b.append((along - absorbed_part.T @ problem.along) * t)
-    return np.array(S), np.array(b)
 
 
 def parameters_of(candidate: Candidate, hyper: float | None) -> dict[str, tuple[np.ndarray, np.ndarray]]:

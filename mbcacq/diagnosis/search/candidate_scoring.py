@@ -15,6 +15,7 @@ import numpy as np
 from mbcacq.diagnosis.search.batch_scoring import BatchScoring, candidate_keys
 from mbcacq.diagnosis.search.effect_columns import candidate_columns, scanned_functions
 from mbcacq.diagnosis.search.projection import ridge_projection
+from mbcacq.diagnosis.search.scanned_functions import ScannedFunctions
 from mbcacq.effects.effect import Candidate
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.normal_equations import inverse_of_lower
@@ -34,8 +35,8 @@ class ProductStore:
 
     units: dict[UnitKey, np.ndarray] = field(default_factory=dict)
     candidates: dict[tuple[str, float | None], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
-    scans: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
-    last_scan: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    scans: dict[str, tuple[ScannedFunctions, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    last_scan: dict[tuple[str, bytes], tuple[ScannedFunctions, np.ndarray, np.ndarray]] = field(default_factory=dict)
     pose_products: dict[tuple[UnitKey, ...], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     batches: dict[tuple[str, ...], BatchScoring] = field(default_factory=dict)
     beyond_geometry: list[np.ndarray] = field(default_factory=list)
@@ -239,21 +240,21 @@ class CandidateScoring:
         if not candidate.components:
             products = [self.candidate_products(candidate, value) for value in values]
             return np.array([S for _, S, _ in products]), np.array([X.T @ self.noise_draws() for X, _, _ in products])
-        flat, S, _ = self._normal_matrices(candidate, np.array(values, dtype=float))
+        functions, S, _ = self._normal_matrices(candidate, np.array(values, dtype=float))
         by_pose = self.whiten.pose_products(self._units(candidate.components), self.noise_draws())
-        return S, _of_functions(flat, by_pose, len(S))
+        return S, _by_column(functions, by_pose)
 
     def normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrices (H, k, k) and right-hand sides (H, k) of a candidate with components beyond all that is projected out."""
         assert candidate.hyper is not None, "a candidate with components has a hyper-parameter"
-        flat, S, b = self._normal_matrices(candidate, values)
+        functions, S, b = self._normal_matrices(candidate, values)
         if self.conditioned.shape[1]:
-            absorbed = _of_functions(flat, self.conditioned_pose_products(candidate.components), len(S))
+            absorbed = _by_column(functions, self.conditioned_pose_products(candidate.components))
             S, b = S - absorbed @ np.swapaxes(absorbed, 1, 2), b - absorbed @ self.along
         return S, b
 
-    def _normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Functions (H f, P), normal matrices (H, k, k) and right-hand sides (H, k), geometry projected out.
+    def _normal_matrices(self, candidate: Candidate, values: np.ndarray) -> tuple[ScannedFunctions, np.ndarray, np.ndarray]:
+        """Functions, normal matrices (H, k, k) and right-hand sides (H, k), geometry projected out.
 
         Kept of the grid of each candidate, and of the last scan of other values: it is asked for again with draws of noise.
         """
@@ -267,29 +268,20 @@ class CandidateScoring:
             last[key] = self._scanned(candidate, values)
         return last[key]
 
-    def _scanned(self, candidate: Candidate, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _scanned(self, candidate: Candidate, values: np.ndarray) -> tuple[ScannedFunctions, np.ndarray, np.ndarray]:
         b, A, C = self.pose_products(candidate.components)
-        P, c = b.shape
-        F = scanned_functions(self.linear, candidate, values)
-        H, _, f = F.shape
-        by_function = np.ascontiguousarray(np.swapaxes(F, 1, 2))
-        flat = by_function.reshape(H * f, P)
-        xr = (flat @ b).reshape(H, f, c).transpose(0, 2, 1).reshape(H, c * f)
-        xq = _of_functions(flat, C, H)
-        xx = np.empty((H, c, f, c, f))
-        for i in range(f):
-            for j in range(i + 1):
-                block = ((by_function[:, i] * by_function[:, j]) @ A.reshape(P, c * c)).reshape(H, c, c)
-                xx[:, :, i, :, j] = block
-                xx[:, :, j, :, i] = block
-        xx = xx.reshape(H, c * f, c * f)
-        return flat, xx - xq @ np.swapaxes(xq, 1, 2), xr
+        functions = scanned_functions(self.linear, candidate, values)
+        H, f = functions.size
+        c = b.shape[1]
+        xr, xq = _by_column(functions, b[:, :, None])[:, :, 0], _by_column(functions, C)
+        xx = functions.sums_of_products(A.reshape(-1, c * c)).reshape(H, f, f, c, c).transpose(0, 3, 1, 4, 2).reshape(H, c * f, c * f)
+        return functions, xx - xq @ np.swapaxes(xq, 1, 2), xr
 
 
-def _of_functions(flat: np.ndarray, by_pose: np.ndarray, H: int) -> np.ndarray:
-    """(H, k, a): products of a candidate's columns, its functions flat (H f, P) times its components, with others; by_pose (P, c, a): of
-    the components alone.
+def _by_column(functions: ScannedFunctions, by_pose: np.ndarray) -> np.ndarray:
+    """(H, k, a): products of a candidate's columns, each of its functions times each of its components, with others; by_pose (P, c, a):
+    those of the components alone.
     """
     P, c, a = by_pose.shape
-    f = len(flat) // H
-    return (flat @ by_pose.reshape(P, -1)).reshape(H, f, c, a).transpose(0, 2, 1, 3).reshape(H, c * f, a)
+    H, f = functions.size
+    return functions.sums(by_pose.reshape(P, c * a)).reshape(H, f, c, a).transpose(0, 2, 1, 3).reshape(H, c * f, a)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbcacq.diagnosis.search.scanned_functions import Harmonics, PoseFunctions, ScannedFunctions, angle_of_harmonics
 from mbcacq.effects.context import Context
 from mbcacq.effects.described import functions_of, parts_of
 from mbcacq.effects.effect import Candidate
@@ -26,9 +27,16 @@ def candidate_columns(linear: LinearProblem, candidate: Candidate, hyper: float 
     return linear.columns(candidate_parts(linear, candidate, hyper))
 
 
-def scanned_functions(linear: LinearProblem, candidate: Candidate, values: np.ndarray) -> np.ndarray:
-    """(H, P, f): the functions of a candidate with components. Those of its grid are kept, which is scanned many times."""
-    here = covariates(linear)
+def scanned_functions(linear: LinearProblem, candidate: Candidate, values: np.ndarray) -> ScannedFunctions:
+    """The functions of a candidate with components, at values (H,) of its hyper-parameter. Those of its grid are kept, which is scanned many
+    times.
+    """
     if candidate.hyper is None or values is not candidate.hyper.values:
-        return functions_of(candidate, here, values)
-    return linear.computed_once(("functions", candidate.key), lambda: functions_of(candidate, here, values))
+        return functions_at(candidate, covariates(linear), values)
+    return linear.computed_once(("functions", candidate.key), lambda: functions_at(candidate, covariates(linear), values))
+
+
+def functions_at(candidate: Candidate, here: Context, values: np.ndarray) -> ScannedFunctions:
+    """The same, of poses with these covariates."""
+    angle = angle_of_harmonics(candidate.functions(values))
+    return Harmonics(here.value(angle), values) if angle is not None else PoseFunctions(functions_of(candidate, here, values))
