@@ -62,18 +62,23 @@ def restricted_maximum_likelihood(
 
 
 def reml_step(system: PoseSystem, noise: Noise, prior: NoisePrior) -> tuple[Noise, float]:
-    """One step of average-information scoring (REML); also the rise of the log posterior density that its quadratic model promises.
-
-    Where one variance component alone is q times as large as supposed, the scored step of log sigma is s = (q - 1) / 2q where log(q) / 2
-    leads to the maximum; so -log(1 - 2 s) / 2 is taken, which is s to first order.
-    """
+    """One step of average-information scoring (REML); also the rise of the log posterior density that its quadratic model promises."""
     score, information = reml_score_and_information(system, noise)
     theta = pack(noise)
     score = score - prior.precision @ (theta - prior.centre)
     step = np.linalg.solve(information + prior.precision, score)
     least = np.log(np.concatenate([np.full(3, LEAST_POINT), np.full(len(noise.joint), LEAST_JOINT), [LEAST_TURN]]))
-    moved = np.maximum(theta - 0.5 * np.log1p(-2 * np.minimum(step, LARGEST_STEP)), least)
-    return unpack(moved), 0.5 * float(step @ score)
+    return unpack(np.maximum(theta + step_of_log_sigma(step), least)), 0.5 * float(step @ score)
+
+
+def step_of_log_sigma(scored: np.ndarray) -> np.ndarray:
+    """The step of log sigma to take where scoring gives this one.
+
+    Where one variance component alone is q times as large as supposed, the scored step is s = (q - 1) / 2q where log(q) / 2 leads to the
+    maximum; so -log(1 - 2 s) / 2 is taken, which is s to first order. Scored steps themselves overshoot where a noise is smaller than
+    supposed, and may go to and fro about the maximum without end.
+    """
+    return -0.5 * np.log1p(-2 * np.minimum(scored, LARGEST_STEP))
 
 
 def log_restricted_posterior(system: PoseSystem, noise: Noise, prior: NoisePrior) -> float:

@@ -196,9 +196,9 @@ class EvidenceSearch:
         """The set without an effect, and the most probable ones with another in its place."""
         node = self.looked_at(rest, best)
         self.known.setdefault(node.key, node)
-        for log, member in self.extensions(node, self.candidates)[: OPTIONS.estimated]:
-            members = (*rest, member)
-            if key_of(members) not in self.known and self.may_matter(node.log_posterior + log, best):
+        likely = [(log, (*rest, member)) for log, member in self.extensions(node, self.candidates)[: OPTIONS.estimated]]
+        for log, members in [one for one in likely if key_of(one[1]) not in self.known][: self.width[1]]:
+            if self.may_matter(node.log_posterior + log, best):
                 other = self.looked_at(members, best)
                 near = other.log_posterior > best.log_posterior - OPTIONS.reach
                 self.known[other.key] = estimated(members, best.point, other.log_prior) if near else other

@@ -33,6 +33,13 @@ def evidence_of_candidates(projected: CandidateScoring, candidates: list[Candida
     return out + [scanned_candidate(projected, c) for c in candidates if c.components]
 
 
+def evidence_of_candidate(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:
+    """One candidate beyond geometry and what the problem is conditioned on."""
+    if candidate.components:
+        return scanned_candidate(projected, candidate)
+    return evidence_of_one(projected, candidate) if candidate.hyper is None else fixed_candidates(projected, [candidate])[0]
+
+
 def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -> list[ScoredEffect]:
     """Those whose hyper-parameter has few values, all in one product."""
     batch = projected.batch(candidates)

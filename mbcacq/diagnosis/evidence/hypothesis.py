@@ -20,6 +20,7 @@ from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN
 
 LARGEST_STEP = 1.0  # of a logarithm of the noise in one round
+MOST_CURVED = 4.0  # times its information by which the log posterior of a noise may be curved, as one step shows it
 
 
 class NormalSystem(Protocol):
@@ -54,8 +55,8 @@ class EvidencePoint(Protocol):
         """The problem with these effects, each at its most probable size, in place; further candidates are scored in it."""
         ...
 
-    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[Self, float]:
-        """The point after a step of scoring, and the largest change of a logarithm."""
+    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[Self, np.ndarray]:
+        """The point after a step of scoring, and the step of the logarithms."""
         ...
 
     def forget(self) -> None:
@@ -131,15 +132,22 @@ def with_sizes(members: Sequence[Member], A: np.ndarray, a: np.ndarray) -> tuple
 
 
 def estimated(members: Sequence[Member], start: P, log_prior: float, rounds: int = OPTIONS.rounds) -> Hypothesis[P]:
-    """The hypothesis with its noise estimated anew, from a start."""
-    point, extended = start, start.extended(members)
+    """The hypothesis with its noise estimated anew, from a start.
+
+    The average information may be half of the curvature, and steps by it then go to and fro about the maximum: it counts as much as the
+    slope along the last step has changed.
+    """
+    point, extended, curved = start, start.extended(members), 1.0
     sized, log_density, gradient, information = at_noise(point, members, extended)
     for _ in range(rounds):
-        new, change = point.moved(gradient, information)
-        if change < OPTIONS.steady:
+        new, step = point.moved(gradient, curved * information)
+        if np.abs(step).max() < OPTIONS.steady:
             break
-        point = new
+        point, slope = new, float(gradient @ step)
         sized, log_density, gradient, information = at_noise(point, members, extended)
+        beyond = -float(gradient @ step)
+        if beyond > 0 and slope > 0:
+            curved *= min((slope + beyond) / slope, MOST_CURVED)
     return Hypothesis(sized, point, integrated(log_density, gradient, information), log_prior)
 
 

@@ -13,14 +13,13 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from mbcacq.diagnosis.evidence.hypothesis import scoring_step
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
 from mbcacq.diagnosis.search.effect_columns import candidate_columns
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.estimation.linear_problem import ExtendedProblem, LinearProblem
 from mbcacq.estimation.normal_equations import PoseSystem
 from mbcacq.estimation.options import Noise
-from mbcacq.estimation.variance_components import NoisePrior, reml_score_and_information, unpack
+from mbcacq.estimation.variance_components import NoisePrior, reml_score_and_information, step_of_log_sigma, unpack
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +83,10 @@ class NoisePoint:
         """The same noise with only the centres in keep (M,)."""
         return replace(self, linear=self.linear.restricted(keep))
 
-    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[NoisePoint, float]:
-        """The point after a step of average-information scoring, and the largest change of a logarithm."""
-        step = scoring_step(gradient, information)
-        return replace(self, theta=self.theta + step), float(np.abs(step).max())
+    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[NoisePoint, np.ndarray]:
+        """The point after a step of average-information scoring, and the step of the logarithms."""
+        step = step_of_log_sigma(np.linalg.solve(information, gradient))
+        return replace(self, theta=self.theta + step), step
 
 
 def columns_of(linear: LinearProblem, member: Member) -> np.ndarray:

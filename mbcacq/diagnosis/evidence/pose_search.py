@@ -6,10 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, EvidenceSearch, log_e_value
-from mbcacq.diagnosis.evidence.candidate_evidence import ScoredEffect, evidence_of_candidates, evidence_of_one, scanned_candidate
+from mbcacq.diagnosis.evidence.candidate_evidence import (
+    ScoredEffect,
+    evidence_of_candidate,
+    evidence_of_candidates,
+    evidence_of_one,
+    scanned_candidate,
+)
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.coupled_effects import couplings_of, given_through
-from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, under
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import GivenEffect
@@ -20,6 +26,10 @@ from mbcacq.effects.declaration import EffectCoupling
 from mbcacq.effects.effect import Candidate
 from mbcacq.effects.effect_term import UNKNOWN
 
+# Effects enter a staged search together where each has this share of the log odds of the best one, and of its own beside those before it:
+# what is at another location hardly changes them, and what is the same thing as another loses them.
+TOGETHER = 0.5
+
 
 @dataclass(kw_only=True)
 class PoseSearch(EvidenceSearch):
@@ -27,6 +37,7 @@ class PoseSearch(EvidenceSearch):
 
     given: effects that are in the problem from the beginning. staged: one set is followed, and first the effects that every arm has
     (elastic joints), so that what they explain is not given to slow periodic errors, then the rest of the catalogue, and none unmodelled.
+    Those at different locations that do not take from each other enter together.
     """
 
     candidates: list[Candidate]
@@ -44,8 +55,42 @@ class PoseSearch(EvidenceSearch):
             best = self.ranked()[0]
         return self.climbed(best, self.candidates)
 
+    def grown(self, beam: Sequence[Hypothesis], candidates: list[Candidate]) -> list[Hypothesis]:
+        if not self.staged:
+            return super().grown(beam, candidates)
+        (best,) = beam
+        further = self.extensions(under(best.point, best.members, best.log_prior), candidates)
+        entering = self.together(best, further)
+        tried = [entering] if len(entering) > 1 else [(m,) for log, m in further[: self.width[1]] if log > -OPTIONS.reach]
+        found = max((self.estimated((*best.members, *some), best.point) for some in tried), key=lambda h: h.log_posterior, default=None)
+        if found is None:
+            return []
+        for key in dict.fromkeys(m.candidate.key for m in found.members[len(best.members) :]):
+            found = self.polished(found, key)
+        return [found]
+
+    def together(self, best: Hypothesis, further: Sequence[tuple[float, Member]]) -> tuple[Member, ...]:
+        """The effects that enter a set together: of each location the one of largest log odds, as these are beside those before it."""
+        entering: tuple[Member, ...] = ()
+        for log, member in further:
+            room = len(best.members) + len(entering) < self.most_effects
+            if log <= max(TOGETHER * further[0][0], 0.0) or not room:
+                break
+            if any(set(m.candidate.where) & set(member.candidate.where) for m in entering):
+                continue
+            if entering:
+                beside = best.point.conditioned((*best.members, *entering))
+                present = [m.candidate for m in (*best.members, *entering)]
+                again, member = self.weighted(evidence_of_candidate(beside, member.candidate), present)
+                if again < TOGETHER * log:
+                    continue
+            entering = (*entering, member)
+        return entering
+
     def improved(self, best: Hypothesis) -> Hypothesis:
-        return self.enriched(self.relieved(self.polished(best)))
+        if self.staged:
+            return self.relieved(best)
+        return self.enriched(self.relieved(self.polished(best, best.members[-1].candidate.key)))
 
     @property
     def looks_ahead(self) -> bool:
@@ -101,12 +146,13 @@ class PoseSearch(EvidenceSearch):
             return candidate.hyper is not None or not any(c.key == candidate.key for c in present)
         return not any(c.name == candidate.name and c.where == candidate.where for c in present)
 
-    def polished(self, best: Hypothesis) -> Hypothesis:
-        """A set whose last effect is a further order of a gear, or a further breakpoint, with all of these looked for anew beside each
-        other, and left out where they add nothing: the first were found while the others still disturbed.
+    def polished(self, best: Hypothesis, key: str) -> Hypothesis:
+        """A set that has several orders of a gear, or several breakpoints, each a candidate of this key, with all of these looked for anew
+        beside each other, and left out where they add nothing: the first were found while the others still disturbed.
         """
-        members, point, key = best.members, best.point, best.members[-1].candidate.key
-        if not members[-1].candidate.components or sum(m.candidate.key == key for m in members) < 2:
+        members, point = best.members, best.point
+        same = [m for m in members if m.candidate.key == key]
+        if len(same) < 2 or not same[0].candidate.components:
             return best
         for _ in range(OPTIONS.rounds):
             before = [m.key for m in members]

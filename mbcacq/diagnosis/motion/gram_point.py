@@ -131,11 +131,11 @@ class GramPoint:
     def forget(self) -> None:
         """Its normal equations are small and shared with every other point."""
 
-    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[GramPoint, float]:
+    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[GramPoint, np.ndarray]:
         """The variance of each joint by what its residual and the uncertainty of the coefficients add up to (expectation maximisation)."""
         del information
         step = np.log(np.maximum(1.0 + 2.0 * gradient / self.problem.count, 1e-12))
-        return replace(self, theta=self.theta + step), float(np.abs(step).max())
+        return replace(self, theta=self.theta + step), step
 
 
 def corrected(members: Sequence[Member]) -> bool:

@@ -13,6 +13,7 @@ from mbcacq.effects.functions import Column, turned
 
 TAPS = 14  # nodes of a grid on which a pose is spread: the sums are exact to 1e-12
 AT_ONCE = 64  # orders: their sines and cosines stay in the cache
+SPREADING = 100  # orders whose sums take as long as the spreading of the poses
 OVERSAMPLING = 2.0  # nodes of a grid for each that its highest order needs
 # Shape of the Kaiser-Bessel window: the widest spectrum that is not folded back at this oversampling (Barnett, Magland, af Klinteberg 2019).
 SHAPE = 0.98 * np.pi * TAPS * (1 - 1 / (2 * OVERSAMPLING))
@@ -60,18 +61,19 @@ class PoseFunctions:
 
 
 class AngleNodes:
-    """An angle x (P,) at which orders up to a highest are summed over poses.
+    """An angle x (P,) at which orders (H,), in ascending order, are summed over poses.
 
-    Where there are more poses than these orders need nodes, the weights of a pose are spread over the nodes of a grid near it and the sums
+    Where there are many more poses than these orders need nodes, the weights of a pose are spread over the nodes of a grid near it and the sums
     are taken over the grid: a discrete Fourier transform of points that are not equally spaced (Dutt, Rokhlin 1993). What the window takes
     from each order is given back to it.
     """
 
-    def __init__(self, x: np.ndarray, highest: float):
-        self.step = np.pi / (OVERSAMPLING * highest)
+    def __init__(self, x: np.ndarray, orders: np.ndarray):
+        self.step = np.pi / (OVERSAMPLING * float(orders[-1]))
         first = int(np.floor(x.min() / self.step)) - TAPS
         count = int(np.ceil(x.max() / self.step)) + TAPS + 1 - first
-        self.spread = spread(x / self.step - first, count).T.tocsr() if count < len(x) else None
+        pays = len(orders) * (len(x) - count) > SPREADING * len(x)
+        self.spread = spread(x / self.step - first, count).T.tocsr() if pays else None
         self.at = x if self.spread is None else (first + np.arange(count)) * self.step
 
     def weights(self, by_pose: np.ndarray) -> np.ndarray:
@@ -88,7 +90,7 @@ class Harmonics:
 
     def __init__(self, x: np.ndarray, orders: np.ndarray):
         self._x, self._orders = x, orders
-        self._nodes = AngleNodes(x, float(orders[-1]))
+        self._nodes = AngleNodes(x, orders)
         self._sine, self._cosine = turned(self._nodes.at, orders[:, None])
 
     @property
@@ -101,7 +103,7 @@ class Harmonics:
 
     def sums_of_products(self, by_pose: np.ndarray) -> np.ndarray:
         """By the sums of twice the order: 2 sin^2 = 1 - cos 2, 2 cos^2 = 1 + cos 2, 2 sin cos = sin 2."""
-        nodes = AngleNodes(self._x, 2 * float(self._orders[-1]))
+        nodes = AngleNodes(self._x, 2 * self._orders)
         weights, total = nodes.weights(by_pose), by_pose.sum(axis=0)
         out = np.empty((len(self._orders), 2, 2, by_pose.shape[1]))
         for first in range(0, len(out), AT_ONCE):
