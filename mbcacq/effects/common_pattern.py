@@ -86,15 +86,33 @@ def find_common_pattern(errors: OwnErrors) -> CommonPattern | None:
 
 
 def _grown(errors: OwnErrors, anchor: int) -> dict[int, JointAlignment]:
-    """Joints that follow the pattern of ``anchor``: the most probable one at a time, then each anew beside all others."""
+    """Joints that follow the pattern of ``anchor``: the most probable one at a time, then each anew beside all others.
+
+    A joint is compared with a pattern that has grown only where it promised more than the best of those that were: what it lacks then it
+    is compared with before none is left.
+    """
+    comparisons = _Comparisons(errors)
     found = {anchor: JointAlignment(0.0, 1, 0.0, 1.0)}
-    while good := _following(errors, found, [j for j in errors.index if j not in found]):
-        best = max(good, key=lambda j: good[j].log_bayes_factor)
-        found[best] = good[best]
-    return _aligned_anew(errors, found, anchor) if len(found) >= LEAST_JOINTS else found
+    promised = {j: np.inf for j in errors.index if j != anchor}
+    compared: dict[int, JointAlignment] = {}
+    while True:
+        good = {j: a for j, a in compared.items() if _follows(a, len(found))}
+        best = max(good, key=lambda j: good[j].log_bayes_factor, default=None)
+        waiting = [j for j in promised if j not in compared]
+        first = max(waiting, key=lambda j: promised[j], default=None)
+        if best is not None and (first is None or good[best].log_bayes_factor >= promised[first]):
+            found[best] = good[best]
+            del promised[best]
+            compared = {}
+        elif first is not None:
+            compared[first] = comparisons.best_alignment(found, first)
+            promised[first] = compared[first].log_bayes_factor
+        else:
+            break
+    return _aligned_anew(comparisons, found, anchor) if len(found) >= LEAST_JOINTS else found
 
 
-def _aligned_anew(errors: OwnErrors, found: Mapping[int, JointAlignment], anchor: int) -> dict[int, JointAlignment]:
+def _aligned_anew(comparisons: _Comparisons, found: Mapping[int, JointAlignment], anchor: int) -> dict[int, JointAlignment]:
     """The joints that follow the pattern, each compared with that of all others, until none changes.
 
     A joint that was added early was compared with a pattern that few joints had shown, at few angles: its offset may be another one where
@@ -103,12 +121,36 @@ def _aligned_anew(errors: OwnErrors, found: Mapping[int, JointAlignment], anchor
     found = dict(found)
     for _ in range(ROUNDS):
         before = {j: (a.offset, a.direction) for j, a in found.items()}
-        for j in [j for j in errors.index if j != anchor]:
-            others = {i: a for i, a in found.items() if i != j}
-            found = others | _following(errors, others, [j])
+        for j in [j for j in comparisons.errors.index if j != anchor]:
+            found.pop(j, None)
+            anew = comparisons.best_alignment(found, j)
+            if _follows(anew, len(found)):
+                found[j] = anew
         if {j: (a.offset, a.direction) for j, a in found.items()} == before:
             break
     return found
+
+
+def _follows(alignment: JointAlignment, joints: int) -> bool:
+    """Whether a joint follows the pattern of so many others."""
+    # Once some joints share a pattern, the odds that another one does are those of Laplace's rule of succession.
+    least = LEAST_LOG_BAYES_FACTOR if joints < LEAST_JOINTS else -np.log(joints + 1.0)
+    return bool(alignment.log_bayes_factor > least and alignment.certain > LEAST_CERTAIN)
+
+
+class _Comparisons:
+    """Comparisons of joints with the pattern of others, each made once."""
+
+    def __init__(self, errors: OwnErrors):
+        self.errors = errors
+        self._known: dict[tuple, JointAlignment] = {}
+
+    def best_alignment(self, found: Mapping[int, JointAlignment], joint: int) -> JointAlignment:
+        """The most probable offset and direction of a joint under the pattern of the joints found."""
+        key = joint, *sorted((i, a.offset, a.direction) for i, a in found.items())
+        if key not in self._known:
+            self._known[key] = best_alignment(self.errors, found, joint)
+        return self._known[key]
 
 
 def _total(errors: OwnErrors, found: Mapping[int, JointAlignment]) -> float:
@@ -122,14 +164,6 @@ def _total(errors: OwnErrors, found: Mapping[int, JointAlignment]) -> float:
         total += float(at[0]) - float(np.log(2 * STEPS))
         there[j] = found[j]
     return total
-
-
-def _following(errors: OwnErrors, found: Mapping[int, JointAlignment], joints: Sequence[int]) -> dict[int, JointAlignment]:
-    """Those of the joints that follow the pattern of the joints found, each where it does so most probably."""
-    # Once some joints share a pattern, the odds that another one does are those of Laplace's rule of succession.
-    least = LEAST_LOG_BAYES_FACTOR if len(found) < LEAST_JOINTS else -np.log(len(found) + 1.0)
-    tried = {j: best_alignment(errors, found, j) for j in joints}
-    return {j: a for j, a in tried.items() if a.log_bayes_factor > least and a.certain > LEAST_CERTAIN}
 
 
 def best_alignment(errors: OwnErrors, found: Mapping[int, JointAlignment], joint: int) -> JointAlignment:

@@ -15,7 +15,7 @@ from mbcacq.estimation.normal_equations import Normal, Prior, inverse_of_lower
 CONVERGED = 0.05  # change of a logarithm of a variance
 # Rise of the log marginal likelihood in a round after which the sizes stay: it decides nothing, while groups that shrink to nothing do so
 # for forty rounds more, in which no other moves.
-LEAST_RISE = 0.01
+LEAST_RISE = 0.1
 # Coefficients of other specimens that a usual size stands for: the size is then uncertain by half of itself before anything was measured.
 OTHERS = 3.0
 LEAST_DETERMINED = 1e-4  # coefficients of a group that the data determine: fewer are none
