@@ -22,7 +22,6 @@ from typing import Any
 
 import bench
 import numpy as np
-import yaml
 from bench import END, HERE, MBCACQ, option, put, writes
 from cells import inverse_kinematics
 from mbcacq_fakes.cell import computed_run
@@ -38,10 +37,9 @@ from mbcacq.challenge.simulated_cells import observe
 from mbcacq.challenge.strength import Gauge
 from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.geometry import se3
+from mbcacq.model import shipped
 from mbcacq.model.cell import TARGET_IN_BASE, Artefact, Cell, RobotModel, Station
-from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.observations import Observations
-from mbcacq.model.shipped import robot_file
 from mbcacq.plan import LoadedPlan, PlannedPose, expand
 
 CASES = (
@@ -251,8 +249,7 @@ class Pose:
 
 def arm(name: str) -> RobotModel:
     """With 150 kg at the flange."""
-    model = RobotSpec.model_validate(yaml.safe_load(robot_file(name).read_text())).model()
-    return replace(model, payload_mass=150.0, payload_com=np.array([30.0, -20.0, 180.0]))
+    return replace(shipped.robot(name), payload_mass=150.0, payload_com=np.array([30.0, -20.0, 180.0]))
 
 
 def postures(robot: RobotModel, rng: np.random.Generator, count: int) -> np.ndarray:

@@ -31,9 +31,7 @@ from mbcacq.design.excitation import Excitation, FourierMotion, at_rest, design_
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories, explain_trajectories
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.model import shipped
-from mbcacq.model.cell_schema import RobotSpec
 from mbcacq.model.trajectory import Trajectory
-from mbcacq.model.yaml_source import read
 from mbcacq.plan import LoadedPlan, load
 from mbcacq.quantities import significant
 from mbcacq.recording import read_trajectory_set
@@ -41,13 +39,8 @@ from mbcacq.recording import read_trajectory_set
 WITHIN = 3.0
 
 
-def robot(name: str = "kr10_r1100_2"):
-    path = shipped.robot_file(name)
-    return RobotSpec.model_validate(read(path).data).model()
-
-
 def one_challenge(number: int) -> MotionChallengeResult:
-    return run_challenge(draw(number), robot(), recorded)
+    return run_challenge(draw(number), shipped.robot("kr10_r1100_2"), recorded)
 
 
 def score_table(results: list[MotionChallengeResult]) -> dict:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import subprocess
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
@@ -50,32 +51,28 @@ False alarms and power by the same recordings, were the least e-value another on
 strength for the informed test at which nine in ten effects are reported (below that in use: are in the most probable set).""".splitlines()
 
 
+def measured(measure: Callable, todo: list, jobs: int) -> Iterator[tuple]:
+    """Each job with what comes of it in one of so many processes, which know the challenger, in their order."""
+    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLANS / "seeing.yaml", False, None)) as pool:
+        yield from zip(todo, pool.map(measure, todo), strict=True)
+
+
 def measure_part(part: str, share: float, jobs: int, kept: Kept) -> None:
     _, seed, effects, count, outliers, missing = PARTS[part]
     done = {r["number"] for r in kept.rows if r["part"] == part}
     names = kinds(effects, missing)
     wanted = max(int(round(share * count)), 1)
     todo = [e for e in draw(seed, wanted, names, outliers, missing) if e.number not in done]
-    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLANS / "seeing.yaml", False, None)) as pool:
-        for outcome in pool.map(_take, todo):
-            kept.add(
-                {
-                    "part": part,
-                    "number": outcome.scenario.number,
-                    "seconds": outcome.seconds,
-                    "score": outcome.score.to_dict(),
-                    "code": CODE,
-                }
-            )
+    for scenario, outcome in measured(_take, todo, jobs):
+        kept.add({"part": part, "number": scenario.number, "seconds": outcome.seconds, "score": outcome.score.to_dict(), "code": CODE})
 
 
 def measure_power(share: float, jobs: int, kept: Kept) -> None:
     done = {(r["effect"], r["cell"]) for r in kept.rows if r["part"] == "power"}
     cells = [91000 + 17 * i for i in range(max(int(round(share * CELLS)), 1))]
     todo = [(name, cell) for cell in cells for name in POWER if (name, cell) not in done]
-    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLANS / "seeing.yaml", False, None)) as pool:
-        for (name, cell), one in zip(todo, pool.map(_power, todo), strict=True):
-            kept.add({"part": "power", "effect": name, "cell": cell, **asdict(one), "code": CODE})
+    for (name, cell), one in measured(_power, todo, jobs):
+        kept.add({"part": "power", "effect": name, "cell": cell, **asdict(one), "code": CODE})
 
 
 def _power(job: tuple[str, int]) -> PowerCell:
@@ -89,9 +86,8 @@ def measure_e_values(share: float, jobs: int, kept: Kept) -> None:
     _, seed, effects, count, *_ = PARTS["clean"]
     done = {r["number"] for r in kept.rows if r["part"] == "e-values"}
     todo = [s for s in draw(seed, max(int(round(share * count)), 1), kinds(effects)) if s.number not in done]
-    with ProcessPoolExecutor(jobs, initializer=_begin, initargs=(PLANS / "seeing.yaml", False, None)) as pool:
-        for scenario, value in zip(todo, pool.map(_log_e_value, todo), strict=True):
-            kept.add({"part": "e-values", "number": scenario.number, "log_e_value": value, "code": CODE})
+    for scenario, value in measured(_log_e_value, todo, jobs):
+        kept.add({"part": "e-values", "number": scenario.number, "log_e_value": value, "code": CODE})
 
 
 def _log_e_value(scenario: Scenario) -> float:

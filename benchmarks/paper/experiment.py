@@ -6,33 +6,24 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-import yaml
 from bench import PLANS
 from cells import inverse_kinematics, measure
+from mbcacq_fakes.world.arm import paper_errors
 
 from mbcacq.calibration import CalibrationOptions, calibrate, verify
 from mbcacq.calibration.staged import stages
 from mbcacq.calibration.staged.ball_pairs import several_balls
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.geometry import se3
-from mbcacq.model.cell_schema import RobotSpec
+from mbcacq.geometry.chain import Chain
+from mbcacq.model import shipped
 from mbcacq.model.observations import Observations
-from mbcacq.model.shipped import robot_file
 from mbcacq.plan import expand, load
 from mbcacq.workflow.acquire import solver_cell
 
-TABLE_1 = np.array(
-    [  # deg, mm, mm, deg, deg
-        [0.021, 0.454, 0.143, 0.007, 0],
-        [-0.017, 0, -0.261, 0.002, 0.008],
-        [0.031, -0.217, 0.051, -0.013, 0],
-        [-0.041, 0.067, 0.0268, 0.001, 0],
-        [0.027, -0.081, -0.002, -0.014, 0],
-        [-0.024, 0.102, 0.036, 0.021, 0],
-    ]
-)
-
-
+TO_RAD = np.array([np.pi / 180, 1, 1, np.pi / 180, np.pi / 180])
+TRUE_ERRORS = paper_errors()
+TABLE_1 = TRUE_ERRORS / TO_RAD  # deg, mm, mm, deg, deg
 HAND_EYE = se3.transform(
     se3.nearest_rotation(np.array([[-0.0169, -0.9998, -0.0045], [-0.9999, 0.0173, -0.0011], [0.0003, 0.0052, -1.0]])),
     np.array([1.2621, -0.5610, 264.7998]),
@@ -50,14 +41,11 @@ WAYS = {
 }
 
 
-TO_RAD = np.array([np.pi / 180, 1, 1, np.pi / 180, np.pi / 180])
-
-
 def carried_out(robot: str, bar_mm: float) -> tuple[Observations, CellState]:
     """Poses and truth of the plan, carried out by another arm, its bar as long as asked for; places out of reach are left out."""
     loaded = load(PLANS / "kuka.yaml")
     poses, cell = expand(loaded), solver_cell(loaded)
-    old, model = cell.robot.chain, RobotSpec.model_validate(yaml.safe_load(robot_file(robot).read_text())).model()
+    old, model = cell.robot.chain, shipped.robot(robot)
     ratio = reach(model.chain) / reach(old)
     index = {s.id: i for i, s in enumerate(cell.stations)}
     before = np.array([s.T_base_station for s in loaded.cell.stations])
@@ -94,7 +82,7 @@ def carried_out(robot: str, bar_mm: float) -> tuple[Observations, CellState]:
         np.zeros((len(rows), 3)),
         phase=np.array([poses[i].phase for i in keep]),
     )
-    return obs, CellState(model.chain.with_errors(TABLE_1 * TO_RAD), HAND_EYE, T_station, longer.ball_centres)
+    return obs, CellState(model.chain.with_errors(TRUE_ERRORS), HAND_EYE, T_station, longer.ball_centres)
 
 
 def reach(chain) -> float:
@@ -103,12 +91,17 @@ def reach(chain) -> float:
 
 
 def joint_sigma(obs: Observations, truth: CellState, RP: float) -> float:
-    """rad: equal repeatability of all joints for which ISO 9283's RP (mean distance from the mean place and three standard deviations) at
-    the looked-at point is ``RP`` mm, on average over the poses."""
-    off = np.random.default_rng(5).standard_normal((200, *obs.q.shape))
-    at = (truth.chain.flange((obs.q + 1e-6 * off).reshape(-1, 6)) @ truth.T_flange_scanner)[:, :3, 3].reshape(200, -1, 3)
+    """rad: equal repeatability of all joints for which ISO 9283's RP is ``RP`` mm."""
+    return 1e-6 * RP / repeatability(truth.chain, truth.T_flange_scanner, obs.q, 1.0)
+
+
+def repeatability(chain: Chain, T_flange_scanner: np.ndarray, q: np.ndarray, urad: float) -> float:
+    """RP of ISO 9283 (mm): mean distance from the mean place plus three standard deviations, at the looked-at point, on average over the
+    poses q (P, n) of joints that each repeat within ``urad``."""
+    tries = q + 1e-6 * urad * np.random.default_rng(5).standard_normal((200, *q.shape))
+    at = (chain.flange(tries.reshape(-1, q.shape[1])) @ T_flange_scanner)[:, :3, 3].reshape(200, len(q), 3)
     away = np.linalg.norm(at - at.mean(axis=0), axis=2)
-    return 1e-6 * RP / float(np.mean(away.mean(axis=0) + 3 * away.std(axis=0, ddof=1)))
+    return float(np.mean(away.mean(axis=0) + 3 * away.std(axis=0, ddof=1)))
 
 
 def what_decides_before(seeds: int) -> None:

@@ -15,10 +15,11 @@ from mbcacq.calibration import CalibratedCell, CalibrationOptions, calibrate, ve
 from mbcacq.calibration.staged.ball_pairs import several_balls
 from mbcacq.geometry import se3
 from paper.cells import NOISE, Effect, catalogue, plans, record, write_figure
+from paper.experiment import repeatability
 
 PUBLISHED = np.array([0.457, 0.347, 0.428, 0.375, 0.364])
 WANTED = float(PUBLISHED.mean())
-QUIET, STATED = 5.0, 15.0  # urad of each joint; the second gives the paper's 0.04 mm (see repeatability_of)
+QUIET, STATED = 5.0, 15.0  # urad of each joint; the second gives the paper's 0.04 mm (see repeatability)
 EXACT = {"noise": 1e-3, "repeatability_urad": 5e-3}
 BAR = 735.2364
 RESPONSE_SEEDS = (1, 2)
@@ -46,15 +47,6 @@ def judge(obs, method: str) -> Judged:
     after = v.errors("after")
     expected = np.sqrt(np.mean([p.expected_mm**2 for p in v.places if p.station[0] == "b"]))
     return Judged({g: after[group == g] for g in "basvg"}, float(expected), c.fit.chi2 / c.fit.dof, v.errors("before")[group == "b"])
-
-
-def repeatability_of(loaded, poses, urad: float) -> float:
-    """RP of ISO 9283 (mm): mean distance from the mean place plus three standard deviations, at the looked-at point."""
-    q = np.array([p.q for p in poses])
-    tries = q[None] + 1e-6 * urad * np.random.default_rng(5).standard_normal((200, *q.shape))
-    at = (loaded.cell.robot.chain.flange(tries.reshape(-1, q.shape[1])) @ loaded.cell.T_flange_scanner)[:, :3, 3].reshape(200, len(q), 3)
-    away = np.linalg.norm(at - at.mean(axis=0), axis=2)
-    return float(np.mean(away.mean(axis=0) + 3 * away.std(axis=0, ddof=1)))
 
 
 def with_repeatability(obs, urad: float):
@@ -228,10 +220,12 @@ def physics(given: argparse.Namespace) -> None:
     other readings the candidates then give. One to ten minutes on one core; every draw is seeded.
     """
     made = plans()
+    loaded, poses = made["tree"]
+    cell, q = loaded.cell, np.array([p.q for p in poses])
     report: dict[str, Any] = {
         "published": [WANTED, float(PUBLISHED.std(ddof=1))],
         "folded_chance": folded_chance(),
-        "RP_mm": {u: repeatability_of(*made["tree"], u) for u in (QUIET, STATED)},
+        "RP_mm": {u: repeatability(cell.robot.chain, cell.T_flange_scanner, q, u) for u in (QUIET, STATED)},
     }
     print(
         f"published: mean {WANTED:.3f} mm, scatter {PUBLISHED.std(ddof=1):.3f} mm; chance of so even a row of |zero-mean errors| "

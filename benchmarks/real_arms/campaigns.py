@@ -9,23 +9,17 @@ import numpy as np
 from bench import COLOURS, curve, svg, text
 from threadpoolctl import threadpool_limits
 
-from real_arms.position_errors import TRAINED_NOISE, Data, ridge
+from real_arms.position_errors import Data
 
 SLOWEST, FASTEST = 5, 32
 
 
 def whole(data: Data) -> tuple[np.ndarray, int, np.ndarray]:
     """Coefficients (z,) of geometry, elasticity, bending and orders 1..32 on all poses; how many are geometry's; their columns."""
-    own, linear = np.arange(data.obs.n_poses), data.linear
-    columns, sigma = linear.nuisance()
+    own = np.arange(data.obs.n_poses)
     blocks = data.compliance(own) + data.bending(own) + data.periodic(1, FASTEST)(own)
-    X = np.concatenate([columns, *(b for b, _ in blocks)], axis=2)
-    sigma = np.concatenate([sigma, *(s for _, s in blocks)])
-    ends = np.cumsum([columns.shape[2], *(len(s) for _, s in blocks)])
-    weight = 1 / TRAINED_NOISE[linear.width]
-    A = (X[linear.keep] * weight[:, None]).reshape(-1, len(sigma)) * sigma
-    u = ridge(A, (linear.residual[linear.keep] * weight).reshape(-1), [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)])
-    return sigma * u, columns.shape[2], X
+    design = data.design(blocks)
+    return data.fitted(design, data.linear.keep), design.groups[0].start, design.columns
 
 
 def coefficients(data: Data) -> np.ndarray:

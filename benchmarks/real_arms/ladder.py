@@ -54,14 +54,11 @@ def lines(data: Data) -> dict[str, list[list[float]]]:
     rest = [] if data.places else data.periodic(1, 32)(own)
     elastic = data.compliance(own) + (data.bending(own) if data.places else [])
     weight = 1 / TRAINED_NOISE[linear.width]
-    columns, sigma = linear.nuisance()
     orders = np.arange(1.0, 281.0)
     out = {}
     for i in range(n):
         blocks = elastic + [b for j, b in enumerate(rest) if j != i]
-        X = np.concatenate([columns, *(b for b, _ in blocks)], axis=2)
-        A = (X[linear.keep] * weight[:, None]).reshape(-1, X.shape[2]) * np.concatenate([sigma, *(s for _, s in blocks)])
-        r = (linear.residual[linear.keep] * weight).reshape(-1)
+        A, r = data.rows(data.design(blocks), linear.keep)
         lower = np.linalg.cholesky(A.T @ A + np.eye(A.shape[1]))
         left = r - A @ np.linalg.solve(lower.T, np.linalg.solve(lower, A.T @ r))
         turn = (linear.unit("joint", i, 0)[linear.keep] * weight).reshape(-1, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,15 @@ MOST_POSES = 4000
 TRAINED_NOISE = {3: np.full(3, 0.03), 6: np.r_[np.full(3, 0.03), np.full(3, 3e-5)]}  # mm and rad: weights of position and orientation
 WIND_UP, BENDING, SHIFT, DRIFT = 1e-3, 5e-4, 0.03, 0.3  # prior sigmas at the largest load: rad, rad, mm, mm
 GEAR, GEAR_FALLS = 5e-4, 15.0  # prior sigma (rad) of a periodic error, halved at this order
+
+
+@dataclass(frozen=True)
+class Design:
+    """columns: (M, R, z) of geometry and effects; sigma: (z,) of their priors; groups: the columns of each effect."""
+
+    columns: np.ndarray
+    sigma: np.ndarray
+    groups: list[slice]
 
 
 class Data:
@@ -117,23 +127,35 @@ class Data:
             ("instrument or base drifting", self.base_drift),
         ]
 
+    def design(self, blocks) -> Design:
+        """Geometry and effects side by side."""
+        columns, sigma = self.linear.nuisance()
+        ends = np.cumsum([columns.shape[2], *(len(s) for _, s in blocks)])
+        return Design(
+            np.concatenate([columns, *(b for b, _ in blocks)], axis=2),
+            np.concatenate([sigma, *(s for _, s in blocks)]),
+            [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)],
+        )
+
+    def rows(self, design: Design, use: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted columns of the centres in use (M,), each in its prior sigma, and their weighted residuals."""
+        weight = 1 / TRAINED_NOISE[self.linear.width]
+        A = (design.columns[use] * weight[:, None]).reshape(-1, len(design.sigma)) * design.sigma
+        return A, (self.linear.residual[use] * weight).reshape(-1)
+
+    def fitted(self, design: Design, use: np.ndarray) -> np.ndarray:
+        """Coefficients (z,) of geometry and effects by the centres in use (M,)."""
+        return design.sigma * ridge(*self.rows(design, use), design.groups)
+
     # Judging ----------------------------------------------------------------------------------------------------------
 
     def held_out(self, blocks, tests: list[np.ndarray]) -> np.ndarray:
         """Residual (M, R) of every centre while its poses were held out; NaN where none of the tests covers it."""
-        linear, pose = self.linear, self.obs.pose
-        columns, sigma = linear.nuisance()
-        X = np.concatenate([columns, *(b for b, _ in blocks)], axis=2)
-        sigma = np.concatenate([sigma, *(s for _, s in blocks)])
-        weight = 1 / TRAINED_NOISE[linear.width]
-        ends = np.cumsum([columns.shape[2], *(len(s) for _, s in blocks)])
-        groups = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        linear, design = self.linear, self.design(blocks)
         out = np.full(linear.residual.shape, np.nan)
         for test in tests:
-            train = linear.keep & ~test[pose]
-            A = (X[train] * weight[:, None]).reshape(-1, len(sigma)) * sigma
-            here = test[pose]
-            out[here] = linear.residual[here] - X[here] @ (sigma * ridge(A, (linear.residual[train] * weight).reshape(-1), groups))
+            here = test[self.obs.pose]
+            out[here] = linear.residual[here] - design.columns[here] @ self.fitted(design, linear.keep & ~here)
         return out
 
     def distance(self, left: np.ndarray) -> np.ndarray:
