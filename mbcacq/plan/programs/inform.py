@@ -6,7 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, ExposureLines, MotionProgram, MoveTo, plain, title
+
+EXPOSURE = ExposureLines(
+    key=("'TAKE ONE CLOUD, THEN START", "PAUSE"),
+    wait=lambda seconds: f"TIMER T={seconds:.2f}",
+    on="DOUT OT#({}) ON",
+    off="DOUT OT#({}) OFF",
+)
 
 
 def write(program: MotionProgram, pulses: np.ndarray) -> dict[str, str]:
@@ -40,22 +47,11 @@ def _job(program: MotionProgram, name: str, pulses: np.ndarray) -> Iterator[str]
             yield f"TIMER T={program.settle_s:.2f}"
             yield f"SET I000 {step.pose}"
             for _ in step.clouds:
-                yield from _expose(program)
+                yield from EXPOSURE.of(program.trigger)
         else:
             yield f"'PLACE {plain(step.artefact)[:12]} AT {plain(step.station)[:10]}"
             yield "PAUSE"
     yield "END"
-
-
-def _expose(program: MotionProgram) -> Iterator[str]:
-    trigger = program.trigger
-    return exposed(
-        trigger,
-        key=("'TAKE ONE CLOUD, THEN START", "PAUSE"),
-        wait=lambda seconds: f"TIMER T={seconds:.2f}",
-        on=f"DOUT OT#({trigger.output}) ON",
-        off=f"DOUT OT#({trigger.output}) OFF",
-    )
 
 
 def _lines(text: str) -> Iterator[str]:

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, ExposureLines, MotionProgram, MoveTo, plain, title
 
 REGISTER = 90  # position register that the program uses
 MOVER = "MBC_MOVE"
+EXPOSURE = ExposureLines(
+    key=("WRITE('Take one cloud of pose ', mb_pose, ', then ENTER', CR)", "READ(answer)"),
+    wait=lambda seconds: f"DELAY {_ms(seconds)}",
+    on="DOUT[{}] = ON",
+    off="DOUT[{}] = OFF",
+)
 
 
 def write(program: MotionProgram) -> dict[str, str]:
@@ -59,7 +65,7 @@ def _source(program: MotionProgram) -> Iterator[str]:
     yield from (f"  WRITE log(',', angle[{k}]::12::5)" for k in range(1, program.n + 1))
     yield "  WRITE log(CR)"
     yield "  FOR k = 1 TO clouds DO"
-    yield from (f"    {line}" for line in _expose(program))
+    yield from (f"    {line}" for line in EXPOSURE.of(program.trigger))
     yield "  ENDFOR"
     yield "END expose"
     yield ""
@@ -77,17 +83,6 @@ def _source(program: MotionProgram) -> Iterator[str]:
             yield "  READ(answer)"
     yield "  CLOSE FILE log"
     yield f"END {program.name}"
-
-
-def _expose(program: MotionProgram) -> Iterator[str]:
-    trigger = program.trigger
-    return exposed(
-        trigger,
-        key=("WRITE('Take one cloud of pose ', mb_pose, ', then ENTER', CR)", "READ(answer)"),
-        wait=lambda seconds: f"DELAY {_ms(seconds)}",
-        on=f"DOUT[{trigger.output}] = ON",
-        off=f"DOUT[{trigger.output}] = OFF",
-    )
 
 
 def _ms(seconds: float) -> int:

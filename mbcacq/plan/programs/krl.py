@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, ExposureLines, MotionProgram, MoveTo, plain, title
 
 HEAD = "&ACCESS RVP\n&PARAM EDITMASK = *\n&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe\n"
+EXPOSURE = ExposureLines(
+    key=("; take one cloud now, then start again", "HALT"),
+    wait=lambda seconds: f"WAIT SEC {seconds:.2f}",
+    on="$OUT[{}]=TRUE",
+    off="$OUT[{}]=FALSE",
+)
 
 
 def write(program: MotionProgram) -> dict[str, str]:
@@ -67,17 +73,6 @@ def _source(program: MotionProgram) -> Iterator[str]:
     yield "   DECL INT n"
     yield "   DECL INT k"
     yield "   FOR k=1 TO n"
-    yield from (f"      {line}" for line in _expose(program))
+    yield from (f"      {line}" for line in EXPOSURE.of(program.trigger))
     yield "   ENDFOR"
     yield "END"
-
-
-def _expose(program: MotionProgram) -> Iterator[str]:
-    trigger = program.trigger
-    return exposed(
-        trigger,
-        key=("; take one cloud now, then start again", "HALT"),
-        wait=lambda seconds: f"WAIT SEC {seconds:.2f}",
-        on=f"$OUT[{trigger.output}]=TRUE",
-        off=f"$OUT[{trigger.output}]=FALSE",
-    )

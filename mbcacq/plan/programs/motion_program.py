@@ -145,17 +145,26 @@ def motion_program(
     )
 
 
-def exposed(trigger: Trigger, key: Sequence[str], wait: Callable[[float], str], on: str, off: str) -> Iterator[str]:
+@dataclass(frozen=True)
+class ExposureLines:
     """How an exposure is asked for, in a controller's language. key: lines that wait for a person; wait: the line that waits so many
-    seconds; on, off: those that switch the output."""
-    if trigger.kind == "key":
-        yield from key
-        return
-    if trigger.kind == "output":
-        yield on
-        yield wait(trigger.pulse_s)
-        yield off
-    yield wait(trigger.exposure_s)
+    seconds; on, off: those that switch an output, with {} in place of its number."""
+
+    key: tuple[str, ...]
+    wait: Callable[[float], str]
+    on: str
+    off: str
+
+    def of(self, trigger: Trigger) -> Iterator[str]:
+        """The lines for one exposure."""
+        if trigger.kind == "key":
+            yield from self.key
+            return
+        if trigger.kind == "output":
+            yield self.on.format(trigger.output)
+            yield self.wait(trigger.pulse_s)
+            yield self.off.format(trigger.output)
+        yield self.wait(trigger.exposure_s)
 
 
 def plain(text: str) -> str:

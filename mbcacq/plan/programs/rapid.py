@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, ExposureLines, MotionProgram, MoveTo, plain, title
 
 SHORTEST_S = 0.1  # of a move that hardly goes anywhere
 FIRST = "v50"  # mm/s, from wherever the arm stands
+EXPOSURE = ExposureLines(
+    key=('TPWrite "Take one cloud of pose " \\Num:=mb_pose;', "Stop;"),
+    wait=lambda seconds: f"WaitTime {seconds:.2f};",
+    on="SetDO do_mbcacq_{}, 1;",
+    off="SetDO do_mbcacq_{}, 0;",
+)
 
 
 def write(program: MotionProgram) -> dict[str, str]:
@@ -51,18 +57,7 @@ def _module(program: MotionProgram) -> Iterator[str]:
         end = ";" if k == 6 else ' + "," \\NoNewLine;'
         yield f"    Write mb_file, NumToStr(at.robax.rax_{k},5){end}"
     yield "    FOR k FROM 1 TO clouds DO"
-    yield from (f"      {line}" for line in _expose(program))
+    yield from (f"      {line}" for line in EXPOSURE.of(program.trigger))
     yield "    ENDFOR"
     yield "  ENDPROC"
     yield "ENDMODULE"
-
-
-def _expose(program: MotionProgram) -> Iterator[str]:
-    trigger = program.trigger
-    return exposed(
-        trigger,
-        key=('TPWrite "Take one cloud of pose " \\Num:=mb_pose;', "Stop;"),
-        wait=lambda seconds: f"WaitTime {seconds:.2f};",
-        on=f"SetDO do_mbcacq_{trigger.output}, 1;",
-        off=f"SetDO do_mbcacq_{trigger.output}, 0;",
-    )

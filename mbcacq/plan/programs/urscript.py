@@ -6,7 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, exposed, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, ExposureLines, MotionProgram, MoveTo, plain, title
+
+EXPOSURE = ExposureLines(
+    key=('popup("Take one cloud, then go on", title="mbcacq", blocking=True)',),
+    wait=lambda seconds: f"sleep({seconds:.2f})",
+    on="set_standard_digital_out({}, True)",
+    off="set_standard_digital_out({}, False)",
+)
 
 
 def write(program: MotionProgram) -> dict[str, str]:
@@ -26,7 +33,7 @@ def _script(program: MotionProgram) -> Iterator[str]:
     yield '    textmsg("mbcacq joints ", get_actual_joint_positions())'
     yield "    k = 0"
     yield "    while k < clouds:"
-    yield from (f"      {line}" for line in _expose(program))
+    yield from (f"      {line}" for line in EXPOSURE.of(program.trigger))
     yield "      k = k + 1"
     yield "    end"
     yield "  end"
@@ -42,14 +49,3 @@ def _script(program: MotionProgram) -> Iterator[str]:
             text = f"Place {plain(step.artefact)} at station {plain(step.station)}, then go on"
             yield f'  popup("{text}", title="mbcacq", blocking=True)'
     yield "end"
-
-
-def _expose(program: MotionProgram) -> Iterator[str]:
-    trigger = program.trigger
-    return exposed(
-        trigger,
-        key=('popup("Take one cloud, then go on", title="mbcacq", blocking=True)',),
-        wait=lambda seconds: f"sleep({seconds:.2f})",
-        on=f"set_standard_digital_out({trigger.output}, True)",
-        off=f"set_standard_digital_out({trigger.output}, False)",
-    )

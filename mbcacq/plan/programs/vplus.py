@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbcacq.plan.programs.motion_program import ExposeAt, MotionProgram, MoveTo, plain, title
+from mbcacq.plan.programs.motion_program import ExposeAt, ExposureLines, MotionProgram, MoveTo, plain, title
+
+EXPOSURE = ExposureLines(
+    key=('PROMPT "Take one cloud, then RETURN ", $answer',),
+    wait=lambda seconds: f"WAIT.EVENT , {seconds:.2f}",
+    on="SIGNAL {}",
+    off="SIGNAL -{}",
+)
 
 
 def write(program: MotionProgram) -> dict[str, str]:
@@ -33,7 +40,6 @@ def _program(program: MotionProgram) -> Iterator[str]:
 
 
 def _exposing(program: MotionProgram) -> Iterator[str]:
-    trigger = program.trigger
     yield ".PROGRAM mb_expose(pose, clouds)"
     yield "  LOCAL k, joint[]"
     yield f"  WAIT.EVENT , {program.settle_s:.2f}"
@@ -42,13 +48,6 @@ def _exposing(program: MotionProgram) -> Iterator[str]:
     values = ", ".join(f'",", /F12.5, joint[{k}]' for k in range(1, program.n + 1))
     yield f'  TYPE "mbcacq pose ", /I0, pose, {values}'
     yield "  FOR k = 1 TO clouds"
-    if trigger.kind == "key":
-        yield '    PROMPT "Take one cloud, then RETURN ", $answer'
-    else:
-        if trigger.kind == "output":
-            yield f"    SIGNAL {trigger.output}"
-            yield f"    WAIT.EVENT , {trigger.pulse_s:.2f}"
-            yield f"    SIGNAL -{trigger.output}"
-        yield f"    WAIT.EVENT , {trigger.exposure_s:.2f}"
+    yield from (f"    {line}" for line in EXPOSURE.of(program.trigger))
     yield "  END"
     yield ".END"
