@@ -62,7 +62,7 @@ ACCEPTED = (
 
 
 def load_observations(path: Path | str) -> Observations:
-    """Read the observations in a run folder, a .rrd file or an observation-set folder.
+    """The observations in a run folder, a recording (.rrd) or an observation set (a folder with cell.yaml, poses.csv, centres.csv).
 
     Parameters
     ----------
@@ -72,14 +72,15 @@ def load_observations(path: Path | str) -> Observations:
     Returns
     -------
     Observations
-        Their cell says to what the joint angles are rounded.
+        P poses of an n-axis arm: ``q`` (P, n) rad, ``station`` (P,). M measured centres: ``pose`` (M,), ``ball`` (M,), ``xyz`` (M, 3) mm
+        in the scanner frame. The cell says to what the joint angles are rounded.
 
     Raises
     ------
     ConfigError
-        The path is none of these, or its content is wrong.
+        The content has a fault; the message names file, line and column.
     RecordingError
-        A recording is torn.
+        The recording is torn.
     """
     from mbcacq.model.joint_resolution import with_joint_step
 

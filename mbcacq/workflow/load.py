@@ -14,6 +14,7 @@ from mbcacq.calibration.sealed_json import SEAL
 from mbcacq.errors import ConfigError
 from mbcacq.model.observations import Observations
 from mbcacq.model.trajectory import Trajectory
+from mbcacq.recording import load_observations
 
 if TYPE_CHECKING:
     from mbcacq.plan import LoadedPlan
@@ -40,32 +41,6 @@ def load_plan(path: Path | str) -> LoadedPlan:
     from mbcacq.plan import load as read_plan
 
     return read_plan(path)
-
-
-def load_observations(path: Path | str) -> Observations:
-    """The observations in a run folder, a recording (.rrd) or an observation set (a folder with cell.yaml, poses.csv, centres.csv).
-
-    Parameters
-    ----------
-    path
-        The folder or file.
-
-    Returns
-    -------
-    Observations
-        P poses of an n-axis arm: ``q`` (P, n) rad, ``station`` (P,). M measured centres: ``pose`` (M,), ``ball`` (M,), ``xyz`` (M, 3) mm
-        in the scanner frame.
-
-    Raises
-    ------
-    ConfigError
-        The content has a fault; the message names file, line and column.
-    RecordingError
-        The recording is torn.
-    """
-    from mbcacq import recording
-
-    return recording.load_observations(path)
 
 
 def load_trajectories(*paths: Path | str) -> list[Trajectory]:

@@ -7,7 +7,7 @@ import numpy as np
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
 from mbcacq.effects.effect import Candidate, Missing, StandstillRows, number
-from mbcacq.effects.functions import ZERO, Column, DescribedPart, monomial
+from mbcacq.effects.functions import ZERO, Column, DescribedPart, evaluate, monomial
 
 NAME = "scanner_distortion"
 DECLARED = Declaration(challenge=Challenge(number=12))
@@ -22,51 +22,34 @@ COMBINATIONS = (
     ("radial_per_mm2", "field_curvature_per_mm", "magnification"),
     ("field_curvature_per_mm", "depth_scale_per_mm", "magnification", "depth_gain"),
 )
-# The biases of ``unit_biases`` along x, y and z, as functions of the place in the field of view.
-WRITTEN: dict[str, tuple[Column, Column, Column]] = {
-    "field_curvature_per_mm": (ZERO, ZERO, (monomial(x=2), monomial(y=2))),
-    "radial_per_mm2": ((monomial(x=3), monomial(x=1, y=2)), (monomial(x=2, y=1), monomial(y=3)), ZERO),
-    "depth_scale_per_mm": ((monomial(x=1, z=1),), (monomial(y=1, z=1),), ZERO),
-    "depth_quadratic_per_mm": (ZERO, ZERO, (monomial(z=2),)),
-    "astigmatism_per_mm": (ZERO, ZERO, (monomial(x=2), monomial(-1.0, y=2))),
-    "saddle_per_mm": (ZERO, ZERO, (monomial(x=1, y=1),)),
-    "magnification": ((monomial(x=1),), (monomial(y=1),), ZERO),
-    "depth_gain": (ZERO, ZERO, (monomial(z=1),)),
+# Name of the coefficient -> the covariate that shows the bias best, and the bias along x, y and z by the place in the field of view.
+BIASES: dict[str, tuple[str, tuple[Column, Column, Column]]] = {
+    "field_curvature_per_mm": ("x", (ZERO, ZERO, (monomial(x=2), monomial(y=2)))),
+    "radial_per_mm2": ("x", ((monomial(x=3), monomial(x=1, y=2)), (monomial(x=2, y=1), monomial(y=3)), ZERO)),
+    "depth_scale_per_mm": ("z", ((monomial(x=1, z=1),), (monomial(y=1, z=1),), ZERO)),
+    "depth_quadratic_per_mm": ("z", (ZERO, ZERO, (monomial(z=2),))),
+    "astigmatism_per_mm": ("x", (ZERO, ZERO, (monomial(x=2), monomial(-1.0, y=2)))),
+    "saddle_per_mm": ("x", (ZERO, ZERO, (monomial(x=1, y=1),))),
+    "magnification": ("x", ((monomial(x=1),), (monomial(y=1),), ZERO)),
+    "depth_gain": ("z", (ZERO, ZERO, (monomial(z=1),))),
 }
-
-
-def unit_biases(xyz: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
-    """Name of the coefficient -> (covariate, (M, 3) bias of a unit coefficient)."""
-    x, y, z = xyz.T
-    r2, zero = x * x + y * y, np.zeros_like(x)
-    return {
-        "field_curvature_per_mm": ("x", np.stack([zero, zero, r2], 1)),
-        "radial_per_mm2": ("x", np.stack([x * r2, y * r2, zero], 1)),
-        "depth_scale_per_mm": ("z", np.stack([x * z, y * z, zero], 1)),
-        "depth_quadratic_per_mm": ("z", np.stack([zero, zero, z * z], 1)),
-        "astigmatism_per_mm": ("x", np.stack([zero, zero, x * x - y * y], 1)),
-        "saddle_per_mm": ("x", np.stack([zero, zero, x * y], 1)),
-        "magnification": ("x", np.stack([x, y, zero], 1)),
-        "depth_gain": ("z", np.stack([zero, zero, z], 1)),
-    }
 
 
 def candidates(context: Context) -> list[Candidate]:
     """Each bias by itself, and the combinations that a distortion of the surface makes of the centres."""
     if not context.scanner_on_flange or np.ptp(context.obs.xyz, axis=0).max() == 0:
         raise Missing("no field of view: the measured points are all at one place, or not a scanner's")
-    every = unit_biases(context.obs.xyz)
 
     def combined(names: Sequence[str]) -> Candidate:
-        bias = np.stack([every[k][1] for k in names], axis=-1)
+        parts = [DescribedPart("point", 0, c, tuple(BIASES[k][1][c] for k in names)) for c in range(3)]
+        bias = np.stack([evaluate(part.columns, context.value, context.obs.n_centres) for part in parts], axis=1)
         typical = TYPICAL / np.maximum(np.linalg.norm(bias, axis=1).max(axis=0), 1e-12)
-        parts = [DescribedPart("point", 0, c, tuple(WRITTEN[k][c] for k in names)) for c in range(3)]
 
         def report(c, v, _):
             return {k: number(c[j], np.sqrt(v[j, j])) for j, k in enumerate(names)}
 
-        cause, variant = every[names[0]][0], "+".join(names)
+        cause, variant = BIASES[names[0]][0], "+".join(names)
         return Candidate(NAME, ("scanner",), cause, StandstillRows(parts, typical), report, variant=variant)
 
-    alone = [k for k in every if k not in ONLY_COMBINED]
+    alone = [k for k in BIASES if k not in ONLY_COMBINED]
     return [combined([k]) for k in alone] + [combined(names) for names in COMBINATIONS]
