@@ -91,7 +91,7 @@ def all_seen(effects: list, folder: Path) -> Path:
     """An observation set of 128 poses that see eight balls each."""
     import simulated as cells
 
-    from mbcacq.recording import write_observation_set
+    from mbcacq.recording.datasets.observation_set import write_observation_set
 
     write_observation_set(cells.observe(cells.plan(stations=16, bars=0, each=8), 300, effects), folder)
     return folder

@@ -33,7 +33,7 @@ from mbcacq.fleet.recordings import find_recordings
 from mbcacq.fleet.store import FleetStore, read_table, stored_result
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations
-from mbcacq.recording import write_observation_set
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 NOISE, JOINT = (0.005, 0.005, 0.009), 8e-6
 SPREAD = 0.3

@@ -34,7 +34,7 @@ from mbcacq.model import shipped
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.plan import LoadedPlan, load
 from mbcacq.quantities import significant
-from mbcacq.recording import read_trajectory_set
+from mbcacq.recording.datasets.trajectory_set import read_trajectory_set
 
 WITHIN = 3.0
 

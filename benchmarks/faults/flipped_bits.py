@@ -16,9 +16,11 @@ import synthetic
 from mbcacq.acquisition.events import RunStarted
 from mbcacq.errors import MbcacqError
 from mbcacq.model.observations import Observations
-from mbcacq.recording import Journal, Recorder, load_observations
+from mbcacq.recording import load_observations
 from mbcacq.recording.rrd.reader import opened_once
+from mbcacq.recording.rrd.writer import Recorder
 from mbcacq.recording.run_folder.check import check
+from mbcacq.recording.run_folder.journal import Journal
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
 
 

@@ -90,7 +90,7 @@ class Challenger:
             return simulated_cells.run(self.loaded, self.poses, scenario, injected, Path(temporary))
 
     def _keep(self, outcome: Outcome, observations) -> None:
-        from mbcacq.recording import write_observation_set
+        from mbcacq.recording.datasets.observation_set import write_observation_set
 
         assert self.folder is not None, "only called where a folder is given"
         place = self.folder / f"{outcome.scenario.number:03d}"

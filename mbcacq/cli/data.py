@@ -134,7 +134,7 @@ def _free_folder(folder: Path, force: bool) -> Path:
 
 def _write(found: UnderstoodTable, folder: Path, as_json: bool) -> None:
     """Write the set, and say how it was understood."""
-    from mbcacq.recording import write_observation_set
+    from mbcacq.recording.datasets.observation_set import write_observation_set
 
     obs = found.observations
     write_observation_set(obs, folder)

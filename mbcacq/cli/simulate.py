@@ -37,7 +37,7 @@ def command(plan: Path, result: Path | None, out: Path, noise: bool, seed: int, 
       mbcacq simulate recorded-motion/ --out twin/           a rigid arm, moving
     """
     import mbcacq
-    from mbcacq.recording import write_observation_set
+    from mbcacq.recording.datasets.observation_set import write_observation_set
     from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
 
     if (out / "cell.yaml").exists() and not force:

@@ -146,13 +146,13 @@ def hand_eye(result: dict[str, Any]) -> Table:
 
 def fit(result: dict[str, Any]) -> list[str]:
     """How well the cell fits, how accurate it is expected to be, and the noise that was found."""
-    from mbcacq.report import accuracy_in_words
+    from mbcacq.report.verdict import expected_accuracy
 
     fitted, noise = result["fit"], result["noise"]
     chi2 = _chi2(result)
     size = f"{fitted['centres']} centres of {fitted['poses']} poses"
     out = [f"Fit: {size}, residual {micrometres(fitted['rms_mm'])} (3D rms){chi2}, rank {fitted['rank']}"]
-    if (expected := accuracy_in_words(result)) is not None:
+    if (expected := expected_accuracy(result)) is not None:
         value, misfit = expected
         known = identifies_arm(result) or link_errors(result)
         aside = "noise of measuring aside" if known else "noise of measuring and the arm's own errors aside"

@@ -87,7 +87,7 @@ def evaluate_fleet(
         The scheduler does not answer.
     """
     from mbcacq.diagnosis.workers import cores
-    from mbcacq.report import fleet_page
+    from mbcacq.report.page import render_fleet
 
     task = task or FleetTask()
     if not recordings:
@@ -101,7 +101,7 @@ def evaluate_fleet(
     outside = outliers(kinds)
     for row in rows:
         row.out_of_control = tuple(sorted({o.name for o in outside if o.recording == row.recording}))
-    table, page = store.write(rows, fleet_page(fleet_content(rows, kinds, outside)))
+    table, page = store.write(rows, render_fleet(fleet_content(rows, kinds, outside)))
     return Fleet(tuple(rows), tuple(outside), table, page, tuple(store.damaged))
 
 

@@ -101,7 +101,7 @@ def described(path: Path) -> FleetRecording:
 
 def started(path: Path) -> str:
     """When the run of a folder was started, '' where it does not say."""
-    from mbcacq.report import read_run_identity
+    from mbcacq.report.sources.run_folder import read_run_identity
 
     return _iso(str(read_run_identity(path).get("started", ""))) if (path / "journal.jsonl").exists() else ""
 

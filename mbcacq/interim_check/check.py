@@ -25,7 +25,7 @@ from mbcacq.model.json_text import fields_as_json
 from mbcacq.model.observations import Observations
 from mbcacq.plan import LoadedPlan, PlannedPose, expand, refuse_errors
 from mbcacq.recording.run_folder.lock import write_lock
-from mbcacq.report import read_run_identity
+from mbcacq.report.sources.run_folder import read_run_identity
 from mbcacq.workflow.acquire import new_run_folder, plan_acquisition
 from mbcacq.workflow.correct import refuse_uncalibrated
 from mbcacq.workflow.dry_run import device_overrides, name_of

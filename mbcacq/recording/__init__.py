@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,51 +9,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mbcacq.model.observations import Observations
     from mbcacq.model.trajectory import Trajectory
-    from mbcacq.recording.datasets.observation_set import read_observation_set, write_observation_set
-    from mbcacq.recording.datasets.trajectory_set import read_trajectory_set
-    from mbcacq.recording.rrd.diagnosis_recording import write_diagnosis
     from mbcacq.recording.rrd.reader import Recording
-    from mbcacq.recording.rrd.result_recording import log_result
-    from mbcacq.recording.rrd.writer import Recorder
-    from mbcacq.recording.run_folder.gaps import find_gaps
-    from mbcacq.recording.run_folder.journal import Journal
-    from mbcacq.recording.run_folder.progress import poses_done, repair_and_read_progress
-    from mbcacq.recording.run_folder.recovery import recover
 
-__all__ = [
-    "ACCEPTED",
-    "Journal",
-    "Recorder",
-    "Recording",
-    "Trajectory",
-    "find_gaps",
-    "load_observations",
-    "load_whole_trajectories",
-    "log_result",
-    "poses_done",
-    "read_observation_set",
-    "read_trajectory_set",
-    "recover",
-    "repair_and_read_progress",
-    "write_diagnosis",
-    "write_observation_set",
-]
+__all__ = ["ACCEPTED", "Recording", "load_observations", "load_whole_trajectories"]
 
-_LAZY = {
-    "Journal": "run_folder.journal",
-    "Recorder": "rrd.writer",
-    "Recording": "rrd.reader",
-    "Trajectory": "datasets.trajectory_set",
-    "find_gaps": "run_folder.gaps",
-    "log_result": "rrd.result_recording",
-    "poses_done": "run_folder.progress",
-    "read_observation_set": "datasets.observation_set",
-    "read_trajectory_set": "datasets.trajectory_set",
-    "recover": "run_folder.recovery",
-    "repair_and_read_progress": "run_folder.progress",
-    "write_diagnosis": "rrd.diagnosis_recording",
-    "write_observation_set": "datasets.observation_set",
-}
 ACCEPTED = (
     "a run folder (with run.rrd), a recording (.rrd), or an observation-set folder (cell.yaml, poses.csv, centres.csv), "
     "or one table (.csv) of poses of the flange and the target"
@@ -156,7 +114,9 @@ def _is_recording(path: Path) -> bool:
 
 
 def __getattr__(name: str):
-    """Import the classes and functions only when asked for: rerun takes a quarter of a second."""
-    if name in _LAZY:
-        return getattr(importlib.import_module(f"mbcacq.recording.{_LAZY[name]}"), name)
+    """Import the class only when asked for: rerun takes a quarter of a second."""
+    if name == "Recording":
+        from mbcacq.recording.rrd.reader import Recording
+
+        return Recording
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identity, read_run_info
+from mbcacq.files.atomic_write import write_file
 
 if TYPE_CHECKING:
     from mbcacq.calibration.transfer import Transfer
@@ -14,22 +14,9 @@ if TYPE_CHECKING:
     from mbcacq.diagnosis.motion.result import MotionDiagnosis
     from mbcacq.diagnosis.result import Diagnosis
     from mbcacq.model.observations import Observations
-    from mbcacq.report.content import ChangesContent, Content, FleetContent, ReportVerdict
+    from mbcacq.report.content import Content, ReportVerdict
 
-__all__ = [
-    "accuracy_in_words",
-    "content_of",
-    "fleet_page",
-    "judged",
-    "pdf_from_result",
-    "read_kept_findings",
-    "read_run_identity",
-    "read_run_info",
-    "report_from_result",
-    "write_changes_page",
-    "write_diagnosis_page",
-    "write_report_page",
-]
+__all__ = ["judged", "pdf_from_result", "report_from_result", "write_diagnosis_page", "write_report_page"]
 
 
 def report_from_result(
@@ -41,21 +28,9 @@ def report_from_result(
     'name', 'started', 'folder', 'plan_yaml', mappings 'versions', 'facts', 'diagnosis' and 'pictures', 'with_effects', 'devices', 'hashes'.
     Raises ConfigError for a damaged result, RecordingError where the file cannot be written.
     """
+    from mbcacq.report.sources.from_result import content_of
+
     return write_report_page(content_of(result, observations, run_info), path)
-
-
-def content_of(result: Mapping[str, Any], observations: Observations | None = None, run_info: Mapping[str, Any] | None = None) -> Content:
-    """What a report says, as plain values. Raises ConfigError for a damaged result."""
-    from mbcacq.report.sources import from_result
-
-    return from_result.content_of(result, observations, run_info)
-
-
-def accuracy_in_words(result: Mapping[str, Any]) -> tuple[str, str] | None:
-    """What the calibration expects of a point in the workspace, and a remark on the misfit in it: as page one has them."""
-    from mbcacq.report.verdict import expected_accuracy
-
-    return expected_accuracy(result)
 
 
 def judged(result: Mapping[str, Any]) -> tuple[ReportVerdict, list[tuple[str, str, str]], str]:
@@ -69,9 +44,9 @@ def judged(result: Mapping[str, Any]) -> tuple[ReportVerdict, list[tuple[str, st
 
 def write_report_page(content: Content, path: str | Path) -> Path:
     """Write a report as one HTML page. Raises RecordingError where it cannot be written."""
-    from mbcacq.report.page import render, write
+    from mbcacq.report.page import render
 
-    return write(render(content), path)
+    return write_file(path, render(content))
 
 
 def pdf_from_result(
@@ -82,6 +57,7 @@ def pdf_from_result(
     Raises ConfigError too where the libraries for it are missing.
     """
     from mbcacq.report.paper import write_pdf
+    from mbcacq.report.sources.from_result import content_of
 
     return write_pdf(content_of(result, observations, run_info), path)
 
@@ -100,23 +76,9 @@ def write_diagnosis_page(
     motion: with the poses of the same run, where there are both. checks: what was found in poses, tried on other recordings. about: robot,
     data and date (label, text). Raises ConfigError for a motion that was read from JSON, RecordingError where the file cannot be written.
     """
-    from mbcacq.report.page import render_diagnosis, write
+    from mbcacq.report.page import render_diagnosis
     from mbcacq.report.sources.from_diagnosis import diagnosis_content
     from mbcacq.report.sources.from_motion import motion_content
 
     of_poses = None if poses is None else diagnosis_content(poses, pictures, checks)
-    return write(render_diagnosis(of_poses, None if motion is None else motion_content(motion), title, about), path)
-
-
-def write_changes_page(changes: ChangesContent, path: str | Path) -> Path:
-    """Write two recordings compared as one HTML page. Raises RecordingError where it cannot be written."""
-    from mbcacq.report.page import render_changes, write
-
-    return write(render_changes(changes), path)
-
-
-def fleet_page(fleet: FleetContent, title: str = "Fleet") -> str:
-    """The page of a fleet as HTML; it is written as a set with the table."""
-    from mbcacq.report.page import render_fleet
-
-    return render_fleet(fleet, title)
+    return write_file(path, render_diagnosis(of_poses, None if motion is None else motion_content(motion), title, about))

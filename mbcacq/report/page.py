@@ -12,7 +12,6 @@ import numpy as np
 
 from mbcacq.effects.in_words import spelt_out
 from mbcacq.figure import Figure, drawing_library
-from mbcacq.files.atomic_write import write_file
 from mbcacq.quantities import capitalised, fixed, pair, signed, uncertainty
 from mbcacq.report.content import ChangesContent, Content, DiagnosisContent, FleetContent, Spacing
 from mbcacq.report.figures import diagnosis_figures, fleet_figures, report_figures
@@ -95,7 +94,7 @@ def _figures_of(*each: DiagnosisContent | None) -> dict[str, Figure]:
     return {name: figure for one in each if one is not None for name, figure in diagnosis_figures(one).items()}
 
 
-def render_fleet(fleet: FleetContent, title: str) -> str:
+def render_fleet(fleet: FleetContent, title: str = "Fleet") -> str:
     """HTML of a fleet."""
     return _template("fleet_page.html.j2", f=fleet, title=title, figures=_embedded(fleet_figures(fleet)))
 
@@ -110,11 +109,6 @@ def render_changes(changes: ChangesContent) -> str:
     figures = {name: change_charts.changes(rows) for name, rows in changes.rows.items()}
     pictures = [(name, Markup(spacing_picture(spacing))) for name, spacing in changes.spacings]
     return _template("changes_page.html.j2", c=changes, figures=_embedded(figures), pictures=pictures)
-
-
-def write(html: str, path: str | Path) -> Path:
-    """Write a page; the folder is made where it is missing. Raises RecordingError where it cannot be written."""
-    return write_file(path, html)
 
 
 def _template(name: str, **values: Any) -> str:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from mbcacq.errors import MbcacqError
 from mbcacq.exports.result_json import load_result
-from mbcacq.report import content_of, read_kept_findings, read_run_identity
+from mbcacq.report.sources.from_result import content_of
+from mbcacq.report.sources.run_folder import read_kept_findings, read_run_identity
 
 if TYPE_CHECKING:
     from mbcacq.report.content import Content

@@ -133,8 +133,9 @@ class Acquisition:
         motion. message: gets sentences for people, such as the address for the viewer. pause: asked before each pose.
         """
         from mbcacq.plan.routing import check_start
-        from mbcacq.recording import Journal, Recorder
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
+        from mbcacq.recording.rrd.writer import Recorder
+        from mbcacq.recording.run_folder.journal import Journal
         from mbcacq.recording.run_folder.recovery import WHOLE
         from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text
         from mbcacq.spheres import SphereOptions, find_spheres

@@ -283,7 +283,7 @@ def calibration_content(
     """
     from mbcacq.calibration.accuracy_map import accuracy_map
     from mbcacq.calibration.cross_validation import held_out as cross_validate
-    from mbcacq.recording import find_gaps
+    from mbcacq.recording.run_folder.gaps import find_gaps
 
     if effects is not None and held_out is not None:
         raise ConfigError("held-out figures are of the geometry alone; try a calibration with effects on another recording: mbcacq verify")
@@ -318,7 +318,7 @@ def joint_content(
     """Calibrate several recordings of one arm together and verify each; content of format 'mbcacq-joint-result/1', with 'verification' and
     'gaps' in the result of each. Raises CalibrationError, ConfigError.
     """
-    from mbcacq.recording import find_gaps
+    from mbcacq.recording.run_folder.gaps import find_gaps
 
     cells = calibrate_together(data, options, effects=effects, hold_effects=hold_effects)
     content = content_of_all([cell.to_dict() for cell in cells], [str(path) for path in data])

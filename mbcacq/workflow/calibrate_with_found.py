@@ -70,7 +70,8 @@ class CalibratedWithFound:
     def show_in_viewer(self, run: Path, observations: Observations) -> Path:
         """Show the better described cell and the verdict on it beside the recording of a run, whose folder holds what ``write`` wrote; the
         file. Raises RecordingError where that is impossible."""
-        from mbcacq.report import content_of, read_run_info
+        from mbcacq.report.sources.from_result import content_of
+        from mbcacq.report.sources.run_folder import read_run_info
         from mbcacq.workflow.evaluate import show_in_viewer
 
         geometry = self.geometry.to_dict() | {"verification": self.by_geometry.to_dict()}

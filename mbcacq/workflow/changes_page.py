@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mbcacq.files.atomic_write import write_file
 from mbcacq.quantities import capitalised, symbol
-from mbcacq.report import write_changes_page
 from mbcacq.report.content import Action, ChangeRow, ChangesContent
 from mbcacq.report.sources.from_result import spacing_of
 from mbcacq.workflow.compare_runs import RunComparison, best_result
@@ -26,8 +26,10 @@ def write_page(found: RunComparison, path: Path | str, results: tuple[Mapping[st
 
     Raises RecordingError where it cannot be written.
     """
+    from mbcacq.report.page import render_changes
+
     first, second = results or tuple(best_result(Path(name)) for name in found.names)
-    return write_changes_page(_content(found, first, second), path)
+    return write_file(path, render_changes(_content(found, first, second)))
 
 
 def _content(found: RunComparison, first: Mapping[str, Any], second: Mapping[str, Any]) -> ChangesContent:

@@ -386,8 +386,9 @@ def _collected(
 
 
 def _record(paired: PairedClouds, folder: Path, part: int, done: frozenset[int], operator: Operator) -> None:
-    from mbcacq.recording import Journal, Recorder
     from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
+    from mbcacq.recording.rrd.writer import Recorder
+    from mbcacq.recording.run_folder.journal import Journal
     from mbcacq.recording.run_folder.latest import mark_latest
     from mbcacq.recording.run_folder.recovery import WHOLE
     from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text

@@ -11,10 +11,9 @@ from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.files.atomic_write import write_files
 from mbcacq.model.observations import Observations
 from mbcacq.quantities import capitalised
-from mbcacq.recording import write_diagnosis
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd.checksums import note_made
-from mbcacq.recording.rrd.diagnosis_recording import stream_diagnosis
+from mbcacq.recording.rrd.diagnosis_recording import stream_diagnosis, write_diagnosis
 from mbcacq.recording.rrd.motion_recording import MotionDrawn, write_motion
 
 DIAGNOSIS_JSON, PICTURES_JSON = "diagnosis.json", "diagnosis-pictures.json"

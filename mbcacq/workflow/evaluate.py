@@ -98,9 +98,11 @@ def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str],
 
 def _evaluated(run: Path, limit_mm: float | None, progress: Callable[[str], None]) -> RunResult:
     from mbcacq.files.atomic_write import write_file
-    from mbcacq.recording import find_gaps
+    from mbcacq.recording.run_folder.gaps import find_gaps
     from mbcacq.recording.run_folder.recovery import WHOLE
-    from mbcacq.report import content_of, read_run_info, write_report_page
+    from mbcacq.report import write_report_page
+    from mbcacq.report.sources.from_result import content_of
+    from mbcacq.report.sources.run_folder import read_run_info
 
     progress("reading the recording")
     observations = load_observations(run)
@@ -138,8 +140,7 @@ def show_in_viewer(run: Path, observations: Observations, calibration: Calibrate
     page: the report, whose verdict is shown. compared: with the cell before (a fit of the hand-eye transform alone is no state before
     itself). Raises RecordingError.
     """
-    from mbcacq.recording import log_result
-    from mbcacq.recording.rrd.result_recording import Judgement
+    from mbcacq.recording.rrd.result_recording import Judgement, log_result
     from mbcacq.report.cards import verdict_card
 
     judgement = Judgement(text=verdict_card(page))

@@ -128,7 +128,7 @@ def _holds_observations(path: Path) -> bool:
 
 
 def _observations(source: Source, folder: Path, scans: bool) -> list[dict[str, Any]]:
-    from mbcacq.recording import write_observation_set
+    from mbcacq.recording.datasets.observation_set import write_observation_set
 
     if isinstance(source, CalibratedCell):
         measured = source.fit.observations

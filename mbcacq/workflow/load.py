@@ -62,8 +62,7 @@ def load_trajectories(*paths: Path | str) -> list[Trajectory]:
     ConfigError
         A path holds no trajectory, or its content has a fault.
     """
-    from mbcacq.recording import read_trajectory_set
-    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set
+    from mbcacq.recording.datasets.trajectory_set import is_trajectory_set, read_trajectory_set
 
     found: list[Trajectory] = []
     for path in map(Path, paths):

@@ -105,13 +105,13 @@ def _result(data: CalibratedCell | Path | str, observations: Observations, progr
 
 
 def _about(run: Path) -> dict[str, Any]:
-    from mbcacq.report import read_run_info
+    from mbcacq.report.sources.run_folder import read_run_info
 
     return {"folder": str(run), "name": run.name} | (read_run_info(run) if run.is_dir() else {})
 
 
 def _gaps(run: Path) -> list[str]:
-    from mbcacq.recording import find_gaps
+    from mbcacq.recording.run_folder.gaps import find_gaps
 
     return find_gaps(run)
 

@@ -30,7 +30,7 @@ def resumed_progress(folder: Path, loaded: LoadedPlan, cell: str) -> Progress:
 
     Raises ConfigError where there is no run, or where it belongs to another plan or another ``cell``.
     """
-    from mbcacq.recording import repair_and_read_progress
+    from mbcacq.recording.run_folder.progress import repair_and_read_progress
     from mbcacq.recording.run_folder.run_plan import read_kept_plan, refuse_change
 
     progress = repair_and_read_progress(folder)

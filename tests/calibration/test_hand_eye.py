@@ -21,7 +21,7 @@ from mbcacq.geometry import se3
 from mbcacq.geometry.flange_poses import flange_coordinates, flange_transforms
 from mbcacq.geometry.orientations import to_matrices, to_numbers
 from mbcacq.model.cell import KnownLength
-from mbcacq.recording import write_observation_set
+from mbcacq.recording.datasets.observation_set import write_observation_set
 from mbcacq.recording.datasets.uncertified import with_estimated_centres
 
 ALONE = mbcacq.CalibrationOptions(kinematics=False)

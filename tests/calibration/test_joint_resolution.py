@@ -9,7 +9,8 @@ from cells import scanner_cell
 from mbcacq.calibration import calibrate
 from mbcacq.estimation.noise import first_noise, noise_prior
 from mbcacq.model.joint_resolution import joint_step
-from mbcacq.recording import load_observations, write_observation_set
+from mbcacq.recording import load_observations
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 RNG = np.random.default_rng(7)
 ANGLES = RNG.uniform(-90, 90, (30, 6))

@@ -16,7 +16,7 @@ from mbcacq.design.planned_scope import planned_scope, scope_sentence
 from mbcacq.design.simulated_observations import planned_noise, planned_observations, simulated_recording
 from mbcacq.errors import CalibrationError
 from mbcacq.plan import expand, load
-from mbcacq.recording import write_observation_set
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 PLANS = Path(__file__).parents[2] / "plans"
 

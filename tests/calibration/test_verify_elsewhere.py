@@ -15,7 +15,7 @@ from mbcacq.cli.verify import command
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.model.json_text import from_fields
 from mbcacq.quantities import micrometres
-from mbcacq.recording import write_observation_set
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 NOISE, JOINT_NOISE = (0.005, 0.005, 0.009), 8e-6
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc import FakeEkiController, FakeKrc
 from mbcacq_fakes.protocols.krc.eki import FakeEki
+from mbcacq_fakes.protocols.krc.eki_server import FakeEkiController
+from mbcacq_fakes.protocols.krc.server import FakeKrc
 from mbcacq_kuka.eki.driver import KukaEki
 from mbcacq_kuka.rsi.driver import KukaRsi
 

@@ -23,7 +23,7 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import LearntRecording
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import forward_model
-from mbcacq.recording import write_observation_set
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 COMPLIANCE = 3e-6
 OPTIONS = CalibrationOptions(refuse=False)

@@ -29,7 +29,7 @@ from mbcacq.workflow.diagnosis_schema import generated_schema
 def content(plan, tmp_path_factory):
     from dataclasses import replace
 
-    from mbcacq.recording import write_observation_set
+    from mbcacq.recording.datasets.observation_set import write_observation_set
 
     folder = tmp_path_factory.mktemp("set")
     write_observation_set(plan, folder)

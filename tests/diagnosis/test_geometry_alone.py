@@ -19,7 +19,8 @@ from mbcacq.diagnosis.problem import prepare
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.diagnosis.schema import diagnosis_schema
 from mbcacq.model.json_text import fields_as_json
-from mbcacq.recording import load_observations, write_observation_set
+from mbcacq.recording import load_observations
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 HELD = CalibrationOptions(refuse=False, discrepancy=False, random_links=False)
 

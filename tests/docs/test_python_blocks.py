@@ -17,7 +17,7 @@ from mbcacq_fakes.cell.ports import free_port
 
 import mbcacq
 from mbcacq.exports.result_json import load_result
-from mbcacq.recording import write_observation_set
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 ELSEWHERE = {"docs/reference/effect-model.md", *(f"docs/tutorials/{n}.md" for n in ("library", "plan-for-your-arm", "add-an-effect"))}

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from doc_pages import ROOT
 
 from mbcacq.cli.app import app
-from mbcacq.recording import Recording
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.reader import Recording
 
 sys.path.insert(0, str(ROOT / "docs" / "_make"))
 

@@ -16,7 +16,7 @@ from mbcacq.cli.app import app
 from mbcacq.cli.export import command
 from mbcacq.errors import ConfigError, ExitCode
 from mbcacq.model.cell import SIMULATED
-from mbcacq.recording import read_observation_set, write_observation_set
+from mbcacq.recording.datasets.observation_set import read_observation_set, write_observation_set
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ from mbcacq.fleet.evaluation import FleetTask, evaluate_recording
 from mbcacq.fleet.recordings import FleetRecording, dated, find_recordings, listed
 from mbcacq.fleet.row import FleetRow
 from mbcacq.fleet.store import FleetStore, read_table, stored_result
-from mbcacq.recording import write_observation_set
+from mbcacq.recording.datasets.observation_set import write_observation_set
 
 NAMES = [f"{p}_{i + 1}" for i in range(6) for p in ("theta", "d", "a", "alpha", "beta")]
 

@@ -160,7 +160,7 @@ def arm_with_outputs(kind):
             with UrRtdeRobot("arm", "UR10e", {**options, "digital_outputs": [3]}) as robot:
                 yield robot, state
         return
-    from mbcacq_fakes.protocols.krc import FakeKrc
+    from mbcacq_fakes.protocols.krc.server import FakeKrc
     from mbcacq_kuka.rsi.driver import KukaRsi
 
     port = free_port()

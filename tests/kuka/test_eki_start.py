@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, motion_limits
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc import FakeKrc
 from mbcacq_fakes.protocols.krc.eki import FakeEki
+from mbcacq_fakes.protocols.krc.server import FakeKrc
 from mbcacq_kuka.eki.start import same_model
 from mbcacq_kuka.rsi.driver import KukaRsi
 from mbcacq_kuka.rsi.options import parse

@@ -6,7 +6,7 @@ import socket
 import numpy as np
 import pytest
 from kuka_bench import HOME_DEG, LIMITS_DEG, wait
-from mbcacq_fakes.protocols.krc import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeKrc
 from mbcacq_fakes.protocols.krc.settings import KrcSettings
 
 IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")

@@ -11,7 +11,8 @@ from mbcacq_fakes.cell.ports import free_port
 
 from mbcacq.devices import load_driver
 from mbcacq.plan import expand, load
-from mbcacq.recording import Recording, load_observations
+from mbcacq.recording import load_observations
+from mbcacq.recording.rrd.reader import Recording
 from mbcacq.workflow import acquire
 
 PLANS = Path(__file__).resolve().parents[2] / "plans"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from kuka_bench import LIMITS_DEG, arrive, motion_limits, wait
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 
 needs_rsipi = pytest.mark.skipif(find_spec("RSIPI") is None, reason="RSIPI is not installed (pip install rsipi)")

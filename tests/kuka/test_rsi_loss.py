@@ -10,7 +10,7 @@ import pytest
 from kuka_bench import HOME_DEG, LIMITS_DEG
 from lossy import Weather, namespaces, relay, why_no_netem
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeKrc
 
 FAR = 15.0  # deg; two hundred cycles and more, of which one in a hundred is lost each way
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from kuka_bench import HOME_DEG, LIMITS_DEG, arrive, motion_limits, until_error, wait
 from mbcacq_fakes.cell.ports import free_port
-from mbcacq_fakes.protocols.krc import FakeKrc
+from mbcacq_fakes.protocols.krc.server import FakeKrc
 from mbcacq_kuka.rsi.driver import KukaRsi
 from mbcacq_kuka.rsi.options import parse
 from mbcacq_kuka.rsi.recovery import PendingMove, off_path

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
-from mbcacq.recording import read_trajectory_set
+from mbcacq.recording.datasets.trajectory_set import read_trajectory_set
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,8 @@ from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
 from mbcacq.diagnosis.motion.result import ErrorBeforeAfter, FitOfMotion, MotionDiagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.quantities import significant
-from mbcacq.recording import Recording
 from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
+from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.viewer import open_viewer
 from mbcacq.report.sources.from_motion import STRETCH_S, motion_content
 from mbcacq.workflow.diagnosis_result import DiagnosisResult

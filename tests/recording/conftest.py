@@ -30,7 +30,8 @@ def a_run(tmp_path: Path) -> Path:
     """A run folder written from synthetic events."""
     import synthetic
 
-    from mbcacq.recording import Journal, Recorder
+    from mbcacq.recording.rrd.writer import Recorder
+    from mbcacq.recording.run_folder.journal import Journal
 
     folder = tmp_path / "run"
     with Recorder(folder) as recorder, Journal(folder) as journal:

@@ -15,10 +15,13 @@ import synthetic
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
-from mbcacq.recording import Recorder, Recording, load_observations, poses_done, recover
+from mbcacq.recording import load_observations
 from mbcacq.recording.rrd import layout
 from mbcacq.recording.rrd import sink as sink_module
-from mbcacq.recording.rrd.reader import opened_once
+from mbcacq.recording.rrd.reader import Recording, opened_once
+from mbcacq.recording.rrd.writer import Recorder
+from mbcacq.recording.run_folder.progress import poses_done
+from mbcacq.recording.run_folder.recovery import recover
 
 WRITER = Path(__file__).with_name("writing_process.py")
 

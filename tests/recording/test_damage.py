@@ -19,12 +19,16 @@ from mbcacq.cli.recover import command as recover_command
 from mbcacq.errors import ConfigError, MbcacqError, RecordingError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.files import atomic_write
-from mbcacq.recording import Journal, Recorder, Recording, find_gaps, load_observations, log_result, poses_done, repair_and_read_progress
+from mbcacq.recording import load_observations
 from mbcacq.recording.rrd.checked_lines import checked_line, read_lines
 from mbcacq.recording.rrd.checksums import Stretch, digest_of_file, digest_of_values, is_as_written, note_made, note_stretch, read_stretches
-from mbcacq.recording.rrd.reader import opened_once
+from mbcacq.recording.rrd.reader import Recording, opened_once
+from mbcacq.recording.rrd.result_recording import log_result
+from mbcacq.recording.rrd.writer import Recorder
 from mbcacq.recording.run_folder.check import check
-from mbcacq.recording.run_folder.journal import read_journal
+from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.recording.run_folder.journal import Journal, read_journal
+from mbcacq.recording.run_folder.progress import poses_done, repair_and_read_progress
 from mbcacq.recording.run_folder.run_plan import keep_plan, plan_files_text, read_kept_plan, refuse_change
 from mbcacq.workflow import diagnosis_files
 from mbcacq.workflow.diagnosis_files import keep_in_run

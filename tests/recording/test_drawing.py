@@ -12,14 +12,15 @@ from mbcacq.devices import Cycles
 from mbcacq.errors import ConfigError
 from mbcacq.geometry import se3
 from mbcacq.model.cell import Artefact
-from mbcacq.recording import Recorder, Recording
 from mbcacq.recording.datasets.cell_yaml import parse_cell
 from mbcacq.recording.rrd import layout, scan_colouring
 from mbcacq.recording.rrd.chart import ticks, written
 from mbcacq.recording.rrd.drawable import drawable
 from mbcacq.recording.rrd.drawing import flange_strips
+from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.rrd.result_recording import round_scale
 from mbcacq.recording.rrd.urdf_arm import UrdfArm
+from mbcacq.recording.rrd.writer import Recorder
 from mbcacq.report.cards import SIGNS
 
 CELL = parse_cell(synthetic.CELL)

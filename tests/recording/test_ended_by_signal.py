@@ -4,7 +4,8 @@ import synthetic
 
 from mbcacq.acquisition import events
 from mbcacq.errors import Aborted
-from mbcacq.recording import Recorder, Recording
+from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.rrd.writer import Recorder
 
 
 def test_the_end_of_a_run_is_recorded_though_a_signal_came_while_writing(tmp_path, monkeypatch):

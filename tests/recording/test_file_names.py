@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mbcacq.errors import ConfigError
-from mbcacq.recording import Recorder
+from mbcacq.recording.rrd.writer import Recorder
 
 HERE = Path(__file__).parent
 WORK = """
@@ -16,7 +16,9 @@ import sys
 sys.path.insert(0, sys.argv[2])
 import synthetic
 from mbcacq.cli.app import app
-from mbcacq.recording import Journal, Recorder, load_observations
+from mbcacq.recording import load_observations
+from mbcacq.recording.rrd.writer import Recorder
+from mbcacq.recording.run_folder.journal import Journal
 with Recorder(sys.argv[1]) as recorder, Journal(sys.argv[1]) as journal:
     for event in synthetic.run():
         recorder(event)

@@ -8,8 +8,9 @@ from run_events import pose_done
 
 from mbcacq.acquisition import events
 from mbcacq.errors import RecordingError
-from mbcacq.recording import Journal, find_gaps
 from mbcacq.recording.run_folder import journal as journal_module
+from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.recording.run_folder.journal import Journal
 
 
 def started(n, at="2026-11-21T10:00:00+00:00"):

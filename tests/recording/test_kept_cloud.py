@@ -8,9 +8,9 @@ import synthetic
 from mbcacq.acquisition import events
 from mbcacq.devices import Scan
 from mbcacq.model.cell import Artefact
-from mbcacq.recording import Recorder
 from mbcacq.recording.rrd.kept_cloud import FURTHER_PER_BALL, FURTHER_REST, REST, kept_cloud
 from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.rrd.writer import Recorder
 from mbcacq.spheres import find_spheres
 
 CENTRES = np.array([[0.0, 0, 0], [30, 0, 5], [0, 40, -5]])

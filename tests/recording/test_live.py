@@ -12,8 +12,10 @@ import pytest
 import synthetic
 from mbcacq_fakes.cell.ports import free_port
 
-from mbcacq.recording import Recorder, Recording, load_observations
+from mbcacq.recording import load_observations
 from mbcacq.recording.rrd import rerun_program
+from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.rrd.writer import Recorder
 
 
 def port_of(url):

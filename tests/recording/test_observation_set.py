@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from mbcacq.model.observations import Observations
-from mbcacq.recording import load_observations, read_observation_set, write_observation_set
+from mbcacq.recording import load_observations
 from mbcacq.recording.datasets.cell_yaml import cell_to_yaml, parse_cell
+from mbcacq.recording.datasets.observation_set import read_observation_set, write_observation_set
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 

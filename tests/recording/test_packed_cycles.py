@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mbcacq.recording import Recording
 from mbcacq.recording.rrd import layout, rows
 from mbcacq.recording.rrd.new_stream import new_stream
 from mbcacq.recording.rrd.packed_cycles import packed, unpacked
+from mbcacq.recording.rrd.reader import Recording
 from mbcacq.recording.run_folder.check import check
 
 SHAPE = st.tuples(st.integers(1, 30), st.integers(0, 7))

@@ -16,9 +16,13 @@ from mbcacq_fakes.cell.ports import free_port
 
 from mbcacq.acquisition import events
 from mbcacq.errors import ConfigError, RecordingError
-from mbcacq.recording import Journal, Recorder, Recording, load_observations, poses_done, write_observation_set
+from mbcacq.recording import load_observations
+from mbcacq.recording.datasets.observation_set import write_observation_set
 from mbcacq.recording.rrd import layout, scan_export
-from mbcacq.recording.run_folder.journal import read_journal
+from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.rrd.writer import Recorder
+from mbcacq.recording.run_folder.journal import Journal, read_journal
+from mbcacq.recording.run_folder.progress import poses_done
 from mbcacq.workflow.export import export
 
 
@@ -278,7 +282,7 @@ def test_without_live_nothing_listens(tmp_path):
 
 def test_the_result_is_written_next_to_the_run(a_run):
     from mbcacq.estimation.forward_model import CellState
-    from mbcacq.recording import log_result
+    from mbcacq.recording.rrd.result_recording import log_result
 
     obs = load_observations(a_run)
     place = np.eye(4)
@@ -299,7 +303,7 @@ def test_the_result_is_written_next_to_the_run(a_run):
 def test_a_diagnosis_shows_both_misfits_and_their_cause(a_run, tmp_path, of_a_run):
     from rerun.chunk import RrdReader
 
-    from mbcacq.recording import write_diagnosis
+    from mbcacq.recording.rrd.diagnosis_recording import write_diagnosis
 
     obs = load_observations(a_run)
     before = np.array([[0.003, 0, 0], [0, 0.004, 0], [0, 0, 0.005]])

@@ -7,8 +7,8 @@ import yaml
 from mbcacq.errors import ConfigError
 from mbcacq.model import shipped
 from mbcacq.model.robot_import import import_robot
-from mbcacq.recording import read_observation_set
 from mbcacq.recording.datasets.cell_yaml import parse_cell, read_cell
+from mbcacq.recording.datasets.observation_set import read_observation_set
 
 REST = """
 hand_eye: {translation_mm: [0, 0, 80]}

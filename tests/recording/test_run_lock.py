@@ -46,7 +46,7 @@ def test_the_second_writer_gets_the_pid_of_the_first(a_run, holder, arguments, m
 
 
 def test_one_file_of_a_run_folder_is_not_recovered_while_it_is_written(a_run, holder):
-    from mbcacq.recording import recover
+    from mbcacq.recording.run_folder.recovery import recover
 
     with pytest.raises(RecordingError, match=str(holder.pid)):
         recover(a_run / "run.rrd")

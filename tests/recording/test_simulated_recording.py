@@ -6,8 +6,10 @@ import synthetic
 
 from mbcacq.cli.progress import RunProgress
 from mbcacq.model.cell import SIMULATED
-from mbcacq.recording import Journal, Recorder, Recording, load_observations, load_whole_trajectories
-from mbcacq.recording.run_folder.journal import read_journal, read_log
+from mbcacq.recording import load_observations, load_whole_trajectories
+from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.rrd.writer import Recorder
+from mbcacq.recording.run_folder.journal import Journal, read_journal, read_log
 
 
 def recorded(folder, simulated):

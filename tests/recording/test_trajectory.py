@@ -6,8 +6,8 @@ import synthetic
 
 from mbcacq.errors import ConfigError
 from mbcacq.model import shipped
-from mbcacq.recording import load_observations, load_whole_trajectories, read_trajectory_set
-from mbcacq.recording.datasets.trajectory_set import write_trajectory_set
+from mbcacq.recording import load_observations, load_whole_trajectories
+from mbcacq.recording.datasets.trajectory_set import read_trajectory_set, write_trajectory_set
 from mbcacq.recording.rrd.trajectory_recording import trajectory_of_run
 
 ROBOT = """\

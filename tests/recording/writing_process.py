@@ -13,7 +13,8 @@ import synthetic
 
 from mbcacq.acquisition import events
 from mbcacq.errors import MbcacqError
-from mbcacq.recording import Journal, Recorder
+from mbcacq.recording.rrd.writer import Recorder
+from mbcacq.recording.run_folder.journal import Journal
 
 
 def main(folder: str, limit: int | None) -> int:

@@ -14,9 +14,10 @@ from mbcacq.acquisition import events
 from mbcacq.cli.app import app
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
-from mbcacq.recording import Journal
-from mbcacq.report import read_run_info, report_from_result, write_diagnosis_page
+from mbcacq.recording.run_folder.journal import Journal
+from mbcacq.report import report_from_result, write_diagnosis_page
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
+from mbcacq.report.sources.run_folder import read_run_info
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def a_set(tmp_path_factory):
     """A small recording of a known cell, as an observation set."""
     from dataclasses import replace
 
-    from mbcacq.recording import write_observation_set
+    from mbcacq.recording.datasets.observation_set import write_observation_set
 
     obs = make_observations()
     rng = np.random.default_rng(2)

@@ -14,10 +14,10 @@ import mbcacq.figure
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.errors import ConfigError
 from mbcacq.figure import Figure, drawing_library
-from mbcacq.report import content_of
 from mbcacq.report.figures import diagnosis_figures, report_figures
 from mbcacq.report.sources.from_diagnosis import diagnosis_content
 from mbcacq.report.sources.from_motion import motion_content
+from mbcacq.report.sources.from_result import content_of
 
 
 def test_plotly_knows_every_property_of_every_figure():

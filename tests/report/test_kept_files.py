@@ -5,7 +5,7 @@ import json
 import pytest
 
 from mbcacq.errors import ConfigError
-from mbcacq.report import read_run_info
+from mbcacq.report.sources.run_folder import read_run_info
 
 KEPT = ("diagnosis.json", "with-effects/result.json")
 

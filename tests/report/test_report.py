@@ -16,9 +16,10 @@ from mbcacq.effects.effect import ParameterEstimate
 from mbcacq.errors import ConfigError, RecordingError
 from mbcacq.quantities import fixed as fixed_point
 from mbcacq.quantities import signed
-from mbcacq.report import read_run_identity, report_from_result
+from mbcacq.report import report_from_result
 from mbcacq.report.sources.coefficients import names_in_words
 from mbcacq.report.sources.from_motion import motion_pictures
+from mbcacq.report.sources.run_folder import read_run_identity
 
 
 def headline(verdict):

@@ -9,8 +9,8 @@ from mbcacq.acquisition import events
 from mbcacq.devices import load_driver
 from mbcacq.errors import MbcacqError
 from mbcacq.plan import expand, load
-from mbcacq.recording import Recording
 from mbcacq.recording import load_observations as load_run
+from mbcacq.recording.rrd.reader import Recording
 from mbcacq.workflow import acquire
 
 

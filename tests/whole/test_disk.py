@@ -35,7 +35,8 @@ def test_a_full_disk_is_named_and_the_run_goes_on_when_there_is_room(tmp_path):
     assert "Traceback" not in first
     assert "disk" in first
     assert "resume the run" in first or "mbcacq recover" in first
-    from mbcacq.recording import find_gaps, load_observations
+    from mbcacq.recording import load_observations
+    from mbcacq.recording.run_folder.gaps import find_gaps
 
     assert mbcacq("recover", tmp_path / "full").returncode == 0
     kept = load_observations(tmp_path / "full").pose_id.tolist()

@@ -4,7 +4,8 @@ import numpy as np
 from short_run import readable, run_with
 
 from mbcacq.acquisition import events
-from mbcacq.recording import Recording, find_gaps
+from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.run_folder.gaps import find_gaps
 
 
 def largest_scatter_mm(folder):

@@ -7,8 +7,9 @@ import pytest
 from short_run import readable, run_with
 
 from mbcacq.errors import ExitCode
-from mbcacq.recording import Recording, find_gaps
 from mbcacq.recording import load_observations as load_run
+from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.run_folder.gaps import find_gaps
 
 
 def in_a_while(seconds, what):

@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 from typed_command import MBCACQ, ROOT, mbcacq, one_sentence, plan_file, until
 
-from mbcacq.recording import Recording, find_gaps, load_observations, poses_done
+from mbcacq.recording import load_observations
 from mbcacq.recording.rrd import layout
+from mbcacq.recording.rrd.reader import Recording
+from mbcacq.recording.run_folder.gaps import find_gaps
+from mbcacq.recording.run_folder.progress import poses_done
 
 
 def two_stations(plan):

@@ -65,7 +65,8 @@ def test_an_interrupted_run_ends_in_order_with_a_complete_recording(tmp_path, nu
     assert process.returncode == code, text
     assert "Traceback" not in text
     assert "leaked" not in text
-    from mbcacq.recording import Recording, load_observations
+    from mbcacq.recording import load_observations
+    from mbcacq.recording.rrd.reader import Recording
 
     assert load_observations(run).n_poses >= 1
     assert Recording(run / "run.rrd").about()["exit_status"] == "abort"
