@@ -123,14 +123,13 @@ class Acquisition:
         subscribers: Iterable[Subscriber] = (),
         *,
         live: bool = False,
-        confirm: Callable[[np.ndarray], None] | None = None,
         message: Callable[[str], None] = lambda sentence: None,
         pause: Pause | None = None,
     ) -> None:
         """Run the plan and record it. Raises what ended it early; what was measured until then is in the folder.
 
-        live: serve the recording on 127.0.0.1 while it grows. confirm: called with the joint angles (n,) rad at the start, before any
-        motion. message: gets sentences for people, such as the address for the viewer. pause: asked before each pose.
+        live: serve the recording on 127.0.0.1 while it grows. message: gets sentences for people, such as the address for the viewer.
+        pause: asked before each pose.
         """
         from mbcacq.plan.routing import check_start
         from mbcacq.recording.datasets.cell_yaml import cell_to_yaml
@@ -144,8 +143,6 @@ class Acquisition:
             mark_latest(self.folder)  # not before every device answered
             if self.loaded.plan.robot.follow is None:  # else nothing is moved from there
                 check_start(self.loaded, q)
-            if confirm is not None:
-                confirm(q)
 
         (self.folder / WHOLE).unlink(missing_ok=True)  # of an earlier resume; it would lack what comes now
         known = measured_balls(self.folder, self.loaded, self.done) if self.done else {}

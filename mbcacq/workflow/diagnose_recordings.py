@@ -178,11 +178,9 @@ def _hashed(source: Path) -> list[FileRead]:
     paths = [source] if source.is_file() else sorted(p for p in source.glob("*") if p.is_file() and p.suffix in wanted)
     out = []
     for path in paths:
-        digest = hashlib.sha256()
         try:
             with path.open("rb") as file:
-                while block := file.read(1 << 20):
-                    digest.update(block)
+                digest = hashlib.file_digest(file, "sha256")
         except OSError:
             continue  # a file that went away meanwhile is not part of what was read
         out.append(FileRead(str(path), path.stat().st_size, digest.hexdigest()))

@@ -29,14 +29,7 @@ def spacing_picture(data: Spacing) -> str:
         f'<svg class="picture" viewBox="0 0 {WIDTH:g} {bottom + foot:g}" role="img" '
         f'aria-label="Sphere spacing error before and after calibration at {len(rows)} places" font-size="13">'
     ]
-    for value in ticks(top):
-        x = LEFT + value * unit
-        out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{head:g}" y2="{bottom:g}" stroke="#e4e4e4"/>')
-        out.append(f'<text x="{x:.1f}" y="{bottom + 16:g}" text-anchor="middle" fill="#555">{value:g}</text>')
-    out.append(
-        f'<text x="{(LEFT + WIDTH - RIGHT) / 2:.1f}" y="{bottom + 35:g}" text-anchor="middle" fill="#333">'
-        "size of the sphere spacing error / mm</text>"
-    )
+    out += error_axis(top, LEFT, WIDTH - RIGHT, head, bottom)
     for k, row in enumerate(rows):
         y = head + pitch * k + 3
         thick = (pitch - 6) / 2
@@ -72,7 +65,18 @@ def _legend(limit: float | None) -> str:
     )
 
 
-def ticks(top: float) -> list[float]:
+def error_axis(top: float, left: float, right: float, head: float, bottom: float) -> list[str]:
+    """SVG of the horizontal axis of a picture of errors: a line at each round value from zero to ``top`` mm, its number, and the title."""
+    out = []
+    for value in _ticks(top):
+        x = left + value * (right - left) / top
+        out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{head:g}" y2="{bottom:g}" stroke="#e4e4e4"/>')
+        out.append(f'<text x="{x:.1f}" y="{bottom + 16:g}" text-anchor="middle" fill="#555">{value:g}</text>')
+    middle, title = (left + right) / 2, "size of the sphere spacing error / mm"
+    return [*out, f'<text x="{middle:.1f}" y="{bottom + 35:g}" text-anchor="middle" fill="#333">{title}</text>']
+
+
+def _ticks(top: float) -> list[float]:
     """Round values from zero to ``top``, four to seven of them."""
     power = 10.0 ** np.floor(np.log10(top))
     step = next(s * power for s in (0.1, 0.2, 0.25, 0.5, 1.0, 2.0) if top / (s * power) <= 6)

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from mbcacq.report.charts.spacing_svg import ticks
+from mbcacq.report.charts.spacing_svg import error_axis
 from mbcacq.report.charts.style import AFTER, BEFORE
 
 WIDTH, LEFT, RIGHT, HEAD, FOOT, THICK = 620.0, 64.0, 62.0, 62.0, 44.0, 11.0
@@ -27,12 +27,7 @@ def stages_picture(places: Sequence[str], stages: Mapping[str, np.ndarray], expe
         f'font-family="Helvetica, Arial, sans-serif" font-size="13" aria-label="Sphere spacing error at {len(places)} places by stage">',
         f'<rect width="{WIDTH:g}" height="{bottom + FOOT:g}" fill="white"/>',
     ]
-    for value in ticks(top):
-        x = LEFT + value * unit
-        out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{HEAD:g}" y2="{bottom:g}" stroke="#e4e4e4"/>')
-        out.append(f'<text x="{x:.1f}" y="{bottom + 16:g}" text-anchor="middle" fill="#555">{value:g}</text>')
-    middle = (LEFT + WIDTH - RIGHT) / 2
-    out.append(f'<text x="{middle:.1f}" y="{bottom + 35:g}" text-anchor="middle" fill="#333">size of the sphere spacing error / mm</text>')
+    out += error_axis(top, LEFT, WIDTH - RIGHT, HEAD, bottom)
     for row, place in enumerate(places):
         y = HEAD + pitch * row + 4
         out.append(f'<text x="{LEFT - 7:g}" y="{y + pitch / 2:.1f}" text-anchor="end" fill="#222">{escape(place[:9])}</text>')

@@ -74,17 +74,18 @@ def _streamed(identifier: int, data: bytes) -> bytes:
 
 
 def _receive(sock: socket.socket) -> tuple[int, bytes] | None:
-    header = _exactly(sock, 6)
+    header = receive_exactly(sock, 6)
     if header is None:
         return None
     length, identifier = struct.unpack("<IH", header)
     if not 6 <= length <= MAX_REQUEST:
         return None
-    payload = _exactly(sock, length - 6)
+    payload = receive_exactly(sock, length - 6)
     return None if payload is None else (identifier, payload)
 
 
-def _exactly(sock: socket.socket, size: int) -> bytes | None:
+def receive_exactly(sock: socket.socket, size: int) -> bytes | None:
+    """None where the other side closes before."""
     data = bytearray()
     while len(data) < size:
         part = sock.recv(min(size - len(data), 2**20))

@@ -12,6 +12,7 @@ from typing import Any
 import msgpack
 
 from mbcacq_fakes.protocols.faults import Faults
+from mbcacq_fakes.protocols.gocator.channel import receive_exactly
 from mbcacq_fakes.protocols.gopxl.resources import OK, RequestRefused
 
 _REQUEST, _REPLY = struct.Struct("<IHI"), struct.Struct("<IHiI")
@@ -120,31 +121,18 @@ def _between(number: int) -> dict[str, Any]:
 
 def _request(sock: socket.socket) -> dict[str, Any] | None:
     """None at the end, or where what comes is no request."""
-    header = _exactly(sock, _REQUEST.size)
-    if header is None:
-        return None
-    total, kind, count = _REQUEST.unpack(header)
-    if kind != _TYPE or total != _REQUEST.size + count or total > _MAX:
-        return None
-    body = _exactly(sock, count)
     try:
+        header = receive_exactly(sock, _REQUEST.size)
+        if header is None:
+            return None
+        total, kind, count = _REQUEST.unpack(header)
+        if kind != _TYPE or total != _REQUEST.size + count or total > _MAX:
+            return None
+        body = receive_exactly(sock, count)
         found = msgpack.unpackb(body) if body is not None else None
-    except (ValueError, msgpack.UnpackException):
+    except (OSError, ValueError, msgpack.UnpackException):
         return None
     return found if isinstance(found, dict) else None
-
-
-def _exactly(sock: socket.socket, count: int) -> bytes | None:
-    data = b""
-    try:
-        while len(data) < count:
-            part = sock.recv(count - len(data))
-            if not part:
-                return None
-            data += part
-    except OSError:
-        return None
-    return data
 
 
 def _send(sock: socket.socket, status: int, content: dict[str, Any]) -> bool:
