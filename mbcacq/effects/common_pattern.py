@@ -10,7 +10,7 @@ of its own, for every offset and direction. What other joints, the geometry and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,14 +7,7 @@ import pytest
 import simulated
 
 from mbcacq.diagnosis.output.compensation import Compensation
-from mbcacq.diagnosis.output.exclusion_limits import (
-    BandScan,
-    confounders,
-    limits_of,
-    limits_of_bands,
-    parameters_of,
-    with_confounders,
-)
+from mbcacq.diagnosis.output.exclusion_limits import BandScan, confounders, limits_of, limits_of_bands, parameters_of, with_confounders
 from mbcacq.diagnosis.output.limit_bands import ORDERS, bands
 from mbcacq.diagnosis.output.next_measurements import as_measured
 from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients

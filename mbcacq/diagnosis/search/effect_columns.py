@@ -28,8 +28,8 @@ def candidate_columns(linear: LinearProblem, candidate: Candidate, hyper: float 
 
 
 def scanned_functions(linear: LinearProblem, candidate: Candidate, values: np.ndarray) -> ScannedFunctions:
-    """The functions of a candidate with components, at values (H,) of its hyper-parameter. Those of its grid are kept, which is scanned many
-    times.
+    """The functions of a candidate with components, at values (H,) of its hyper-parameter. The grid is scanned many times: its functions
+    are kept.
     """
     if candidate.hyper is None or values is not candidate.hyper.values:
         return functions_at(candidate, covariates(linear), values)

@@ -15,7 +15,7 @@ TAPS = 14  # nodes of a grid on which a pose is spread: the sums are exact to 1e
 AT_ONCE = 64  # orders: their sines and cosines stay in the cache
 SPREADING = 100  # orders whose sums take as long as the spreading of the poses
 OVERSAMPLING = 2.0  # nodes of a grid for each that its highest order needs
-# Shape of the Kaiser-Bessel window: the widest spectrum that is not folded back at this oversampling (Barnett, Magland, af Klinteberg 2019).
+# Shape of the Kaiser-Bessel window: the widest spectrum that is not folded back at this oversampling (Barnett, Magland, Klinteberg 2019).
 SHAPE = 0.98 * np.pi * TAPS * (1 - 1 / (2 * OVERSAMPLING))
 
 
@@ -63,9 +63,9 @@ class PoseFunctions:
 class AngleNodes:
     """An angle x (P,) at which orders (H,), in ascending order, are summed over poses.
 
-    Where there are many more poses than these orders need nodes, the weights of a pose are spread over the nodes of a grid near it and the sums
-    are taken over the grid: a discrete Fourier transform of points that are not equally spaced (Dutt, Rokhlin 1993). What the window takes
-    from each order is given back to it.
+    Where there are many more poses than these orders need nodes, the weights of a pose are spread over the nodes of a grid near it, and
+    the sums are taken over the grid: a discrete Fourier transform of points that are not equally spaced (Dutt, Rokhlin 1993). The sum of
+    each order is divided by the spectrum of the window.
     """
 
     def __init__(self, x: np.ndarray, orders: np.ndarray):
