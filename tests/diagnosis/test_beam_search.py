@@ -64,8 +64,8 @@ class KnownNoise:
     def conditioned(self, members) -> Any:
         return self
 
-    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[KnownNoise, float]:
-        return self, 0.0
+    def moved(self, gradient: np.ndarray, information: np.ndarray) -> tuple[KnownNoise, np.ndarray]:
+        return self, np.zeros(1)
 
     def forget(self) -> None: ...
 
