@@ -30,9 +30,10 @@ from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict
 from mbcacq.estimation.identifiability import base_columns
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import PAIRS, Noise
 from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.solution import system
 from mbcacq.geometry import se3
 from mbcacq.model.cell import KnownLength
 from mbcacq.recording.datasets.uncertified import with_estimated_centres

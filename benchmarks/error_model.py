@@ -28,10 +28,11 @@ from mbcacq.calibration import CalibrationOptions, calibrate
 from mbcacq.calibration.held_out_poses import about_best_station, held_out_masks, prediction_error
 from mbcacq.errors import CalibrationError, MbcacqError
 from mbcacq.estimation import forward_model, parameters
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3
 from mbcacq.model.observations import Observations

@@ -14,8 +14,9 @@ from mbcacq.effects import unmodelled
 from mbcacq.effects.covariates import Covariates
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import EffectTerm, LearntRecording
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.parameters import Estimate, build
+from mbcacq.estimation.solution import system
 from mbcacq.model.observations import Observations
 from real_arms.transfer import learnt, some
 

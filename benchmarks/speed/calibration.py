@@ -20,9 +20,10 @@ from mbcacq.calibration import CalibrationOptions, Noise, calibrate
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState, predict
 from mbcacq.estimation.initial_guess import start
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain

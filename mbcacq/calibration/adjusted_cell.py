@@ -10,9 +10,9 @@ from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.observation_fit import ObservationFit, Rejected
 from mbcacq.estimation import unknown_noise
 from mbcacq.estimation.adjustment import Adjustment
-from mbcacq.estimation.linearization import Solution
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.solution import Solution
 from mbcacq.model.observations import Observations
 
 CORRELATED = 0.95

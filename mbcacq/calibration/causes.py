@@ -14,7 +14,7 @@ import numpy as np
 
 from mbcacq.calibration.influence import deletions
 from mbcacq.description import plain_fit, wrong_descriptions
-from mbcacq.estimation.linearization import Solution
+from mbcacq.estimation.solution import Solution
 from mbcacq.model import shipped
 from mbcacq.model.observations import Observations
 

@@ -15,11 +15,12 @@ from mbcacq.calibration.causes import beyond_noise, exchanged_balls, fault_of, m
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
-from mbcacq.estimation.linearization import Lineariser, Solution, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import ORDINARY_LINKS, ParameterLayout
+from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import solve
 from mbcacq.estimation.variance_components import reml_score_and_information
 from mbcacq.model.cell import Cell

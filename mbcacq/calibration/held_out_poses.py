@@ -10,8 +10,9 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.initial_guess import with_all_stations
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
+from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
-from mbcacq.estimation.linearization import Solution
 from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.outliers import chi2_quantile
+from mbcacq.estimation.solution import Solution
 from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import Cell
 

@@ -13,9 +13,10 @@ import numpy as np
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import HAND_EYE, Estimate
+from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.model.cell import ARTEFACT_IN_SCANNER
 

@@ -12,11 +12,12 @@ from mbcacq.calibration.with_effects import some_poses
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, build
+from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import Term
 from mbcacq.model.observations import Observations

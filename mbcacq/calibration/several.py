@@ -22,13 +22,14 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import learnt_ranges
 from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation.adjustment import Adjustment, adjust
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.meta_analysis import BetweenRecordings
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import HAND_EYE, Estimate, ParameterLayout, build
 from mbcacq.estimation.random_links import with_random_links
 from mbcacq.estimation.several_recordings import JointProblem, joint_problem
+from mbcacq.estimation.solution import system
 from mbcacq.estimation.terms import PER_POSE, Term
 from mbcacq.model.json_text import Number, fields_as_json
 from mbcacq.model.observations import Observations

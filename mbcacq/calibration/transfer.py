@@ -22,11 +22,12 @@ from mbcacq.errors import CalibrationError, ConfigError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.adjustment import Adjustment
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.phases import select_phases
+from mbcacq.estimation.solution import system
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import AsJson, Number
 from mbcacq.model.observations import Observations

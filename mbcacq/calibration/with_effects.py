@@ -19,13 +19,14 @@ from mbcacq.effects.effect_model import EffectModel
 from mbcacq.effects.effect_term import UNKNOWN, EffectTerm
 from mbcacq.errors import ConfigError
 from mbcacq.estimation.adjustment import Adjustment
-from mbcacq.estimation.linearization import Lineariser, Solution, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.one_thread import one_thread
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
 from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
+from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import most_probable_noise
 from mbcacq.estimation.terms import Term
 from mbcacq.geometry.chain import PARAMETERS

@@ -14,10 +14,11 @@ from mbcacq.errors import ContradictionError
 from mbcacq.estimation.forward_model import CellState
 from mbcacq.estimation.identifiability import Undetermined, determined, still_determined
 from mbcacq.estimation.initial_guess import start, with_all_stations
-from mbcacq.estimation.linearization import Lineariser, Solution
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
+from mbcacq.estimation.solution import Solution
 from mbcacq.estimation.solver import COARSE, made_exact, robust_solve, settle_variances, solve
 from mbcacq.model.observations import Observations
 

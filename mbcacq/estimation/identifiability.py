@@ -11,9 +11,10 @@ from pydantic import computed_field
 from mbcacq.errors import CalibrationError
 from mbcacq.estimation import parameters
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.linearization import Lineariser, Solution, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.parameters import UNDETERMINED, Estimate, ParameterLayout
+from mbcacq.estimation.solution import Solution, system
 from mbcacq.geometry import se3
 from mbcacq.model.cell import TARGET_IN_BASE
 from mbcacq.model.observations import Observations

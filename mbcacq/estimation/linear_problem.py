@@ -14,7 +14,7 @@ import numpy as np
 
 from mbcacq.estimation import parameters, terms
 from mbcacq.estimation.forward_model import CellState, Prediction
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal, PoseSystem
 from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
@@ -22,6 +22,7 @@ from mbcacq.estimation.parameters import Estimate, ParameterLayout
 from mbcacq.estimation.pose_columns import PoseColumns
 from mbcacq.estimation.pose_information import PoseInformation, WeightedRows
 from mbcacq.estimation.prior import Prior, known_placement
+from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import solve
 from mbcacq.estimation.terms import PER_POSE, Part, Term
 from mbcacq.estimation.whitening import CentreWhitening, PoseRows

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from mbcacq.errors import ContradictionError
-from mbcacq.estimation.linearization import LINEAR_ROTATION, Solution, largest_rotation
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.outliers import Weights, reject_outliers
 from mbcacq.estimation.parameters import usual_sizes
 from mbcacq.estimation.random_effect_sizes import sizes_of_groups
+from mbcacq.estimation.solution import LINEAR_ROTATION, Solution, largest_rotation
 from mbcacq.estimation.variance_components import between, log_restricted_posterior, reml_step
 
 COARSE, FINE = 1e-2, 1e-7  # of chi square: tolerance of a fit that another follows, and of what is published

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbcacq.estimation.linearization import Solution
+from mbcacq.estimation.solution import Solution
 from mbcacq.estimation.variance_components import log_restricted_posterior, pack, reml_score_and_information, unpack
 
 # More poses leave less than LEAST_VARIANCE along that axis (seen with arms of six and of seven axes).

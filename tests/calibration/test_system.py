@@ -8,11 +8,12 @@ from mbcacq.calibration import CalibrationOptions, Noise
 from mbcacq.estimation import noise as noise_model
 from mbcacq.estimation import parameters, variance_components, whitening
 from mbcacq.estimation.adjustment import adjust_recording
-from mbcacq.estimation.linearization import Lineariser, system
+from mbcacq.estimation.linearization import Lineariser
 from mbcacq.estimation.normal_equations import Normal
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate
 from mbcacq.estimation.pose_block import NormalBlocks
+from mbcacq.estimation.solution import system
 from mbcacq.estimation.solver import NOISE_GAIN, most_probable_noise, solve
 from mbcacq.estimation.terms import Part, term
 

@@ -1,0 +1,191 @@
+"""An estimate with the whitened normal equations of its linearised problem, under a noise and weights: what a solver moves from step to
+step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mbcacq.estimation.linearization import EvaluatedEstimate, Lineariser, Linearization
+from mbcacq.estimation.normal_equations import Normal, PoseSystem
+from mbcacq.estimation.options import Noise
+from mbcacq.estimation.outliers import Weights
+from mbcacq.estimation.parameters import UNDETERMINED, Estimate, ParameterLayout
+from mbcacq.estimation.pose_information import PoseInformation
+from mbcacq.estimation.prior import Prior
+from mbcacq.estimation.whitening import Whitening
+
+# Rotations (rad) over which the problem is as good as linear: their second order moves a point 1 m away by 20 nm.
+LINEAR_ROTATION = 2e-4
+
+
+@dataclass(frozen=True)
+class SolverStep:
+    """A step (g,) of the parameters and (S', 6) of the stations in use, from a solution within its linear problem."""
+
+    start: Solution
+    parameters: np.ndarray
+    stations: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """An estimate and the whitened system at it. X: (P, B R, g + 7) whitened; cost: chi square with the prior rows.
+
+    lineariser: of the recording and its parameters. origin: estimate at which the residual was evaluated. step: what led from there here
+    within the linear problem; None where the residual is that of the estimate itself. turned: rad, at most, of any rotation since the
+    columns were made.
+    """
+
+    lineariser: Lineariser
+    origin: Estimate
+    linear: Linearization
+    poses: PoseInformation
+    normal: Normal
+    prior: Prior
+    noise: Noise
+    weights: Weights
+    iterations: int
+    turned: float = 0.0
+    step: SolverStep | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether the residual was evaluated at the estimate."""
+        return self.step is None
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data determine every free parameter; as the smallest eigenvalue says, but cheaper."""
+        scale = self.lineariser.layout.scale
+        try:
+            np.linalg.cholesky(scale[:, None] * self.normal.information * scale - np.eye(len(scale)) / UNDETERMINED**2)
+        except np.linalg.LinAlgError:
+            return False
+        return True
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        if self.step is None:
+            return self.origin
+        lineariser, step = self.lineariser, self.step
+        return self.origin.moved(lineariser.layout, step.parameters, step.stations, lineariser.rows.stations)
+
+    @property
+    def cost(self) -> float:
+        return self.normal.cost
+
+    @property
+    def system(self) -> PoseSystem:
+        return PoseSystem(self.poses, self.normal)
+
+    @cached_property
+    def whitening(self) -> Whitening:
+        return Whitening(self.normal.rows, self.linear.J, self.noise, self.weights.centre, self.weights.pose)
+
+    @cached_property
+    def X(self) -> np.ndarray:
+        return self.whitening(self.linear.X)
+
+    @property
+    def whitened_residual(self) -> np.ndarray:
+        """(M, R) of unit variance."""
+        rows = self.normal.rows
+        return rows.unpad(self.whitening(self.linear.columns.residual[..., None]))[..., 0]
+
+    def reweighted(self, noise: Noise, weights: Weights) -> Solution:
+        """The system with other noise or weights, at the estimate where the residual was evaluated."""
+        if noise is self.noise and weights is self.weights:
+            return self
+        at = self if self.step is None else self.step.start
+        poses = at.poses_under(noise, weights)
+        normal = Normal(self.lineariser.rows, poses.normal_equations(), at.prior)
+        return replace(at, poses=poses, normal=normal, noise=noise, weights=weights)
+
+    def poses_under(self, noise: Noise, weights: Weights) -> PoseInformation:
+        """The poses of an exact solution with other noise or weights."""
+        if weights is self.weights:
+            return self.poses.with_noise(noise)
+        return PoseInformation.of(self.lineariser.rows, self.linear.columns, noise, weights.centre, weights.pose)
+
+    def with_priors(self, layout: ParameterLayout) -> Solution:
+        """The system with other priors of the same parameters, at the estimate where the residual was evaluated."""
+        at = self if self.step is None else self.step.start
+        lineariser = at.lineariser.with_layout(layout)
+        prior = replace(at.prior, sigma=layout.sigma)
+        return replace(at, lineariser=lineariser, prior=prior, normal=at.normal.with_prior(prior, at.prior))
+
+    def stepped(self, step: np.ndarray) -> Solution:
+        """The same linear problem after a step (g,) of the parameters and the best stations; of an exact solution."""
+        rows, station_step = self.lineariser.rows, self.normal.station_step(step)
+        residual = self.poses.residual_after(step, station_step)
+        columns = replace(self.linear.columns, residual=residual)
+        return replace(
+            self,
+            linear=replace(self.linear, residual=self.lineariser.unweighted(rows.unpad(residual)), columns=columns),
+            poses=self.poses.with_residual(columns),
+            normal=self.normal.after(step),
+            prior=replace(self.prior, offset=self.prior.offset + step, station_offset=self.prior.station_offset + station_step),
+            step=SolverStep(self, step, station_step),
+        )
+
+    def evaluated(self) -> Solution:
+        """The system with the residual at its estimate; its columns are made anew where a rotation since they were made is not small."""
+        if self.step is None:
+            return self
+        turned = self.turned + largest_rotation(self.lineariser.layout, self.step.parameters, self.step.stations)
+        there = self.lineariser.evaluate(self.estimate)
+        return self.moved(there, turned, self.iterations)
+
+    def moved(self, there: EvaluatedEstimate, turned: float, iterations: int, reuse: float = LINEAR_ROTATION) -> Solution:
+        """The system at another estimate, under the same noise and weights. turned: rad, at most, of any rotation since the columns were
+        made; within ``reuse`` they stay as they are."""
+        if turned >= reuse:
+            linear = self.lineariser.at(there)
+            return _whitened(self.lineariser, there, linear, self.noise, self.weights, iterations)
+        columns = replace(self.linear.columns, residual=there.rows)
+        poses = self.poses.with_residual(columns)
+        return replace(
+            self,
+            origin=there.estimate,
+            linear=Linearization(there.prediction, there.residual, columns),
+            poses=poses,
+            normal=self.normal.with_right_hand_side(*poses.right_hand_side(), there.prior),
+            prior=there.prior,
+            turned=turned,
+            step=None,
+            iterations=iterations,
+        )
+
+
+def system(lineariser: Lineariser, estimate: Estimate, noise: Noise, weights: Weights) -> Solution:
+    """The whitened normal equations at an estimate."""
+    there = lineariser.evaluate(estimate)
+    linear = lineariser.at(there)
+    return _whitened(lineariser, there, linear, noise, weights, 0)
+
+
+def _whitened(
+    lineariser: Lineariser, there: EvaluatedEstimate, linear: Linearization, noise: Noise, weights: Weights, iterations: int
+) -> Solution:
+    poses = PoseInformation.of(lineariser.rows, linear.columns, noise, weights.centre, weights.pose)
+    return Solution(
+        lineariser=lineariser,
+        origin=there.estimate,
+        linear=linear,
+        poses=poses,
+        normal=Normal(lineariser.rows, poses.normal_equations(), there.prior),
+        prior=there.prior,
+        noise=noise,
+        weights=weights,
+        iterations=iterations,
+    )
+
+
+def largest_rotation(layout: ParameterLayout, step: np.ndarray, station_step: np.ndarray) -> float:
+    """Largest rotation (rad) of the arm's links, the hand-eye or a station in a step."""
+    turning = layout.turning
+    largest = np.abs(step[: len(turning)][turning]).max(initial=0.0)
+    return float(max(largest, np.abs(station_step[:, 3:]).max(initial=0.0)))
