@@ -10,36 +10,23 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from mbcacq.calibration import notebook, result_io, verification
-from mbcacq.calibration.length_budget import EndVariance, length_budget
+from mbcacq.calibration.cell_estimate import CellEstimate
+from mbcacq.calibration.length_budget import length_budget
 from mbcacq.calibration.observability import arm_indices
 from mbcacq.calibration.observation_fit import ObservationFit, Parameter
-from mbcacq.calibration.result_file import (
-    CURE,
-    FORMAT,
-    THE_RESULT,
-    BallInResult,
-    Correlated,
-    FitInResult,
-    NoiseInResult,
-    Preliminary,
-    ResultFile,
-    RobotInResult,
-    StationInResult,
-    result_of,
-)
+from mbcacq.calibration.result_content import result_file
+from mbcacq.calibration.result_file import CURE, THE_RESULT, ResultFile, result_of
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.calibration.sealed_json import sealed_text, unsealed
-from mbcacq.calibration.uncertainty import fill_effect_columns, measuring_terms, single_points, without_rigid_motion
+from mbcacq.calibration.uncertainty import without_rigid_motion
 from mbcacq.calibration.verification import Limits, Verification, judge, verification_poses
+from mbcacq.calibration.verified_lengths import verified_lengths
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import ConfigError
 from mbcacq.estimation import identifiability
 from mbcacq.estimation.forward_model import CellState
-from mbcacq.estimation.noise import first_noise
 from mbcacq.estimation.options import Noise
 from mbcacq.estimation.parameters import ParameterLayout
-from mbcacq.estimation.scan_scale import scale_in_words, scan_scale
-from mbcacq.geometry import se3
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.json_text import damaged, fields_as_json, from_fields, read_json
 from mbcacq.model.observations import Observations
@@ -56,7 +43,7 @@ class HasModel(Protocol):
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class CalibratedCell:
+class CalibratedCell(CellEstimate):
     """A calibrated cell, whether it was just computed or read from result.json. Lengths mm, angles rad.
 
     Attributes
@@ -94,14 +81,9 @@ class CalibratedCell:
     robot: str
     nominal: Chain
     limits: np.ndarray | None
-    state: CellState
     preliminary: CellState
     stations: tuple[str, ...]
     ball_ids: tuple[int, ...]
-    layout: ParameterLayout
-    covariance: np.ndarray
-    noise: Noise
-    effects: EffectModel | None = None
     simulated: bool = False
     extra: Mapping[str, Any] = field(default_factory=dict)
     own_fit: ObservationFit | None = None
@@ -232,47 +214,8 @@ class CalibratedCell:
     @property
     def file(self) -> ResultFile:
         """The cell as a file holds it. Raises ConfigError as ``fit``."""
-        fit, cell, places = self.fit, self.fit.observations.cell, self.station_places
-        noise = NoiseInResult.of(self.noise, oriented=fit.oriented)
-        if cell.noise_mm is not None:
-            noise = replace(noise, check_factor=tuple((self.noise.point / first_noise(cell).point).tolist()))
-        stations = [
-            StationInResult(id=s.id, artefact=s.artefact, T_base_station=places[s.id], std=np.sqrt(np.diag(covariance)))
-            for s, covariance in zip(cell.stations, fit.station_covariance, strict=True)
-            if s.id in places
-        ]
-        return ResultFile(
-            format=FORMAT,
-            method=fit.options.method,
-            measurement=cell.measurement,
-            simulated=self.simulated,
-            robot=RobotInResult.of(cell.robot, self.state.chain),
-            T_flange_scanner=self.state.T_flange_scanner,
-            stations=tuple(stations),
-            balls=tuple(BallInResult(b, self.state.balls[i]) for i, b in enumerate(self.ball_ids)),
-            preliminary=Preliminary(self.preliminary.T_flange_scanner),
-            parameters=tuple(self.parameters),
-            names=self.names,
-            covariance=self.covariance,
-            noise=noise,
-            fit=FitInResult(
-                poses=fit.used_poses,
-                centres=int(fit.used.sum()),
-                rms_mm=fit.rms_mm,
-                chi2=fit.chi2,
-                dof=fit.dof,
-                chi2_dof=fit.chi2 / fit.dof if fit.dof > 0 else None,
-                rank=fit.rank,
-                iterations=fit.iterations,
-                expected_accuracy_mm=self.expected_accuracy(),
-            ),
-            observability=self.observability,
-            scan_scale=scan_scale(fit.observations, fit.used, self.noise.point),
-            scale=scale_in_words(fit.observations),
-            held=self.layout.held,
-            correlated=tuple(Correlated((a, b), r) for a, b, r in fit.correlated),
-            rejected=fit.rejected,
-            effects=self.effects.to_dict() if self.effects else None,
+        return result_file(
+            self, self.fit, preliminary=self.preliminary, simulated=self.simulated, expected_accuracy_mm=self.expected_accuracy()
         )
 
     def to_json(self) -> str:
@@ -292,11 +235,6 @@ class CalibratedCell:
         if self.own_fit is None:
             raise ConfigError("this calibrated cell was read from its result, which holds no observations; calibrate the recording again")
         return self.own_fit
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the free parameters, in the order of the covariance."""
-        return self.layout.names
 
     @property
     def errors(self) -> np.ndarray:
@@ -320,158 +258,6 @@ class CalibratedCell:
     def observability(self) -> dict[str, float]:
         """Indices O1..O5 of the kinematic and hand-eye parameters, balls, stations and effects being free as they were."""
         return arm_indices(self.layout, self.covariance, self.fit.used_poses)
-
-    def frames(self, q: np.ndarray) -> np.ndarray:
-        """Frames of the arm, with its effects, in the base frame.
-
-        Parameters
-        ----------
-        q : (P, n) ndarray
-            Joint angles as the controller reports them, rad.
-
-        Returns
-        -------
-        (P, n+1, 4, 4) ndarray
-            Lengths in mm.
-        """
-        return self.effects.frames(self.state.chain, q) if self.effects else self.state.chain.frames(q)
-
-    def to_base(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """Scanner points in the base frame.
-
-        Parameters
-        ----------
-        q : (P, n) ndarray
-            Joint angles at which each point was seen, rad.
-        xyz : (P, 3) ndarray
-            Points in the scanner frame, mm.
-
-        Returns
-        -------
-        (P, 3) ndarray
-            Points in the base frame, mm.
-        """
-        return se3.apply(self.frames(q)[:, -1] @ self.state.T_flange_scanner, self.corrected_points(q, xyz))
-
-    def corrected_points(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """Scanner points without the bias that effects of the scanner add to them.
-
-        The bias is taken at the measured point: over a distance of its own size it changes by a millionth of itself.
-
-        Parameters
-        ----------
-        q : (P, n) ndarray
-            Joint angles at which each point was seen, rad.
-        xyz : (P, 3) ndarray
-            Points in the scanner frame, mm.
-
-        Returns
-        -------
-        (P, 3) ndarray
-            Points in the scanner frame, mm.
-        """
-        moved = self.effects.displacements(single_points(self.effects, q, xyz)) if self.effects else None
-        return xyz if moved is None or moved.point is None else xyz - moved.point
-
-    def point_columns(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """Derivatives of base positions by the free parameters, effects included.
-
-        Parameters
-        ----------
-        q : (P, n) ndarray
-            Joint angles at which each point was seen, rad.
-        xyz : (P, 3) ndarray
-            Points in the scanner frame, mm.
-
-        Returns
-        -------
-        (P, 3, g) ndarray
-            In mm over the unit of each of the g parameters.
-        """
-        A = identifiability.base_columns(self.layout, self.state, q, xyz[:, None])[0]
-        if self.effects:
-            fill_effect_columns(A, self.names, self.state, self.effects, q, xyz)
-        return A
-
-    def point_covariance(self, q: np.ndarray, xyz: np.ndarray, *, measuring: bool = False) -> np.ndarray:
-        """Covariance of base positions by the calibrated parameters. The base is where the held parameters (theta_1, d_1) put it.
-
-        Parameters
-        ----------
-        q : (P, n) ndarray
-            Joint angles at which each point was seen, rad.
-        xyz : (P, 3) ndarray
-            Points in the scanner frame, mm.
-        measuring
-            Add the scanner's noise and the joints' repeatability of one measurement.
-
-        Returns
-        -------
-        (P, 3, 3) ndarray
-            In mm^2, base frame.
-        """
-        A = self.point_columns(q, xyz)
-        covariance = A @ self.covariance @ np.swapaxes(A, 1, 2)
-        return covariance + self.measuring_covariance(q, xyz) if measuring else covariance
-
-    def measuring_covariance(self, q: np.ndarray, xyz: np.ndarray) -> np.ndarray:
-        """Covariance of one measurement by scanner noise and joint repeatability.
-
-        Parameters
-        ----------
-        q : (P, n) ndarray
-            Joint angles at which each point was seen, rad.
-        xyz : (P, 3) ndarray
-            Points in the scanner frame, mm.
-
-        Returns
-        -------
-        (P, 3, 3) ndarray
-            In mm^2, base frame.
-        """
-        seen, moved = measuring_terms(self.state, self.noise, q, xyz)
-        return seen + moved
-
-    def distance_columns(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Directions from points a to points b, and derivatives of their distances by the free parameters.
-
-        Parameters
-        ----------
-        qa : (P, n) ndarray
-            Joint angles at which points a were seen, rad.
-        a : (P, 3) ndarray
-            Points in the scanner frame, mm.
-        qb, b : (P, n) and (P, 3) ndarray
-            The same of points b.
-
-        Returns
-        -------
-        tuple of ndarray
-            Unit vectors (P, 3) in the base frame; derivatives (P, g) in mm over the unit of each parameter.
-        """
-        pa, pb = self.to_base(qa, a), self.to_base(qb, b)
-        u = (pb - pa) / np.linalg.norm(pb - pa, axis=1, keepdims=True)
-        return u, np.einsum("pi,pig->pg", u, self.point_columns(qb, b) - self.point_columns(qa, a))
-
-    def distance_uncertainty(self, qa: np.ndarray, a: np.ndarray, qb: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Standard uncertainty of distances by the calibrated parameters; the noise of measuring the ends is not included.
-
-        Parameters
-        ----------
-        qa : (P, n) ndarray
-            Joint angles at which points a were seen, rad.
-        a : (P, 3) ndarray
-            Points in the scanner frame, mm.
-        qb, b : (P, n) and (P, 3) ndarray
-            The same of points b.
-
-        Returns
-        -------
-        (P,) ndarray
-            In mm, k = 1.
-        """
-        row = self.distance_columns(qa, a, qb, b)[1]
-        return np.sqrt(np.einsum("pg,gh,ph->p", row, self.covariance, row))
 
     def expected_accuracy(self, postures: int = 300, seed: int = 1) -> float:
         """The rms uncertainty of a measured point over postures within the joint limits.
@@ -544,34 +330,11 @@ class CalibratedCell:
         ConfigError
             The recording is of another arm.
         """
-        obs = verification_poses(observations)
-        refuse_other_arm("the result is of", self.robot, self.nominal, obs.cell.robot, "the recording")
-        pairs = verification.measured_pairs(obs, self.preliminary, self.state, self.effects)
-        if not pairs:
-            return self._judged(observations, Verification(places=(), limit_mm=limit_mm))
-        (qa, a, na), (qb, b, nb) = (verification.stacked([p.ends[k] for p in pairs]) for k in (0, 1))
-        u, row = self.distance_columns(qa, a, qb, b)
-        ends = [self._end_variance(u, q, xyz, count) for q, xyz, count in ((qa, a, na), (qb, b, nb))]
-        measuring = sum((seen + moved) / count for seen, moved, count in ends)
-        expected = np.sqrt(np.einsum("pg,gh,ph->p", row, self.covariance, row) + measuring)
-        budgets = [
-            length_budget(obs, p.station, p.balls, [EndVariance(*(float(value[i]) for value in end)) for end in ends])
-            for i, p in enumerate(pairs)
-        ]
-        mean = row.mean(axis=0)
-        common = float(np.sqrt(mean @ self.covariance @ mean)) if len(pairs) > 1 else None
-        found = verification.verification_of(obs, pairs, budgets, limit_mm, expected.tolist())
-        return self._judged(observations, replace(found, common_mm=common))
-
-    def _end_variance(self, u: np.ndarray, q: np.ndarray, xyz: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Variances (P,) mm^2 along u (P, 3) of one measurement by the scanner and by the joints, and the numbers averaged over."""
-        seen, moved = (np.einsum("pi,pij,pj->p", u, C, u) for C in measuring_terms(self.state, self.noise, q, xyz))
-        return seen, moved, count
-
-    def _judged(self, observations: Observations, found: Verification) -> Verification:
+        refuse_other_arm("the result is of", self.robot, self.nominal, observations.cell.robot, "the recording")
+        found = verified_lengths(self, self.preliminary, observations, limit_mm)
         took_part = self.took_part(verification_poses(observations))
         found = replace(found, independent=None if took_part is None else not took_part)
-        figures = judge(observations, self.state, self.effects, Limits(sphere_spacing_error_mm=found.limit_mm), found)
+        figures = judge(observations, self.state, self.effects, Limits(sphere_spacing_error_mm=limit_mm), found)
         return replace(found, figures=tuple(figures))
 
     def with_effects(self, found: EffectModel | HasModel, *, hold: bool = False) -> CalibratedCell:

@@ -10,12 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from mbcacq.calibration.adjusted_cell import adjusted_cell
 from mbcacq.calibration.calibrated_cell import CalibratedCell
 from mbcacq.calibration.maximum_likelihood import calibrate
-from mbcacq.calibration.parts_left_out import CentreResiduals, differing_terms, parts_left_out
+from mbcacq.calibration.normalised_error import NormalisedError, all_phases, normalised_error
+from mbcacq.calibration.parts_left_out import CentreResiduals, parts_left_out
 from mbcacq.calibration.same_arm import refuse_other_arm
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ConfigError
@@ -35,7 +35,6 @@ from mbcacq.quantities import fixed, micrometres
 
 PLACES = ("fitted", "known")
 GROSS = 20.0  # medians, from which a centre is an outlier where nothing is fitted
-MOST_JUDGED = 1500  # centres at which the normalised error is computed: its mean is known to 2 % then
 
 
 @dataclass(frozen=True)
@@ -69,35 +68,6 @@ class EffectGain:
     where: tuple[str, ...]
     without_mm: Number
     gain: Number
-
-
-@dataclass(frozen=True)
-class NormalisedError:
-    """Errors over their stated standard uncertainty (parameters, effects and noise of measuring, per axis): rms, 95 % quantile, and the
-    share of centres below 3.
-
-    expected_rms: the rms where the statement is true, 1 but for what the fitted places absorb. degrees_of_freedom: those of the rms; what
-    was learnt is wrong by the same at many centres, so that they are fewer than centres. None in results of programs before these figures.
-    """
-
-    rms: Number
-    quantile_95: Number
-    share_below_3: Number
-    expected_rms: Number | None = None
-    degrees_of_freedom: Number | None = None
-
-    @property
-    def usual(self) -> tuple[float, float] | None:
-        """Between which the rms is in 95 % of recordings where the statement is true (chi square); None where that is not known."""
-        if self.expected_rms is None or self.degrees_of_freedom is None:
-            return None
-        low, high = self.expected_rms * np.sqrt(chdtri(self.degrees_of_freedom, [0.975, 0.025]) / self.degrees_of_freedom)
-        return float(low), float(high)
-
-    @property
-    def in_words(self) -> str:
-        usual = " ({:.2f} to {:.2f} if it is true)".format(*self.usual) if self.usual else ""
-        return f"{self.rms:.2f} rms{usual}, {self.quantile_95:.2f} at 95 %, {self.share_below_3:.1%} below 3"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +134,7 @@ def check_transfer(
     if place not in PLACES:
         raise ConfigError(f"there is no choice of places '{place}'; give one of {', '.join(PLACES)}")
     refuse_other_arm("the result is of", cell.robot, cell.nominal, observations.cell.robot, recording or "the recording")
-    observations = select_phases(observations, CalibrationOptions(phases=_all_phases(observations)))
+    observations = select_phases(observations, CalibrationOptions(phases=all_phases(observations)))
     left_out: tuple[str, ...] = ()
     if place == "known":
         observations, left_out = at_known_stations(observations, cell)
@@ -235,7 +205,7 @@ class _Trial:
         displaced = tuple(zip(model.at(self.obs), model.coefficients, strict=True)) if model else ()
         obs = with_arm(self.obs, chain)
         options = CalibrationOptions(
-            kinematics=False, discrepancy=False, balls=False, refuse=False, displaced=displaced, phases=_all_phases(obs)
+            kinematics=False, discrepancy=False, balls=False, refuse=False, displaced=displaced, phases=all_phases(obs)
         )
         if self.place == "fitted":
             return calibrate(obs, options)
@@ -278,7 +248,7 @@ class _Trial:
         if self.place == "known":
             return None
         try:
-            own = calibrate(self.obs, CalibrationOptions(refuse=False, discrepancy=False, random_links=False, phases=_all_phases(self.obs)))
+            own = calibrate(self.obs, CalibrationOptions(refuse=False, discrepancy=False, random_links=False, phases=all_phases(self.obs)))
         except CalibrationError:
             return None
         return self.figures(own, used)
@@ -290,109 +260,6 @@ def _figures(of: CentreResiduals, rank: int) -> TransferFigures:
     return TransferFigures(float(np.sqrt(np.mean(distance**2))), float(np.median(distance)), chi2)
 
 
-def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: EffectModel, used: np.ndarray) -> NormalisedError:
-    """The residual of each centre over its stated uncertainty: covariance of the learnt arm and effects and the variance of effects that
-    differ between recordings, of which the fitted places absorb a part, and the noise of measuring.
-    """
-    obs, residual = fitted.fit.observations, fitted.fit.residual
-    rng = np.random.default_rng(0)
-    poses = np.sort(rng.permutation(obs.n_poses)[:MOST_JUDGED])
-    keep = np.zeros(obs.n_poses, bool)
-    keep[poses] = True
-    rows = keep[obs.pose]
-    some = obs.select(keep)
-    terms = model.at(some) if model else ()
-    # What differs between recordings has another draw in the other one: a random effect, beside what was learnt.
-    differing = differing_terms(model, some)
-    options = CalibrationOptions(terms=(*terms, *differing), balls=False, phases=_all_phases(some))
-    layout = parameters.build(some, options)
-    for name in cell.layout.names:
-        layout = _freed(layout, name)
-    lineariser = Lineariser(some, layout, options)
-    estimate = Estimate(fitted.state, (*model.coefficients, *(np.zeros(t.size) for t in differing)))
-    linear = lineariser.at(lineariser.evaluate(estimate))
-    X = lineariser.rows.unpad(linear.X)[:, :3].reshape(-1, linear.X.shape[2])
-    names = layout.names
-    learnt = {name: j for j, name in enumerate(cell.layout.names)}
-    shared = [j for j, name in enumerate(names) if name in learnt and not name.startswith(("hand_eye.", "ball_"))]
-    variance = {name: s**2 for t in differing for name, s in zip(t.names, t.sigma, strict=True)}
-    drawn = [j for j, name in enumerate(names) if name in variance]
-    index = [learnt[names[j]] for j in shared]
-    own = [j for j, name in enumerate(names) if name.startswith("hand_eye.")]
-    A = X[:, [*shared, *drawn]]
-    station = np.repeat(some.station[some.pose], 3)
-    A, N = _without_stations(np.concatenate([A, X[:, own]], axis=1), X[:, -7:-1], station, A.shape[1])
-    A = A - N @ np.linalg.lstsq(N, A, rcond=None)[0] if N.shape[1] else A
-    C = np.diag([0.0] * len(shared) + [variance[names[j]] for j in drawn])
-    C[: len(shared), : len(shared)] = cell.covariance[np.ix_(index, index)]
-    kept = used[rows]
-    A = A.reshape(len(A) // 3, 3, len(C))[kept] @ _root(C)  # of a hand-eye transform alone C is empty
-    joint = (lineariser.rows.unpad(linear.J)[:, :3] * cell.noise.joint)[kept]
-    covariance = A @ np.swapaxes(A, 1, 2) + joint @ np.swapaxes(joint, 1, 2)
-    covariance[:, np.arange(3), np.arange(3)] += cell.noise.point**2
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    error = np.sqrt(np.mean((whiten @ residual[rows, :3][kept][..., None])[..., 0] ** 2, axis=1))
-    return NormalisedError(
-        rms=float(np.sqrt(np.mean(error**2))),
-        quantile_95=float(np.quantile(error, 0.95)),
-        share_below_3=float(np.mean(error < 3)),
-        expected_rms=float(np.sqrt(max(1 - fitted.fit.rank / (3 * used.sum()), 0.0))),
-        degrees_of_freedom=_degrees_of_freedom(whiten @ A, whiten @ joint, whiten * cell.noise.point, some.pose[kept]),
-    )
-
-
-def _root(C: np.ndarray) -> np.ndarray:
-    """A square root of a covariance (g, g) of any rank: C = root root'. Units differ, so that it is taken of correlations."""
-    deviation = np.sqrt(np.diag(C))
-    scale = np.where(deviation > 0, deviation, 1.0)
-    size, directions = np.linalg.eigh(C / np.outer(scale, scale))
-    return deviation[:, None] * directions * np.sqrt(np.maximum(size, 0.0))
-
-
-def _degrees_of_freedom(learnt: np.ndarray, joint: np.ndarray, point: np.ndarray, pose: np.ndarray) -> float:
-    """Degrees of freedom of a sum of squares of correlated normalised errors (Satterthwaite): tr(S)^2 / tr(S^2) of their covariance S.
-
-    learnt (m, 3, g), joint (m, 3, n), point (m, 3, 3): factors of the three parts of S; what was learnt is shared by all centres, joint
-    noise by those of a pose (m,), noise of points by none.
-    """
-    of_pose = [np.flatnonzero(pose == p) for p in np.unique(pose)]
-    shared = learnt.reshape(-1, learnt.shape[2])
-    squares = np.sum((shared.T @ shared) ** 2)
-    for rows in of_pose:
-        B, J = (part[rows].reshape(3 * len(rows), -1) for part in (learnt, joint))
-        within = B @ B.T
-        whole = within + J @ J.T
-        for k, block in enumerate(point[rows] @ np.swapaxes(point[rows], 1, 2)):
-            whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += block
-        squares += np.sum(whole**2) - np.sum(within**2)
-    return float((3 * len(pose)) ** 2 / squares)
-
-
-def _without_stations(X: np.ndarray, moved: np.ndarray, station: np.ndarray, split: int) -> tuple[np.ndarray, np.ndarray]:
-    """Columns X (R, g) less what the places of their own stations (R, 6) absorb, by station (R,); the first ``split``, and the rest."""
-    out = X.copy()
-    for s in np.unique(station):
-        rows = station == s
-        out[rows] -= moved[rows] @ np.linalg.lstsq(moved[rows], X[rows], rcond=1e-9)[0]
-    return out[:, :split], out[:, split:]
-
-
 def with_arm(obs: Observations, chain: Chain) -> Observations:
     """The recording with another nominal arm."""
     return replace(obs, cell=replace(obs.cell, robot=replace(obs.cell.robot, chain=chain)))
-
-
-def _freed(layout: parameters.ParameterLayout, name: str) -> parameters.ParameterLayout:
-    """The layout with a parameter free."""
-    blocks = []
-    for b in layout.blocks:
-        if name in b.names:
-            free = b.free.copy()
-            free[b.names.index(name)] = True
-            b = replace(b, free=free)
-        blocks.append(b)
-    return parameters.ParameterLayout(tuple(blocks))
-
-
-def _all_phases(obs: Observations) -> tuple[str, ...] | None:
-    return None if obs.phase is None else tuple(sorted(set(obs.phase.tolist())))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbcacq.calibration.transfer import NormalisedError, _degrees_of_freedom
+from mbcacq.calibration.normalised_error import NormalisedError, _degrees_of_freedom
 
 
 def test_the_rms_of_correlated_errors_is_within_its_usual_range_in_nineteen_of_twenty_draws():
