@@ -55,10 +55,9 @@ ELASTIC = ("joint_compliance", ("A2",), [2.5e-6], None)
 SLIPPED = ("mount_shift", ("mount",), [0.02, 0.01, -0.02, 1e-4, -5e-5, 5e-5], 60.0)
 TIMES = """# Diagnosis: time and memory
 
-Made by `python benchmarks/diagnosis.py time --tracker ../shared/data/ur10-tracker-a`: whole processes with the full catalogue and
-the validation on data left out, on two cores: the process itself and one more share the validation, each with one thread of linear
-algebra. Memory is that of the larger one.
-How right it is: [challenge.md](challenge.md). What stands below the table was written by hand.
+Made by `python benchmarks/diagnosis.py time --tracker ../shared/data/ur10-tracker-a`: whole processes with the full catalogue and the
+validation on data left out, on two cores. The process itself and one more share the validation, each with one thread of linear algebra.
+Memory is that of the larger one. How right it is: [challenge.md](challenge.md). What stands below the table was written by hand.
 
 | recording | poses | centres | wall, s | processor, s | memory, GiB | asked: wall, memory |
 |---|--:|--:|--:|--:|--:|---|"""

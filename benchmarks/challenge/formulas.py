@@ -27,10 +27,10 @@ SEEDS = (61001, 61002)
 INTRODUCTION = [
     """# Formulas for effects outside the catalogue
 
-Made by `python benchmarks/challenge.py formulas --write` on the poses of `plans/seeing.yaml` (128 poses, the fast path of
-`mbcacq challenge`).
-Each effect is concealed by the fake cell, which computes it by its physics, so strong that it raises chi2 per degree of freedom by 3
-once geometry has absorbed what it can; the catalogue has none of these. `mbcacq diagnose --propose` sees the recording alone."""
+Made by `python benchmarks/challenge.py formulas --write` on the poses of `plans/seeing.yaml` (128 poses, the fast path of `mbcacq
+challenge`). The fake cell conceals each effect and computes it by its physics. The effect is so strong that it raises chi2 per degree of
+freedom by 3 once geometry has absorbed what it can. The catalogue has none of these effects. `mbcacq diagnose --propose` sees the recording
+alone."""
 ]
 
 
@@ -158,9 +158,9 @@ def formulas_page(rows: list[dict[str, Any]]) -> str:
     lines = [
         *INTRODUCTION,
         f"""
-The true formula (its covariates and functions, at its location or one that acts alike; of {", ".join(OF_COVARIATES)}, whose forms
-are not in the dictionary, its covariates alone) is first in {first} of {len(rows)} cells, and
-among the first three in **{right} of {len(rows)}**.
+The true formula (its covariates and functions, at its location or one that acts alike) is first in {first} of {len(rows)} cells, and
+among the first three in **{right} of {len(rows)}**. The forms of {", ".join(OF_COVARIATES)}
+are not in the dictionary; a formula of their true covariates alone counts for them.
 """,
     ]
     heads = ("effect", "cell", "true", "rank", "verdict", "best formula", "held-out chi2/dof: before, with it, smooth model")

@@ -36,19 +36,20 @@ MULTIPLES = (0.8, 1.0, 1.2, 1.4, 1.7)
 LEAST = (10.0, 5.0, 3.0, 2.0, 1.5, 1.0)  # e-values
 CELLS = 40
 POWER_TEXT = """
-Share of cells in which the diagnosis names the effect at its location (or as one of two that it cannot tell apart), and
-in brackets the shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings, which know name and location and
-estimate the noise: one that knows order and moment too, and one that estimates them with the other parameters. Strengths are multiples
-of that at which a test that knew the noise as well would find nine in ten. Then where each finds nine in ten (the most likely cumulative
-normal), the ratio to either test (95 % interval by drawing cells again), and the ratio to the first that the best test needs which knows
-nothing, with 2 % or 0.5 % false alarms, shared by all places of all effects and there by orders and moments (median of the
-cells).""".splitlines()
+Share of cells in which the diagnosis names the effect at its location (or as one of two that it cannot tell apart). In brackets are the
+shares in which two likelihood-ratio tests (level 1 %) find it on the same recordings. Both tests know name and location and estimate the
+noise; one knows order and moment too, and the other estimates them with the other parameters. Strengths are multiples of that at which a
+test that knew the noise as well would find nine in ten. Further columns say where each finds nine in ten (the most likely cumulative
+normal), and the ratio to either test (95 % interval by drawing cells again). The last two are the ratio to the first test that the best
+test needs which knows nothing (median of the cells). It has 2 % or 0.5 % false alarms, shared by all places of all effects and there by
+orders and moments.""".splitlines()
 
 
 RATES = (0.02, 0.005)  # false alarms of the best search
 E_VALUE_TEXT = """
-False alarms and power by the same recordings, were the least e-value another one: the clean cells above it, and the multiple of the
-strength for the informed test at which nine in ten effects are reported (below that in use: are in the most probable set).""".splitlines()
+False alarms and power by the same recordings, for other least e-values. The columns are the clean cells above it, and the multiple of the
+strength for the informed test at which nine in ten effects are reported. Below the e-value in use, the effects counted are those in the
+most probable set.""".splitlines()
 
 
 def measured(measure: Callable, todo: list, jobs: int) -> Iterator[tuple]:

@@ -33,7 +33,7 @@ Best test: one that knows which ball it is, with {alarms:g} % false alarms over 
 
 
 BALL_END = """
-A shift of 5 um is three to four standard deviations: neither this diagnosis nor the best test finds it as a rule; the diagnosis says
+A shift of 5 um is three to four standard deviations, and neither this diagnosis nor the best test finds it as a rule. The diagnosis says
 `none` then, and its exclusion limits say how large a shift it has not excluded. What helps: a certificate better than 1 um, more views.
 """
 

@@ -185,14 +185,14 @@ def coverage_page(kept: list[dict]) -> str:
 
 COVERAGE = """# Coverage of the exclusion limits
 
-Made by `python benchmarks/detection.py exclusion --write`. A diagnosis states, of every effect that it did not find, the size of which 95 %
-would have shown more than the recording does: for an order, a band of orders, the moments or the breakpoints that it names, any of them,
-and any direction of the coefficients (a phase, a direction of a shift). Here an effect is put into a recording exactly as large as another
-recording of the same plan states its limit, at a value and with a direction drawn from those for which the limit is stated. The limit that
-comes out should be at least as large in 95 % of the cases (asked: 93 to 97 %). In linear theory: geometry errors, noise of instrument and
-joints are drawn anew for every recording, and the noise is estimated from each; under `explained` a further effect was found and is in the
-model. Limits are never below what one recording in six without any effect would state, so of the cases at that least limit, 16 %, all
-are covered, and 95.8 % are expected over all of them."""
+Made by `python benchmarks/detection.py exclusion --write`. For every effect that it did not find, a diagnosis states a limit: 95 % of
+effects of that size would have shown more than the recording does. The limit holds for an order, a band of orders, the moments or the
+breakpoints that it names, and for any direction of the coefficients (a phase, a direction of a shift). Here an effect is put into a
+recording, exactly as large as the limit that another recording of the same plan states. Its value and direction are drawn from those for
+which the limit is stated. The limit that comes out should be at least as large in 95 % of the cases (asked: 93 to 97 %). In linear theory:
+geometry errors, noise of instrument and joints are drawn anew for every recording, and the noise is estimated from each; under `explained`
+a further effect was found and is in the model. Limits are never below the limit that one recording in six without any effect would state.
+All cases at that least limit, 16 %, are therefore covered, and 95.8 % are expected over all cases."""
 
 
 def exclusion(given: argparse.Namespace) -> None:

@@ -137,12 +137,12 @@ def page(kept: list[dict[str, Any]]) -> str:
 PAGE = """# Learnt here, tried elsewhere
 
 Made by `python benchmarks/effects_loop.py elsewhere --write`. A simulated cell with one effect, of the catalogue or outside of it, is
-recorded on the poses of `plans/seeing.yaml` and diagnosed; the arm is calibrated with what was found, and tried on another recording: its
-stations are turned about the base by 70 or -80 deg and lower, so that A1 leaves the range that it had (with the first A3 too), and are
-seen from other sides. Base, tool and stations are fitted there. Asked: not worse than the learnt geometry alone beyond scatter (5 %),
-error over its stated uncertainty 0.8 to 1.2; usual is where it is in 95 % of cells whose statement is true. What drifts or steps within a
-recording does so in the other one too, which nothing learnt foretells: its size there is in the uncertainty, but for that of a station,
-whose place is fitted. The cell is the same in both: where and when an effect acts is chosen by the poses of the first. Forty
+recorded on the poses of `plans/seeing.yaml` and diagnosed. The arm is calibrated with the effects that were found, and tried on another
+recording. Its stations are turned about the base by 70 or -80 deg and lower, so that A1 leaves the range that it had (with the first A3
+too). They are seen from other sides. Base, tool and stations are fitted there. Asked: not worse than the learnt geometry alone beyond
+scatter (5 %), error over its stated uncertainty 0.8 to 1.2; usual is where it is in 95 % of cells whose statement is true. A drift or a
+step within a recording is in the other one too, with a size that nothing learnt foretells. That size is in the uncertainty, but for that of
+a station, whose place is fitted. The cell is the same in both: where and when an effect acts is chosen by the poses of the first. Forty
 further cells (`--first 9300`) have none that is worse and one beyond 0.8 to 1.2: a shift of the mount, 1.22 where 0.44 to 1.53 is usual."""
 
 

@@ -22,9 +22,23 @@ class Event:
 
 @dataclass(frozen=True)
 class RunStarted(Event):
-    """plan_yaml, cell_yaml: full texts, so that the recording is enough to calibrate again. started: ISO 8601, UTC. route: number of each
-    pose yet to come -> (k, n) rad, the joint waypoints that lead to it, the pose last. urdf: file that draws the arm, or ''. simulated: the
-    devices are fakes. plan_files: JSON of the files that the plan names and which cell is driven, with which a resumed run is compared."""
+    """A run begins.
+
+    Attributes
+    ----------
+    plan_yaml, cell_yaml : str
+        Full texts, so that the recording is enough to calibrate again.
+    started : str
+        ISO 8601, UTC.
+    route : Mapping[int, ndarray]
+        Number of each pose yet to come -> (k, n) rad, the joint waypoints that lead to it, the pose last.
+    urdf : str
+        File that draws the arm, or ''.
+    simulated : bool
+        The devices are fakes.
+    plan_files : str
+        JSON of the files that the plan names and which cell is driven, with which a resumed run is compared.
+    """
 
     name: str
     started: str

@@ -15,8 +15,19 @@ from mbcacq.model.json_text import AsJson, Matrix, Vector, as_list
 
 @dataclass(frozen=True, kw_only=True)
 class AccuracyMap(AsJson):
-    """cell_mm: edge length of a cell; centres_mm: (C, 3) of the cells that are reached; sigma_mm: (C,) 3D standard uncertainty of a point,
-    rms over the postures that get there, a rigid motion of the whole base aside; postures: (C,) how many were tried there."""
+    """Uncertainty of a point over the reach of the arm.
+
+    Attributes
+    ----------
+    cell_mm : float
+        Edge length of a cell.
+    centres_mm : Matrix
+        (C, 3) of the cells that are reached.
+    sigma_mm : Vector
+        (C,) 3D standard uncertainty of a point, rms over the postures that get there, a rigid motion of the whole base aside.
+    postures : Annotated[ndarray, as_list(list[int])]
+        (C,) how many were tried there.
+    """
 
     cell_mm: float
     centres_mm: Matrix

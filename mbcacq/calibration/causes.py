@@ -32,8 +32,19 @@ MOST_TRIED = 20_000  # assignments of a ball; eight balls take a hundred
 
 @dataclass(frozen=True)
 class Story:
-    """kind: of which there is one best; gain: fall of chi square; freedom: parameters it takes, and what the choice of its moment or pose
-    is worth; pose: number of the pose that it is about, None where it is about no single one."""
+    """A simple fault while the recording was made.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of fault; the best one of each kind is kept.
+    gain : float
+        Fall of chi square.
+    freedom : float
+        Parameters it takes, and what the choice of its moment or pose is worth.
+    pose : int or None
+        Number of the pose that it is about, None where it is about no single one.
+    """
 
     kind: str
     text: str

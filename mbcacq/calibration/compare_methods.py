@@ -27,9 +27,21 @@ SAME_POSTURE = np.radians(0.1)
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonRow:
-    """One method. fit_mm: 3D rms about the best station poses, on the poses fitted; bar_mean_mm, bar_max_mm: sphere spacing error at the
-    verification poses; held_out_mm: 3D rms on held-out stations (or, with one or two stations, poses); why: why there is no result;
-    why_not_held_out: why there is no held-out figure, where one was asked for."""
+    """One method.
+
+    Attributes
+    ----------
+    fit_mm : float or None
+        3D rms about the best station poses, on the poses fitted.
+    bar_mean_mm, bar_max_mm : float or None
+        Sphere spacing error at the verification poses.
+    held_out_mm : float or None
+        3D rms on held-out stations (or, with one or two stations, poses).
+    why : str
+        Why there is no result.
+    why_not_held_out : str
+        Why there is no held-out figure, where one was asked for.
+    """
 
     method: str
     fit_mm: float | None = None

@@ -47,8 +47,19 @@ OPTIONS = ContradictionOptions()
 
 @dataclass(frozen=True)
 class Contradiction(AsJson):
-    """scanner, joint, link: ratios, root of the mean square over what is allowed; rejected: share of the centres that were rejected;
-    cause: a sentence, '' where none was found that explains it; misdescribed: whether it is a sign, a unit or the like."""
+    """How far a fit is from the stated noise and the usual errors of an arm.
+
+    Attributes
+    ----------
+    scanner, joint, link : float
+        Ratios, root of the mean square over what is allowed.
+    rejected : float
+        Share of the centres that were rejected.
+    cause : str
+        A sentence, '' where none was found that explains it.
+    misdescribed : bool
+        Whether it is a sign, a unit or the like.
+    """
 
     scanner: float
     joint: float

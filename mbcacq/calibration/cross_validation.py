@@ -25,11 +25,29 @@ GROSS = 10.0  # times the median: such distances are counted apart
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOut(AsJson):
-    """split: how; fits: number of fits; poses, centres: held out in total.
+    """Errors of held-out centres.
 
-    rms_mm: 3D rms of all held-out centres, freedom of refitted stations accounted for. spread_mm ('station' only): 3D rms distance of
-    each ball, brought into the base, from its own mean place; no certificate enters and no freedom is accounted for. median_mm,
-    max_mm: of the distances behind rms_mm; gross: centres beyond 10 medians; rms_without_gross_mm: without those; per_fit_mm: of each fit.
+    Attributes
+    ----------
+    split : str
+        How centres were held out.
+    fits : int
+        Number of fits.
+    poses, centres : int
+        Held out in total.
+    rms_mm : float
+        3D rms of all held-out centres, freedom of refitted stations accounted for.
+    spread_mm : float or None
+        ('station' only) 3D rms distance of each ball, brought into the base, from its own mean place; no certificate enters and no freedom
+        is accounted for.
+    median_mm, max_mm : float
+        Median and largest of the distances behind rms_mm.
+    gross : int
+        Centres beyond 10 medians.
+    rms_without_gross_mm : float
+        3D rms without these centres.
+    per_fit_mm : tuple[float, ...]
+        3D rms of each fit.
     """
 
     split: str

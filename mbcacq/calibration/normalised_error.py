@@ -22,11 +22,19 @@ MOST_JUDGED = 1500  # centres at which the normalised error is computed: its mea
 
 @dataclass(frozen=True)
 class NormalisedError:
-    """Errors over their stated standard uncertainty (parameters, effects and noise of measuring, per axis): rms, 95 % quantile, and the
-    share of centres below 3.
+    """Errors over their stated standard uncertainty (parameters, effects and noise of measuring, per axis).
 
-    expected_rms: the rms where the statement is true, 1 but for what the fitted places absorb. degrees_of_freedom: those of the rms; what
-    was learnt is wrong by the same at many centres, so that they are fewer than centres. None in results of programs before these figures.
+    Attributes
+    ----------
+    rms, quantile_95 : float
+        The rms and the 95 % quantile of the normalised errors.
+    share_below_3 : float
+        Share of centres with an error below 3.
+    expected_rms : float or None
+        The rms if the statement is true: 1, less the part that the fitted places absorb. None in results of older programs.
+    degrees_of_freedom : float or None
+        Degrees of freedom of the rms. The errors of the learnt cell are common to many centres, so that they are fewer than centres. None
+        in results of older programs.
     """
 
     rms: Number
@@ -37,7 +45,7 @@ class NormalisedError:
 
     @property
     def usual(self) -> tuple[float, float] | None:
-        """Between which the rms is in 95 % of recordings where the statement is true (chi square); None where that is not known."""
+        """Range of the rms in 95 % of recordings if the statement is true (chi square); None where that is not known."""
         if self.expected_rms is None or self.degrees_of_freedom is None:
             return None
         low, high = self.expected_rms * np.sqrt(chdtri(self.degrees_of_freedom, [0.975, 0.025]) / self.degrees_of_freedom)

@@ -18,10 +18,20 @@ Status = Literal["free", "prior", "marginal", "held"]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(EveryKey):
-    """value: as the model uses it (hand-eye rotation: rotation vector of the change since the first guess). error: value minus nominal.
-    status: 'free', 'prior' (free within a certificate, or within the common size of such errors), 'marginal' (the nominal value stays; std
-    says by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None). prior_std,
-    prior_mean: of the error, where a prior was used."""
+    """One parameter of a calibrated cell.
+
+    Attributes
+    ----------
+    value : float
+        As the model uses it (hand-eye rotation: rotation vector of the change since the first guess).
+    error : float
+        Value minus nominal.
+    status : Status
+        'free', 'prior' (free within a certificate, or within the common size of such errors), 'marginal' (the nominal value stays; std says
+        by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None).
+    prior_std, prior_mean
+        Standard deviation and mean of the error's prior, if a prior was used.
+    """
 
     left_out = ("reason", "prior_std", "prior_mean")
 

@@ -41,9 +41,21 @@ class MissedBy:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmImprovement(AsJson):
-    """What corrected targets changed, at poses of one recording. before, after: over the poses that count; noise_mm: rms that the scanner
-    and the joints' repeatability alone would leave; poses: how many count; new: whether none of these places took part in the
-    calibration (None: not known). pose, before_mm, after_mm: of each pose that counts."""
+    """What corrected targets changed, at poses of one recording.
+
+    Attributes
+    ----------
+    before, after : MissedBy
+        Over the poses that count.
+    noise_mm : float
+        The rms that the scanner and the joints' repeatability alone would leave.
+    poses : int
+        Number of poses that count.
+    new : bool or None
+        Whether none of these places took part in the calibration (None: not known).
+    pose, before_mm, after_mm
+        Number of each pose that counts, and its distance before and after.
+    """
 
     before: MissedBy
     after: MissedBy

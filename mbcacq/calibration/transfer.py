@@ -39,8 +39,18 @@ GROSS = 20.0  # medians, from which a centre is an outlier where nothing is fitt
 
 @dataclass(frozen=True)
 class TransferFigures:
-    """rms_mm: 3D, over the centres that are no outliers; median_mm; chi2_dof: chi square per degree of freedom, under the noise of centres
-    and joints that the learnt cell states; what was fitted there is no degree of freedom."""
+    """How far the centres of a recording are from their prediction.
+
+    Attributes
+    ----------
+    rms_mm : float
+        3D rms over the centres that are no outliers.
+    median_mm : float
+        Median of the 3D distances.
+    chi2_dof : float
+        Chi square per degree of freedom, under the noise of centres and joints that the learnt cell states. Parameters that were fitted
+        to the recording are no degrees of freedom.
+    """
 
     rms_mm: Number
     median_mm: Number
@@ -51,8 +61,13 @@ class TransferFigures:
 class PartsLeftOut:
     """Parts of the recording, each predicted by the others, arm and effects as learnt.
 
-    as_learnt: base, tool and stations are fitted to the others. drawn_anew: so are random effects, of what differs between recordings and
-    of unmodelled effects beyond where they were learnt.
+    Attributes
+    ----------
+    as_learnt : TransferFigures
+        Base, tool and stations are fitted to the other parts.
+    drawn_anew : TransferFigures
+        Random effects are fitted to the other parts too. They are the effects that differ between recordings, and the unmodelled effects
+        beyond the range in which they were learnt.
     """
 
     as_learnt: TransferFigures
@@ -61,8 +76,19 @@ class PartsLeftOut:
 
 @dataclass(frozen=True)
 class EffectGain:
-    """What one effect does on the other recording. without_mm: rms without it; gain: share of the geometry's mean square that it removes,
-    negative where it does harm."""
+    """What one effect does on the other recording.
+
+    Attributes
+    ----------
+    name : str
+        Name of the effect.
+    where : tuple of str
+        Its locations.
+    without_mm : float
+        The rms without the effect.
+    gain : float
+        Share of the geometry's mean square that the effect removes; negative where it does harm.
+    """
 
     name: str
     where: tuple[str, ...]
@@ -72,10 +98,22 @@ class EffectGain:
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer(AsJson):
-    """place: 'fitted' (base, tool, stations of the recording) or 'known' (nothing). own_geometry: what a geometric calibration of that
-    recording itself leaves, the best that geometry alone can do there; None where it cannot be had. normalised_error: None with known
-    places, since a result does not hold how the errors of its arm and of its places go together. parts_left_out: None with known places,
-    and where the recording learnt from left nothing open. warnings: sentences.
+    """A calibrated cell tried on another recording.
+
+    Attributes
+    ----------
+    place : str
+        'fitted' (base, tool, stations of the recording) or 'known' (nothing).
+    own_geometry : TransferFigures or None
+        Misfit of a geometric calibration of that recording itself, the best that geometry alone can do there; None where it cannot
+        be had.
+    normalised_error : NormalisedError or None
+        Errors over their stated uncertainty. None with known places, since a result does not hold the correlation of the errors of its
+        arm and of its places.
+    parts_left_out : PartsLeftOut or None
+        Misfit of left-out parts; None with known places, and where the recording learnt from left nothing open.
+    warnings : tuple[str, ...]
+        Sentences.
     """
 
     place: str

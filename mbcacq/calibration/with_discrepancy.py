@@ -47,9 +47,17 @@ LEAST_SUPPORT = 3.0  # log Bayes factor of a group of a further kind: there are 
 
 @dataclass(frozen=True)
 class WithDiscrepancy:
-    """An adjustment with smooth errors. model: with the groups that are left of the arm; gain: log evidence over geometry alone, of the
-    poses by which the groups were sized; wander_rad: (n,) rms of each joint's error that poses after one another share, None where they
-    are independent."""
+    """An adjustment with smooth errors.
+
+    Attributes
+    ----------
+    model : EffectModel
+        The groups of the arm that are left.
+    gain : float
+        Log evidence over geometry alone, of the poses by which the groups were sized.
+    wander_rad : ndarray or None
+        (n,) rms of each joint's error that poses after one another share, None where they are independent.
+    """
 
     adjustment: Adjustment
     options: CalibrationOptions

@@ -22,8 +22,19 @@ LEAST = 1e-9  # share of a direction's prior variance that the data take away, b
 
 @dataclass(frozen=True)
 class OwnEstimate:
-    """error: of the arm's parameters, value minus nominal, by name; covariance: (g, g) of ``names``; T_flange_scanner: (4, 4). known:
-    whether the result says which prior it used (an older one does not, and its estimates then stay as they are)."""
+    """The estimate of a recording without the prior of the links.
+
+    Attributes
+    ----------
+    error : Mapping[str, float]
+        Error of the arm's parameters, value minus nominal, by name.
+    covariance : ndarray
+        (g, g) of ``names``.
+    T_flange_scanner : ndarray
+        (4, 4).
+    known : bool
+        Whether the result says which prior it used (an older one does not, and its estimates then stay as they are).
+    """
 
     names: tuple[str, ...]
     error: Mapping[str, float]

@@ -42,10 +42,24 @@ def needing(column: str) -> set[str]:
 
 @dataclass(frozen=True)
 class Scenario(AsJson):
-    """kind: 'none', 'two', or the name of the effect. seed: of the cell. names: of the effects; effect_seed: of their place and shape.
+    """What a challenge conceals in a cell.
 
-    excess: by how much they should raise chi2 per degree of freedom, once geometry has absorbed what it can. outliers: share of
-    grossly wrong centres. missing: columns that are not recorded ('time_s', 'temperature', 'direction').
+    Attributes
+    ----------
+    kind : str
+        'none', 'two', or the name of the effect.
+    seed : int
+        Seed of the cell.
+    names : tuple[str, ...]
+        Names of the effects.
+    effect_seed : int
+        Seed of the place and shape of the effects.
+    excess : float
+        Amount by which the effects should raise chi2 per degree of freedom, once geometry has absorbed what it can.
+    outliers : float
+        Share of grossly wrong centres.
+    missing : tuple[str, ...]
+        Columns that are not recorded ('time_s', 'temperature', 'direction').
     """
 
     number: int

@@ -19,13 +19,29 @@ ORDER_TOLERANCE = 0.1  # periods a turn within which a reported order is the inj
 class Score(AsJson):
     """The score of one challenge.
 
-    truth, reported: effects as ``name:where``. achievable: share of the held-out chi2 that the true model removes. counts: whether that
-    is enough for the challenge to count. detected: whether an effect, or a verdict other than ``none`` and ``cannot_tell``, is reported.
-    named, placed: every injected effect (of several: each that adds something) is reported, before any other, by its name, and at its
-    location. located: the first entry of ``mismatch`` is at the location of an injected effect. confident: a wrong name with the verdict
-    ``explained``. extra: reported names that were not injected.
-    share: of the achievable improvement; None for an effect of one station, of which others know nothing, and where another effect goes
-    with it. sigmas: errors of the parameters in units of their stated standard deviation.
+    Attributes
+    ----------
+    truth, reported : list[str]
+        Effects as ``name:where``.
+    achievable : float
+        Share of the held-out chi2 that the true model removes.
+    counts : bool
+        Whether that is enough for the challenge to count.
+    detected : bool
+        Whether an effect, or a verdict other than ``none`` and ``cannot_tell``, is reported.
+    named, placed : bool
+        Every injected effect (of several: each that adds something) is reported, before any other, by its name, and at its location.
+    located : bool
+        The first entry of ``mismatch`` is at the location of an injected effect.
+    confident : bool
+        A wrong name with the verdict ``explained``.
+    extra : list[str]
+        Reported names that were not injected.
+    share : float or None
+        Share of the achievable improvement; None for an effect of one station, of which others know nothing, and where another effect goes
+        with it.
+    sigmas : dict[str, float]
+        Errors of the parameters in units of their stated standard deviation.
     """
 
     kind: str

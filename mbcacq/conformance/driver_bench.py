@@ -17,13 +17,25 @@ PROTOCOLS = {"robot": devices.Robot, "scanner": devices.Scanner, "positioner": d
 class Stand:
     """A device set up for one check.
 
-    make: constructs an unconnected driver that reaches the device through ``proxies``; keyword arguments are further options.
-    use: one ordinary operation with a connected driver; raises AssertionError if its result is not what the device did.
-    wrong: constructs a driver that expects another device. begin: starts something that takes long (a motion, a scan), and returns
-    once it is under way; it may block until that ends. at_rest: whether the device itself says that nothing moves. ready: whether it
-    takes a new driver, where it needs a while after a fault. short_limits: options with short time limits, given where a fault is waited
-    for; all else runs with the limits of ``make``, so that a busy computer fails nobody. output: number of a digital output that a robot
-    switches under the option digital_outputs, and whether the device itself says that it is on.
+    Attributes
+    ----------
+    make : Callable[..., Any]
+        Constructs an unconnected driver that reaches the device through ``proxies``; keyword arguments are further options.
+    use : Callable[[Any], None]
+        One ordinary operation with a connected driver; raises AssertionError if its result is not what the device did.
+    wrong : Callable[[], Any] or None
+        Constructs a driver that expects another device.
+    begin : Callable[[Any], None] or None
+        Starts something that takes long (a motion, a scan), and returns once it is under way; it may block until that ends.
+    at_rest : Callable[[], bool] or None
+        Whether the device itself says that nothing moves.
+    ready : Callable[[], bool]
+        Whether it takes a new driver, where it needs a while after a fault.
+    short_limits : Mapping[str, Any]
+        Options with short time limits, given where a fault is waited for; all else runs with the limits of ``make``, so that a busy
+        computer fails nobody.
+    output : tuple[int, Callable[[], bool]] or None
+        Number of a digital output that a robot switches under the option digital_outputs, and whether the device itself says that it is on.
     """
 
     make: Callable[..., Any]
@@ -39,10 +51,20 @@ class Stand:
 
 @dataclass(frozen=True)
 class DriverBench:
-    """name: of the driver, and how it is connected. kind: robot, scanner, positioner or sensor. open: sets a Stand up.
+    """A driver under the conformance checks.
 
-    limit_s: what no single step of a check may exceed, here and on the device's own account (generous). excused: check -> why this
-    driver cannot be asked for it.
+    Attributes
+    ----------
+    name : str
+        Name of the driver, and how it is connected.
+    kind : str
+        Robot, scanner, positioner or sensor.
+    open : Callable[[], AbstractContextManager[Stand]]
+        Sets a Stand up.
+    limit_s : float
+        Time that no single step of a check may exceed, here and on the device's own account (generous).
+    excused : Mapping[str, str]
+        Check -> why this driver cannot be asked for it.
     """
 
     name: str

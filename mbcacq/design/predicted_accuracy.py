@@ -33,12 +33,25 @@ MEAN_OF_NORMAL = float(np.sqrt(2 / np.pi))  # mean of |error| over its standard 
 class PredictedAccuracy(AsJson):
     """Accuracy that a linearisation at the planned cell predicts.
 
-    parameters, determined: numbers of arm and hand-eye parameters. indices: O1..O5. workspace_mm: rms uncertainty of a measured point
-    over the whole reach of the arm. distance_mm: expected mean error of a certified distance at the verification poses (None: there are
-    none); calibration_mm: the share of it that is the calibration's, without the noise of measuring the distance. distances: (station,
-    standard uncertainty in mm) of each. Where something that matters stays undetermined these are None or empty: then nothing can be
-    promised, nor where the arm is taken as nominal (hand_eye_alone). correlated: pairs of parameters that cannot be told apart. weakest:
-    (name, its standard deviation, unit).
+    Attributes
+    ----------
+    parameters, determined : int
+        Numbers of arm and hand-eye parameters.
+    indices
+        O1..O5.
+    workspace_mm
+        The rms uncertainty of a measured point over the whole reach of the arm.
+    distance_mm
+        Expected mean error of a certified distance at the verification poses (None: there are none).
+    calibration_mm
+        The share of it that is the calibration's, without the noise of measuring the distance.
+    distances
+        (station, standard uncertainty in mm) of each. Where something that matters stays undetermined these are None or empty: then nothing
+        can be promised, nor where the arm is taken as nominal (hand_eye_alone).
+    correlated
+        Pairs of parameters that cannot be told apart.
+    weakest
+        (name, its standard deviation, unit).
     """
 
     parameters: int

@@ -27,10 +27,22 @@ class TorqueInformation:
     """Normal equations of everything that is fitted to the torque: offsets, inertial parameters of the links, rotors, friction, a load on
     the flange, a balancer.
 
-    normal (P, P): of the recordings, with the priors. weights (J,): of a sample at each joint; step_s: between two of them. placed:
-    the effects that every arm may have, whose columns are those of ``normal``. named:
-    positions of the parameters that are to be separated, names: with their unit; scale (P,): from coefficients to these units. arm:
-    positions of the links' inertial parameters.
+    Attributes
+    ----------
+    normal : ndarray
+        (P, P) of the recordings, with the priors.
+    weights : ndarray
+        (J,) of a sample at each joint.
+    step_s : float
+        Time between two samples.
+    placed : tuple[Member, ...]
+        The effects that every arm may have, whose columns are those of ``normal``.
+    named : ndarray
+        Positions of the parameters that are to be separated, names: with their unit.
+    scale : ndarray
+        (P,) from coefficients to these units.
+    arm : ndarray
+        Positions of the links' inertial parameters.
     """
 
     robot: RobotModel

@@ -81,10 +81,24 @@ class Cycles:
 class Scan:
     """One exposure of a 3D scanner.
 
-    points: (N, 3) float32, mm, scanner frame, valid points only. intensity: (N,) uint8 or None.
-    shape: (rows, columns) of the sensor grid, (0, 0) if unorganised. pixel: (N,) int32 index row * columns + column of each
-    point in that grid, or None. time_s: the device's clock at the exposure. frame: the device's frame counter.
-    measurements and health: numbers the device sent along, by name. warnings: what an operator should know, one sentence each.
+    Attributes
+    ----------
+    points : ndarray
+        (N, 3) float32, mm, scanner frame, valid points only.
+    intensity : ndarray or None
+        (N,) uint8 or None.
+    shape : tuple[int, int]
+        (rows, columns) of the sensor grid, (0, 0) if unorganised.
+    pixel : ndarray or None
+        (N,) int32 index row * columns + column of each point in that grid, or None.
+    time_s : float
+        The device's clock at the exposure.
+    frame : int
+        The device's frame counter.
+    measurements, health : Mapping[str, float]
+        Numbers the device sent along, by name.
+    warnings : tuple[str, ...]
+        Sentences for the operator.
     """
 
     points: np.ndarray

@@ -21,9 +21,13 @@ OF_MODELS = ("held_out_gain_here", "steps", "notes", "trend")  # of these, keys 
 class MismatchEntry(EveryKey):
     """A location and covariate at which recording and simulation differ.
 
-    share: of the excess over the noise, 0 to 1; of a motion, of the held-out excess of that kind of mismatch (``channel``), at a joint or
-    of all joints. equivalent: other locations that move the centres of a recording of poses alike, so that these data cannot tell which it
-    is.
+    Attributes
+    ----------
+    share : Number
+        Share of the excess over the noise, 0 to 1; of a motion, of the held-out excess of that kind of mismatch (``channel``), at a joint
+        or of all joints.
+    equivalent : tuple[str, ...]
+        Other locations that move the centres of a recording of poses alike, so that these data cannot tell which it is.
     """
 
     left_out = ("channel",)

@@ -50,10 +50,18 @@ class Advice:
 
 @dataclass(frozen=True)
 class ComparedEffect:
-    """One effect of a set that was compared. parameters: its posterior mean with standard deviations, the geometry refitted. tried: False
-    for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried. prior: the parameters
-    without the effect, with the standard deviations that they have before the recording; log_prior: natural logarithm of its probability
-    next to the others of the set, before the recording; both are empty in older files.
+    """One effect of a set that was compared.
+
+    Attributes
+    ----------
+    parameters : Mapping[str, ParameterEstimate]
+        Its posterior mean with standard deviations, the geometry refitted.
+    tried : bool
+        False for a smooth function that stands for an effect of the catalogue which the recording does not allow to be tried.
+    prior : Mapping[str, ParameterEstimate]
+        The parameters without the effect, with the standard deviations that they have before the recording.
+    log_prior : float or None
+        Natural logarithm of its probability next to the others of the set, before the recording; both are empty in older files.
     """
 
     later = ("prior", "log_prior")
@@ -78,10 +86,19 @@ class ComparedSet:
 class EvidenceSummary:
     """The evidence of a recording: what decides whether there is an effect, and which.
 
-    poses: that took part. log_e_value: natural logarithm of the evidence of all sets with an effect together against none;
-    least_log_e_value: above which there is an effect. Since the e-value of a recording that grows has mean one without any effect, this
-    holds at every look. sets: the most probable first, the empty one among them. untried: a sentence about each set that stands for what
-    was not tried and is not excluded.
+    Attributes
+    ----------
+    poses : int
+        Number of poses that took part.
+    log_e_value : Number
+        Natural logarithm of the evidence of all sets with an effect together against none.
+    least_log_e_value : Number
+        The logarithm above which there is an effect. Without any effect, the e-value of a recording that grows has mean one, so that this
+        holds at every look.
+    sets : tuple[ComparedSet, ...]
+        The most probable first, the empty one among them.
+    untried : tuple[str, ...]
+        A sentence about each set that stands for what was not tried and is not excluded.
     """
 
     later = ("untried",)

@@ -29,10 +29,22 @@ class LocatedMismatch:
 class ModelFit:
     """What one pass has found.
 
-    model: parametric effects. random: random effects, their priors known. cells: where the evidence put unmodelled effects. noise:
-    estimated with both in place. geometry_only, conditioned: the projected problem under that noise, with geometry alone and conditioned
-    on the parametric effects. evidence: the hypotheses that were compared, of a long recording on a part of it. estimated: the random
-    effects with the coefficients that the evidence gives them; None where they stand at all locations.
+    Attributes
+    ----------
+    model : EffectSet
+        Parametric effects.
+    random : tuple[RandomEffect, ...]
+        Random effects, their priors known.
+    cells : tuple[LocatedMismatch, ...]
+        Where the evidence put unmodelled effects.
+    noise : Noise
+        Estimated with both in place.
+    geometry_only, conditioned : CandidateScoring
+        The projected problem under that noise, with geometry alone and conditioned on the parametric effects.
+    evidence : EvidenceFit
+        The hypotheses that were compared, of a long recording on a part of it.
+    estimated : RandomEffectsModel or None
+        The random effects with the coefficients that the evidence gives them; None where they stand at all locations.
     """
 
     model: EffectSet

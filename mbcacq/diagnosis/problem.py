@@ -46,10 +46,24 @@ class GivenEffect:
 class DiagnosisProblem:
     """The recording linearised at its geometric fit, and everything that may explain it.
 
-    dropped: effect -> what the recording lacks for it. noise: with geometry alone, as calibration estimates it. prior_noise: prior of the
-    variance components. undetermined: what the poses leave open of the geometry. design_blocks: of unmodelled effects; they depend on the
-    poses alone. geometry_alone: the cell of each recording as calibration has it; whatever is thinned or readmitted later, it stays.
-    budget: of the time for the search. given: effects that are no candidates, since they are in the problem from the beginning.
+    Attributes
+    ----------
+    dropped : dict[str, str]
+        Effect -> what the recording lacks for it.
+    noise : Noise
+        The noise with geometry alone, as calibration estimates it.
+    prior_noise : NoisePrior
+        Prior of the variance components.
+    undetermined : tuple[Undetermined, ...]
+        Parameters of the geometry that the poses leave open.
+    design_blocks : DesignBlocks
+        Design blocks of unmodelled effects; they depend on the poses alone.
+    geometry_alone : tuple[GeometryAlone, ...]
+        The cell of each recording as calibration has it; whatever is thinned or readmitted later, it stays.
+    budget : TimeBudget
+        Budget of the time for the search.
+    given : tuple[GivenEffect, ...]
+        Effects that are no candidates, since they are in the problem from the beginning.
     """
 
     linear: LinearProblem

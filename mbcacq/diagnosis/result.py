@@ -34,9 +34,21 @@ class GeometryAlone:
     """The cell of one recording before any effect, as ``mbcacq.calibrate`` has it: keys, names and units are those of result.json (format
     'mbcacq-result/1').
 
-    poses, centres: that took part; a search for effects may begin with more centres, since an effect may be what puts them off. rms_mm: of
-    3D distances; chi2, dof: of the fit. calibrated: MD-H rows by parameter, (n,) rad or mm. T_flange_scanner: (4, 4) mm.
-    parameters: of the arm and the hand-eye transform.
+    Attributes
+    ----------
+    poses, centres : int
+        Numbers of poses and centres that took part. A search for effects may begin with more centres, since an effect may be what puts them
+        off.
+    rms_mm : Number
+        Rms of 3D distances.
+    chi2, dof
+        Chi2 and dof of the fit.
+    calibrated : Mapping[str, tuple[float, ...]]
+        MD-H rows by parameter, (n,) rad or mm.
+    T_flange_scanner : tuple[tuple[float, ...], ...]
+        (4, 4) mm.
+    parameters : tuple[Parameter, ...]
+        Parameters of the arm and the hand-eye transform.
     """
 
     poses: int
@@ -99,9 +111,18 @@ class FitSummary:
 class NoiseDependence:
     """A noise that depends on the place, and is taken so in everything else but for long recordings.
 
-    of: 'instrument', or 'instrument and joints' of what moves a pose as a whole. covariate, unit: what it depends on. low, high: between
-    which it was measured (5 and 95 % of the poses); sigma_low_mm, sigma_high_mm: of the instrument there, an axis. p_value: of as large a
-    variation by chance.
+    Attributes
+    ----------
+    of : str
+        'instrument', or 'instrument and joints' of what moves a pose as a whole.
+    covariate, unit : str
+        The quantity that the noise depends on.
+    low, high : Number
+        Range in which the noise was measured (5 and 95 % of the poses).
+    sigma_low_mm, sigma_high_mm : Number
+        Sigma low and sigma high of the instrument there, an axis.
+    p_value : Number
+        P value of as large a variation by chance.
     """
 
     of: str
@@ -131,12 +152,23 @@ class ExclusionLimit:
     """The size of an effect at a location that is excluded with 95 % confidence, everything that it is confused with being free: of effects
     as large, with any value from ``holds_for`` and any direction of the coefficients, 95 % would have shown more than the recording does.
 
-    parameter: its name, with the unit as suffix; value: None where the free geometry absorbs the effect. workspace_mm: largest error that
-    it would make in the workspace, together with what would hide it here. length_mm: error of a length between two postures that 95 % of
-    lengths do not exceed. Both are None for what depends on time or on single balls, and where the effect is not tested. in_usual_sizes:
-    the limit relative to the effect's usual size; None where value is, and in older files. tested: whether the limit is within what
-    machines have; a larger one says nothing. holds_for: the values of the effect's hyper-parameter for which the limit holds; None where
-    it has none.
+    Attributes
+    ----------
+    parameter : str
+        Its name, with the unit as suffix.
+    value : float or None
+        None where the free geometry absorbs the effect.
+    workspace_mm : float or None
+        Largest error that it would make in the workspace, together with what would hide it here.
+    length_mm : float or None
+        Error of a length between two postures that 95 % of lengths do not exceed. Both are None for what depends on time or on single
+        balls, and where the effect is not tested.
+    in_usual_sizes : float or None
+        The limit relative to the effect's usual size; None where value is, and in older files.
+    tested : bool
+        Whether the limit is within what machines have; a larger one says nothing.
+    holds_for : ExclusionBand or None
+        The values of the effect's hyper-parameter for which the limit holds; None where it has none.
     """
 
     later = ("in_usual_sizes", "tested", "holds_for")
@@ -156,11 +188,26 @@ class ExclusionLimit:
 class Proposal:
     """A short formula for an unmodelled effect that was located.
 
-    where: its location; formula: what is displaced, by which functions, with the fitted coefficients. terms: of what it is a function,
-    whatever the phase, e.g. ``q4*q6``. log_bayes_factor: natural logarithm, against no effect there; odds: posterior probability
-    relative to the most probable formula. held_out_before_chi2_dof, held_out_chi2_dof, held_out_rms_mm: on data left out, without the
-    formula and with it; smooth_chi2_dof: with the smooth model in its place. found_in, parts: of how many repetitions of the search
-    without a part of the data it was among the reported. term: the formula as a term, from which a draft of an effect is written.
+    Attributes
+    ----------
+    where : tuple[str, ...]
+        Its location.
+    formula : str
+        The displaced quantity and its functions, with the fitted coefficients.
+    terms : tuple[str, ...]
+        Terms of what it is a function, whatever the phase, e.g. ``q4*q6``.
+    log_bayes_factor : Number
+        Natural logarithm, against no effect there.
+    odds : Number
+        Posterior probability relative to the most probable formula.
+    held_out_before_chi2_dof, held_out_chi2_dof, held_out_rms_mm : Number
+        Misfit of data left out, without the formula and with it.
+    smooth_chi2_dof : Number
+        Misfit of data left out, with the smooth model in the place of the formula.
+    found_in, parts : int
+        Found in and parts of how many repetitions of the search without a part of the data it was among the reported.
+    term : EffectTerm
+        The formula as a term, from which a draft of an effect is written.
     """
 
     where: tuple[str, ...]

@@ -62,10 +62,22 @@ class Missing(Exception):
 class Hyperparameter:
     """A bounded parameter in which an effect is not linear.
 
-    name: under which it is reported, empty where it is not. values: to try first, (H,). independent: the number of statistically
-    independent choices among all values. refine: whether the best of the values is a start for a continuous search. preferred: values that
-    are more probable beforehand than all others. kind: MOMENT, ORDER, BREAKPOINT or FADING, empty for any other. from_none: the first
-    value stands for no such effect at all, and is no bound of what was tried.
+    Attributes
+    ----------
+    name : str
+        Under which it is reported, empty where it is not.
+    values : ndarray
+        (H,) values to try first.
+    independent : float
+        The number of statistically independent choices among all values.
+    refine : bool
+        Whether the best of the values is a start for a continuous search.
+    preferred : tuple[float, ...]
+        Values that are more probable beforehand than all others.
+    kind : str
+        MOMENT, ORDER, BREAKPOINT or FADING, empty for any other.
+    from_none : bool
+        The first value stands for no such effect at all, and is no bound of what was tried.
     """
 
     name: str

@@ -27,8 +27,21 @@ UNIT_MASS_KG = 1.0  # of links whose masses are not known
 
 @dataclass
 class ExpressedEffects:
-    """compliance: of an axis (0: the first), rad/(N m); base: of the pedestal, rad/(N m); ratio: (axis, axis whose angle moves it) -> rad
-    by rad; payload: kg and centre (3,) mm in the flange frame; left: names of the effects that bodies and hinges cannot express."""
+    """Effects as bodies and hinges of a model.
+
+    Attributes
+    ----------
+    compliance : dict[int, float]
+        Compliance of an axis (0: the first), rad/(N m).
+    base : float
+        Base of the pedestal, rad/(N m).
+    ratio : dict[tuple[int, int], float]
+        (axis, axis whose angle moves it) -> rad by rad.
+    payload : tuple[float, ndarray]
+        kg and centre (3,) mm in the flange frame.
+    left : list[str]
+        Names of the effects that bodies and hinges cannot express.
+    """
 
     payload: tuple[float, np.ndarray]
     compliance: dict[int, float] = field(default_factory=dict)

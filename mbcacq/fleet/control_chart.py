@@ -29,9 +29,23 @@ FURTHER = ("rms_mm", "spacing_max_mm")  # figures that are charted besides the p
 
 @dataclass(frozen=True, kw_only=True)
 class ControlChart:
-    """One figure of the N recordings of one type of arm. value, std: (N,) as calibrated, NaN where it was not; centre: (N,) centre line
-    of the arm of each; limit: (N,) half width about it, NaN where an arm has one recording; arms: names (A,); arm: (N,) index into them;
-    arm_value, arm_limit: (A,) each arm's centre and its permitted distance from ``usual``, the median of the arms (NaN: too few)."""
+    """One figure of the N recordings of one type of arm.
+
+    Attributes
+    ----------
+    value, std : ndarray
+        (N,) as calibrated, NaN where it was not.
+    centre : ndarray
+        (N,) centre line of the arm of each.
+    limit : ndarray
+        (N,) half width about it, NaN where an arm has one recording.
+    arms : tuple[str, ...]
+        Names (A,).
+    arm : ndarray
+        (N,) index into them.
+    arm_value, arm_limit : ndarray
+        (A,) each arm's centre and its permitted distance from ``usual``, the median of the arms (NaN: too few).
+    """
 
     name: str
     value: np.ndarray

@@ -22,10 +22,23 @@ Figure = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 class FleetRow:
     """What the table says of a recording; it is filled step by step, and what did not come about is None.
 
-    status: 'evaluated', 'refused' or 'failed'; reason: why, or what its calibration warned of. estimates: error and standard deviation, in
-    mm or rad, of each free parameter; each stands in a column of its own, 'error.NAME' and 'std.NAME'. Ball centres, which belong to the
-    artefact, are left out of them. names: of all free parameters, in the order of the covariance (rows one after the other); nominal: MD-H
-    rows of the nominal arm one after the other. effects: found, as 'NAME at WHERE'. out_of_control: figures outside their control limits.
+    Attributes
+    ----------
+    status : str
+        'evaluated', 'refused' or 'failed'.
+    reason : str or None
+        The reason of the status, or the warnings of the calibration.
+    estimates : dict[str, tuple[Figure, Figure]]
+        Error and standard deviation, in mm or rad, of each free parameter; each stands in a column of its own, 'error.NAME' and 'std.NAME'.
+        Ball centres, which belong to the artefact, are left out of them.
+    names : tuple[str, ...]
+        Names of all free parameters, in the order of the covariance (rows one after the other).
+    nominal : tuple[Figure, ...]
+        MD-H rows of the nominal arm one after the other.
+    effects : tuple[str, ...] or None
+        Effects that were found, as 'NAME at WHERE'.
+    out_of_control : tuple[str, ...] or None
+        Figures outside their control limits.
     """
 
     recording: str

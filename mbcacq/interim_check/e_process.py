@@ -30,8 +30,17 @@ from mbcacq.interim_check.options import OPTIONS, CheckOptions
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of a check, R = 3 a measured centre. noise: (R, R) covariance of measuring, as the calibration has it; daily: (R, d) what
-    one standard deviation of each change from day to day does; free: (R, f) what is placed anew every day and says nothing, or (R, 0)."""
+    """The rows of a check, R = 3 a measured centre.
+
+    Attributes
+    ----------
+    noise : ndarray
+        (R, R) covariance of measuring, as the calibration has it.
+    daily : ndarray
+        (R, d) what one standard deviation of each change from day to day does.
+    free : ndarray
+        (R, f) what is placed anew every day and says nothing, or (R, 0).
+    """
 
     noise: np.ndarray
     daily: np.ndarray

@@ -36,8 +36,20 @@ Residuals = Annotated[Mapping[tuple[int, int], np.ndarray], InJson(list[CentreRo
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedDay:
-    """One check. time: ISO 8601, UTC; run: its folder; residual: (pose number, ball id) -> (3,) mm in the scanner frame, measured minus
-    predicted by the calibrated cell with the stations of the history. log_e, log_e_calibration: as judged on that day, None before."""
+    """One check.
+
+    Attributes
+    ----------
+    time : str
+        ISO 8601, UTC.
+    run : str
+        Its folder.
+    residual : Residuals
+        (pose number, ball id) -> (3,) mm in the scanner frame, measured minus predicted by the calibrated cell with the stations of the
+        history.
+    log_e, log_e_calibration : float or None
+        Evidence as judged on that day; None before.
+    """
 
     time: str
     run: str
@@ -48,9 +60,25 @@ class CheckedDay:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckHistory:
-    """result: SHA-256 of the calibration that is checked; plan: name of the plan; poses: numbers of those that a check
-    repeats, with the joint angles q (P, n) rad they had; standing: artefacts stay between checks; stations: T_base_station (4, 4) by id, as
-    the first check found them; days: all checks, in order; usual_days: what changes from day to day without a cause."""
+    """All checks of one calibration.
+
+    Attributes
+    ----------
+    result : str
+        SHA-256 of the calibration that is checked.
+    plan : str
+        Name of the plan.
+    poses : tuple[int, ...]
+        Numbers of those that a check repeats, with the joint angles q (P, n) rad they had.
+    standing : bool
+        Artefacts stay between checks.
+    stations : Mapping[str, Transform]
+        T_base_station (4, 4) by id, as the first check found them.
+    days : tuple[CheckedDay, ...]
+        All checks, in order.
+    usual_days : UsualChanges
+        Changes from day to day without a cause.
+    """
 
     result: str
     plan: str

@@ -24,10 +24,22 @@ from mbcacq.plan import LoadedPlan, PlannedPose, path
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedCheck:
-    """Poses of a plan as a check. poses: in the order of the plan; state: the calibrated cell with the stations as planned; obs: what the
-    nominal cell would record, M centres, R = 3 M rows; prediction: by the calibrated cell with its effects; rows, changes: of the
-    e-process.
-    standing: artefacts stay where they stand between checks; otherwise each is placed anew, and its place is not judged.
+    """Poses of a plan as a check.
+
+    Attributes
+    ----------
+    poses : tuple[PlannedPose, ...]
+        In the order of the plan.
+    state : CellState
+        The calibrated cell with the stations as planned.
+    obs : Observations
+        The recording of the nominal cell: M centres, R = 3 M rows.
+    prediction : Prediction
+        Prediction by the calibrated cell with its effects.
+    rows, changes
+        Rows and changes of the e-process.
+    standing : bool
+        Artefacts stay where they stand between checks; otherwise each is placed anew, and its place is not judged.
     """
 
     poses: tuple[PlannedPose, ...]

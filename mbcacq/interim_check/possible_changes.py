@@ -24,9 +24,23 @@ LEAST = 1e-9  # of a column against the noise: below, the rows do not show it at
 
 @dataclass(frozen=True, kw_only=True)
 class PossibleChange:
-    """Something that may have changed. name: 'mastering', 'mount', 'artefact', 'link', 'tool', 'unnamed', or that of an effect; where: its
-    location; parameters, units: of its k coefficients; usual: (k,) their usual change; columns: (R, k) what that does to the rows.
-    weight: prior probability beside the others."""
+    """Something that may have changed.
+
+    Attributes
+    ----------
+    name : str
+        'mastering', 'mount', 'artefact', 'link', 'tool', 'unnamed', or that of an effect.
+    where : str
+        Its location.
+    parameters, units : tuple[str, ...]
+        Parameters and units of its k coefficients.
+    usual : ndarray
+        (k,) their usual change.
+    columns : ndarray
+        (R, k) what that does to the rows.
+    weight : float
+        Prior probability beside the others.
+    """
 
     name: str
     where: str

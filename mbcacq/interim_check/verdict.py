@@ -48,11 +48,31 @@ Noticed = Annotated[tuple[str, str, float, str], keyed("name", "where", "size", 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckVerdict:
-    """verdict: 'as_before' or 'changed'. log_e: of the e-process since the first check; log_e_calibration: of that since the
-    calibration; log_threshold: of either. suspects: the most probable one first, and all that are not told from it. since: index of the
-    first check after the change, most probably; between: the same, from and to with 90 %; None while nothing changed. noticed: what change
-    of each is noticed within a week with 90 %: (name, where, size, unit). noise: level of the noise that fits best, in that of the
-    calibration; day: of the changes from day to day, in the usual ones."""
+    """What a check says.
+
+    Attributes
+    ----------
+    verdict : str
+        'as_before' or 'changed'.
+    log_e : float
+        Logarithm of the e-process since the first check.
+    log_e_calibration
+        Logarithm of the e-process since the calibration.
+    log_threshold : float
+        Logarithm of the threshold of either.
+    suspects : tuple[Suspect, ...]
+        The most probable one first, and all that cannot be told apart from it.
+    since : Annotated[int or None, Field(exclude=True)]
+        Index of the first check after the change, most probably.
+    between
+        The same, from and to with 90 %; None while nothing changed.
+    noticed
+        The change of each that is noticed within a week with 90 %: (name, where, size, unit).
+    noise : Annotated[float, Field(alias=noise_level)]
+        Level of the noise that fits best, in that of the calibration.
+    day : Annotated[float, Field(alias=day_level)]
+        Level of the changes from day to day, in the usual ones.
+    """
 
     verdict: str
     log_e: float

@@ -20,10 +20,22 @@ SIMULATED = "simulated: the fake cell or a model made these data, no real arm wa
 class RobotModel:
     """Nominal arm. Arrays over the n axes; angles rad, lengths mm, masses kg.
 
-    limits: (n, 2) rad. speed, acceleration, jerk: (n,) rad/s, rad/s^2 and rad/s^3, or None where the source did not say.
-    com: (n, 3) mm, each in the frame of its link (behind its MD-H row). gear_ratio: (n,) or None.
-    payload_com: (3,) mm in the flange frame. gravity: (3,) unit vector in the base frame, pointing down. balancer: whether a spring or gas
-    balancer carries A2; None where the source does not say.
+    Attributes
+    ----------
+    limits : ndarray
+        (n, 2) rad.
+    speed, acceleration, jerk : ndarray or None
+        (n,) rad/s, rad/s^2 and rad/s^3, or None where the source did not say.
+    com : ndarray
+        (n, 3) mm, each in the frame of its link (behind its MD-H row).
+    gear_ratio : ndarray or None
+        (n,) or None.
+    payload_com : ndarray
+        (3,) mm in the flange frame.
+    gravity : ndarray
+        (3,) unit vector in the base frame, pointing down.
+    balancer : bool or None
+        Whether a spring or gas balancer carries A2; None where the source does not say.
     """
 
     name: str

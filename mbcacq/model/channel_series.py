@@ -11,9 +11,22 @@ import numpy as np
 class ChannelSeries:
     """One joint of one channel over T equidistant times.
 
-    channel: kind of channel ('tau', 'q_joint', 'q_set'). at: the joint, 'A2'. unit: 'deg' or 'N m'. recording: number among those of
-    ``MotionSeries``. time_s: (T,) on the recording's clock. measured: (T,) the torque, or the angle's difference from the one that it is
-    compared with. before, after: (T,) what the model says without and with the effects; NaN where nothing is compared.
+    Attributes
+    ----------
+    channel : str
+        Kind of channel ('tau', 'q_joint', 'q_set').
+    at : str
+        The joint, 'A2'.
+    unit : str
+        'deg' or 'N m'.
+    recording : int
+        Number among those of ``MotionSeries``.
+    time_s : ndarray
+        (T,) on the recording's clock.
+    measured : ndarray
+        (T,) the torque, or the angle's difference from the one that it is compared with.
+    before, after : ndarray
+        (T,) what the model says without and with the effects; NaN where nothing is compared.
     """
 
     channel: str

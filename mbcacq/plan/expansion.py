@@ -25,9 +25,18 @@ SAME_POSTURE = 1e-6  # rad, full turns aside
 
 @dataclass(frozen=True)
 class Target:
-    """One pose to take. T_base_flange: (4, 4), or ``q`` (n,) rad where the step gives joint angles; the other one is None.
+    """One pose to take.
 
-    balls: ids expected in view. wrist: sign asked of the last axis but one. where: path of the view, offset or joint vector in the YAML.
+    Attributes
+    ----------
+    T_base_flange : ndarray or None
+        (4, 4), or ``q`` (n,) rad where the step gives joint angles; the other one is None.
+    balls : tuple[int, ...]
+        Ids expected in view.
+    wrist : str
+        Sign asked of the last axis but one.
+    where : Path_
+        Path of the view, offset or joint vector in the YAML.
     """
 
     step: int

@@ -39,9 +39,26 @@ class Action:
 
 @dataclass(frozen=True)
 class Spacing:
-    """Sphere spacing errors at the verification artefact. place: k names; certified: (k,) mm; before, after: (k,) mm signed;
-    sigma: (k,) mm standard deviation that the fit expects, or None; limit: mm or None; more: further figures (label, text). independent:
-    the poses were held out of the fit. judging: (k,) mm standard uncertainty of judging each error, or None.
+    """Sphere spacing errors at the verification artefact.
+
+    Attributes
+    ----------
+    place : list[str]
+        The k names.
+    certified : ndarray
+        (k,) mm.
+    before, after : ndarray
+        (k,) mm signed.
+    sigma : ndarray or None
+        (k,) mm standard deviation that the fit expects, or None.
+    limit : float or None
+        mm or None.
+    more : list[tuple[str, str]]
+        Further figures (label, text).
+    independent : bool
+        The poses were held out of the fit.
+    judging : ndarray or None
+        (k,) mm standard uncertainty of judging each error, or None.
     """
 
     place: list[str]
@@ -90,8 +107,25 @@ class ParameterRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Residuals:
-    """Measured minus predicted. pose, ball: (M,) ids; phase: (M,) str; xyz: (M, 3) mm; weighted: (M, r), of unit variance if all is well,
-    or None; outlier: (M,) bool, left out of the fit, or None. station: (M,) str; q_deg: (M, n) joint angles of the pose."""
+    """Measured minus predicted.
+
+    Attributes
+    ----------
+    pose, ball : ndarray
+        (M,) ids.
+    phase : ndarray
+        (M,) str.
+    xyz : ndarray
+        (M, 3) mm.
+    weighted : ndarray or None
+        (M, r), of unit variance if all is well, or None.
+    outlier : ndarray or None
+        (M,) bool, left out of the fit, or None.
+    station : ndarray or None
+        (M,) str.
+    q_deg : ndarray or None
+        (M, n) joint angles of the pose.
+    """
 
     pose: np.ndarray
     ball: np.ndarray
@@ -136,9 +170,20 @@ class AccuracyGrid:
 class Devices:
     """Timing and health of the devices.
 
-    late: (k,) late answers counted by the controller at each cycle; period_ms: (k,) from cycle to cycle on this computer; exposure_s: (e,)
-    from one exposure to the next at a pose; state_s: (state, seconds spent in it); gaps: sentences on what the recording lacks and on
-    warnings; health: (quantity, lowest, highest, last).
+    Attributes
+    ----------
+    late : ndarray or None
+        (k,) late answers counted by the controller at each cycle.
+    period_ms : ndarray or None
+        (k,) from cycle to cycle on this computer.
+    exposure_s : ndarray or None
+        (e,) from one exposure to the next at a pose.
+    state_s : list[tuple[str, float]]
+        (state, seconds spent in it).
+    gaps : list[str]
+        Sentences on what the recording lacks and on warnings.
+    health : list[tuple[str, str, str, str]]
+        (quantity, lowest, highest, last).
     """
 
     late: np.ndarray | None = None
@@ -285,9 +330,23 @@ class ArmTypeContent:
 
 @dataclass(frozen=True, kw_only=True)
 class FleetContent:
-    """A fleet. outliers: (arm, recording, figure, difference, limit, their ratio); broken: (arm, recording, status, reason); verdicts,
-    effects: (name, how often). unlisted: how many outliers and broken recordings are in the table only. caveat: that data are simulated, ''
-    where none are. recordings: (arm, recording, date, poses, rms of the residuals, largest sphere spacing error, verdict or status)."""
+    """A fleet.
+
+    Attributes
+    ----------
+    outliers : list[tuple[str, str, str, str, str, str]]
+        (arm, recording, figure, difference, limit, their ratio).
+    broken : list[tuple[str, str, str, str]]
+        (arm, recording, status, reason).
+    verdicts, effects : list[tuple[str, str]]
+        (name, how often).
+    unlisted : int
+        Number of outliers and broken recordings that are in the table only.
+    caveat : str
+        A sentence that data are simulated; '' where none are.
+    recordings : list[tuple[str, ...]]
+        (arm, recording, date, poses, rms of the residuals, largest sphere spacing error, verdict or status).
+    """
 
     headlines: list[tuple[str, str, str]]
     outliers: list[tuple[str, str, str, str, str, str]]

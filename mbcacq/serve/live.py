@@ -17,10 +17,23 @@ LOG_LINES = 200
 
 @dataclass(frozen=True)
 class LiveProgress(AsJson):
-    """state: 'running'; 'uncertain' (a process left its name, and this system cannot say whether it still runs); 'ended' (all poses were
-    measured); 'stopped' (ended early, ``reason`` says why); 'broken off' (the journal just ends); 'none' (nothing was run here).
-    command, pid: of who runs it. done, total: poses. left_s: None where it is not known. what: in words, what it is at. simulated: no
-    real arm moves.
+    """How far a run is.
+
+    Attributes
+    ----------
+    state : str
+        'running'; 'uncertain' (a process left its name, and this system cannot say whether it still runs); 'ended' (all poses were
+        measured); 'stopped' (ended early, ``reason`` says why); 'broken off' (the journal just ends); 'none' (nothing was run here).
+    command, pid
+        Command and process that run it.
+    done, total : int
+        Numbers of poses.
+    left_s : float or None
+        None where it is not known.
+    what : str
+        The present step, in words.
+    simulated : bool
+        Whether no real arm moves.
     """
 
     state: str

@@ -22,8 +22,21 @@ MOST_BYTES = 64 << 20  # of one of these files; a result has a few
 
 @dataclass(frozen=True)
 class Overview:
-    """content: of the report, None where the run has no result. damaged: what is wrong with a file of it, or ''. best: the result that the
-    content is about, {} for none. started: date and time of the recording, as text. simulated: the result is of simulated data."""
+    """One run with its result, for the pages.
+
+    Attributes
+    ----------
+    content : Content or None
+        Content of the report, None where the run has no result.
+    damaged : str
+        What is wrong with a file of it, or ''.
+    best : Mapping[str, Any]
+        The result that the content is about, {} for none.
+    started : str
+        Date and time of the recording, as text.
+    simulated : bool
+        The result is of simulated data.
+    """
 
     content: Content | None = None
     damaged: str = ""

@@ -17,9 +17,23 @@ BETTER = 0.9  # of the error before: up to that a channel that is not at the noi
 
 @dataclass(frozen=True)
 class ModelParameter:
-    """One number of the model. name, where: of its block, e.g. 'friction' at joint 'A2'; parameter: with its unit; before, after: in the
-    model as it was given and as found; std: standard deviation, nan where none is known; p_value: of the block's difference from the
-    model as it was given; named: by the diagnosis, or else asked for by the residual that it left."""
+    """One number of the model.
+
+    Attributes
+    ----------
+    name, where : str
+        Name and location of its block, e.g. 'friction' at joint 'A2'.
+    parameter : str
+        Name of the parameter, with its unit.
+    before, after : Number
+        Value in the model as it was given and as found.
+    std : Number
+        Standard deviation, nan where none is known.
+    p_value : Number
+        The p-value of the block's difference from the model as it was given.
+    named : bool
+        Whether the diagnosis named it; otherwise the residual that it left asked for it.
+    """
 
     name: str
     where: str
@@ -64,9 +78,22 @@ class ModelCheck:
 class ModelMatch(AsJson):
     """A MuJoCo model with what was found in recordings.
 
-    model: the file that was given; xml: the model found, as MJCF. parameters: what changed. compared: 'runs' of the model by its servos,
-    'torques' along the recorded motion, or 'poses'. errors: by channel, each part of the recordings predicted by what was fitted to the
-    others. checks: on held-out recordings. remarks: what a model cannot hold, in sentences.
+    Attributes
+    ----------
+    model : str
+        The file that was given.
+    xml : str
+        The model found, as MJCF.
+    parameters : tuple[ModelParameter, ...]
+        The parameters that changed.
+    compared : str
+        'runs' of the model by its servos, 'torques' along the recorded motion, or 'poses'.
+    errors : tuple[ChannelError, ...]
+        Error of each channel; each part of the recordings is predicted by a fit to the others.
+    checks : tuple[ModelCheck, ...]
+        Checks on held-out recordings.
+    remarks : tuple[str, ...]
+        Sentences on effects that a model cannot hold.
     """
 
     model: str

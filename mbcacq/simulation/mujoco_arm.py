@@ -50,8 +50,21 @@ class RecordedSignal:
 
 @dataclass(frozen=True, eq=False)
 class MujocoArm:
-    """spec: the model, mujoco.MjSpec. joints: its hinges, axis 1 first. robot: the same arm as this program describes it; imported: how
-    its rows were made. servos: the number of the position servo of each axis, None where an axis has none."""
+    """An arm as a model of MuJoCo.
+
+    Attributes
+    ----------
+    spec : Any
+        The model, mujoco.MjSpec.
+    joints : tuple[str, ...]
+        Its hinges, axis 1 first.
+    robot : RobotModel
+        The same arm as this program describes it.
+    imported : ImportedRobot
+        How its rows were made.
+    servos : tuple[int, ...] or None
+        The number of the position servo of each axis, None where an axis has none.
+    """
 
     path: Path
     spec: Any

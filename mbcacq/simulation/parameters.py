@@ -24,11 +24,30 @@ ADDED_ROTOR = 1e-2  # of what a joint carries: MuJoCo needs a rotor in front of 
 class Block:
     """Coordinates x (k,) of a model that belong together, and how they are set.
 
-    name: of the mismatch; where: joint or body of the model. lower, upper: (k,) bounds; start: (k,) value in the model as it was given;
-    step: (k,) of a finite difference; sigma: (k,) prior standard deviation about the start; first: (k,) from which a search sets out;
-    absent: the model as it was given has nothing of it, and start is a guess.
-    prepare(spec) makes what is missing in the model, apply(spec, x) sets the values; values(x) are the same in the model's own terms, by
-    name with unit.
+    Attributes
+    ----------
+    name : str
+        Name of the mismatch.
+    where : str
+        Joint or body of the model.
+    lower, upper : ndarray
+        (k,) bounds.
+    start : ndarray
+        (k,) value in the model as it was given.
+    step : ndarray
+        (k,) of a finite difference.
+    sigma : ndarray
+        (k,) prior standard deviation about the start.
+    first : ndarray
+        (k,) from which a search sets out.
+    absent : bool
+        Whether the model as it was given lacks it; start is a guess then.
+    prepare : Callable
+        ``prepare(spec)`` adds missing parts to the model.
+    apply : Callable
+        ``apply(spec, x)`` sets the values.
+    values : Callable
+        ``values(x)`` are the coordinates in the model's own terms, by name with unit.
     """
 
     name: str

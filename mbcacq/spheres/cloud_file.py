@@ -27,9 +27,21 @@ SMALLEST_MM, LARGEST_MM = 5.0, 100e3  # of the largest coordinate: a field in mm
 
 @dataclass(frozen=True)
 class CloudFile:
-    """points: (N, 3) in the file's type and unit; properties: (N,) each, by name, of the points alone; missing: how many places of an
-    organised cloud hold no point and were left out; unit: of length, as the header states it, '' where it states none; viewpoint: whether
-    a PCD header gives a place of the sensor other than the origin."""
+    """The content of a file of points.
+
+    Attributes
+    ----------
+    points : ndarray
+        (N, 3) in the file's type and unit.
+    properties : dict[str, ndarray]
+        (N,) each, by name, of the points alone.
+    missing : int
+        How many places of an organised cloud hold no point and were left out.
+    unit : str
+        Unit of length, as the header states it, '' where it states none.
+    viewpoint : bool
+        Whether a PCD header gives a place of the sensor other than the origin.
+    """
 
     points: np.ndarray
     properties: dict[str, np.ndarray]

@@ -26,9 +26,18 @@ _STL_HEAD, _STL_FACET = 84, 50
 
 @dataclass(frozen=True)
 class CloudFormat:
-    """How a scanner's program writes its clouds. unit: of length; None for the one that a file states, else mm. axes: which of the file's
-    axes are x, y, z of the plan's scanner frame, such as 'x -y -z'. range_map: of TIFF files, mm from column to column, mm from row to
-    row, mm per count, mm at count 0; 0 counts and no number are no point."""
+    """How a scanner's program writes its clouds.
+
+    Attributes
+    ----------
+    unit : str or None
+        Unit of length; None for the one that a file states, else mm.
+    axes : str
+        The file's axes that are x, y, z of the plan's scanner frame, such as 'x -y -z'.
+    range_map : tuple[float, float, float, float] or None
+        Range map of TIFF files, mm from column to column, mm from row to row, mm per count, mm at count 0; 0 counts and no number are no
+        point.
+    """
 
     unit: str | None = None
     axes: str = "x y z"

@@ -15,12 +15,24 @@ CREDIBLE_SIGMAS = 6.0  # of a centre against its certificate: far in the tail of
 class SphereOptions:
     """Limits of sphere extraction. Lengths mm, angles rad.
 
-    max_incidence: points whose surface normal is further from the line of sight are omitted (grazing, edge and mixed points).
-    max_noise: largest credible noise of a point along the normal. min_points, min_coverage: a ball with fewer points, or less of the
-    cap up to ``max_incidence`` covered, is refused. radius_tolerance: relative; how far the freely fitted radius may be off.
-    centre_tolerance: how far a ball may be from its certified position and still be recognised; scale_tolerance: relative; the same
-    for all lengths together (scanner scale, temperature). centre_sigma: systematic part of a centre's uncertainty, for telling
-    two assignments apart. view: (3,) direction from the balls to the scanner, or None to take it from the data.
+    Attributes
+    ----------
+    max_incidence : float
+        Points whose surface normal is further from the line of sight are omitted (grazing, edge and mixed points).
+    max_noise : float
+        Largest credible noise of a point along the normal.
+    min_points, min_coverage
+        A ball with fewer points, or less of the cap up to ``max_incidence`` covered, is refused.
+    radius_tolerance : float
+        Relative; how far the freely fitted radius may be off.
+    centre_tolerance : float
+        How far a ball may be from its certified position and still be recognised.
+    scale_tolerance : float
+        Relative; the same for all lengths together (scanner scale, temperature).
+    centre_sigma : float
+        Systematic part of a centre's uncertainty, for telling two assignments apart.
+    view : tuple[float, float, float] or None
+        (3,) direction from the balls to the scanner, or None to take it from the data.
     """
 
     max_incidence: float = np.radians(65.0)
@@ -50,9 +62,22 @@ class SphereOptions:
 class FoundSpheres:
     """Balls recognised in one cloud, in the order of the certificate.
 
-    ball: (k,) certificate ids. xyz: (k, 3) float64 mm, scanner frame. n_points: (k,) points that carried the fit. rms_mm: (k,) of their
-    distances to the sphere. covariance: (k, 3, 3) mm^2 of each centre, from the fit. radius_error_mm: (k,) freely fitted minus certified
-    radius. refused: (reason, centre) of what looked like a ball and was not used; the centre is (3,) mm, or None where it has none.
+    Attributes
+    ----------
+    ball : ndarray
+        (k,) certificate ids.
+    xyz : ndarray
+        (k, 3) float64 mm, scanner frame.
+    n_points : ndarray
+        (k,) points that carried the fit.
+    rms_mm : ndarray
+        (k,) of their distances to the sphere.
+    covariance : ndarray
+        (k, 3, 3) mm^2 of each centre, from the fit.
+    radius_error_mm : ndarray
+        (k,) freely fitted minus certified radius.
+    refused : list[tuple[str, ndarray or None]]
+        (reason, centre) of what looked like a ball and was not used; the centre is (3,) mm, or None where it has none.
     """
 
     ball: np.ndarray

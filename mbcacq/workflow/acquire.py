@@ -95,9 +95,23 @@ def solver_cell(loaded: LoadedPlan) -> Cell:
 
 @dataclass(kw_only=True)
 class Acquisition:
-    """A checked path to execute, and the folder of its recording. part: number of the recording (0, but for a resumed run); done: numbers
-    of the poses to pass over; cell: which cell is driven, in words, so that a resumed run stays with it; simulated: it is a fake one;
-    corrected: the targets, where a calibrated arm steers; weighed: what an investigation knows before these poses."""
+    """A checked path to execute, and the folder of its recording.
+
+    Attributes
+    ----------
+    part : int
+        Number of the recording (0, but for a resumed run).
+    done : frozenset[int]
+        Numbers of the poses to pass over.
+    cell : str
+        The cell that is driven, in words, so that a resumed run stays with it.
+    simulated : bool
+        Whether the cell is a fake one.
+    corrected : CorrectedTargets or None
+        The targets, where a calibrated arm steers.
+    weighed : WeighedPoses or None
+        Knowledge of an investigation before these poses.
+    """
 
     loaded: LoadedPlan
     poses: Sequence[PlannedPose]

@@ -24,9 +24,22 @@ LARGE_CHANGE_DEG = 2.0  # of a joint: more than any calibration of an arm in goo
 class CorrectedPoint:
     """One point of a file.
 
-    line: where it stands. q_deg: the corrected angles. before_mm: by how much the arm misses its nominal place with the programmed angles,
-    None where none are programmed; residual_mm, residual_deg: by how much it does with the corrected ones, by the model.
-    largest_change_deg: of a joint, None where none are programmed. reached: whether the point is corrected; reason: why not.
+    Attributes
+    ----------
+    line : int
+        Where it stands.
+    q_deg : tuple[float, ...]
+        The corrected angles.
+    before_mm : float or None
+        Distance by which the arm misses its nominal place with the programmed angles; None where none are programmed.
+    residual_mm, residual_deg : float
+        Distance and angle by which it misses with the corrected ones, by the model.
+    largest_change_deg : float or None
+        Largest change of a joint, None where none are programmed.
+    reached : bool
+        Whether the point is corrected.
+    reason : str
+        Why the point is not corrected.
     """
 
     name: str

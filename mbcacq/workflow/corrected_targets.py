@@ -30,9 +30,21 @@ CalibratedArm = CalibratedCell | dict[str, Any] | Path | str
 
 @dataclass(frozen=True)
 class CorrectedTargets:
-    """result: SHA-256 of the calibration that steers. nominal, corrected: (P, n) rad of all poses of the plan. moved_mm: (P,) by how much
-    the calibrated arm misses its place with the nominal angles. noise_mm: (P,) 3D standard deviation of a point measured there. took_part:
-    (P,) bool, whether the calibration was made with a pose there; None: not known."""
+    """Targets by which the calibrated arm reaches the planned places.
+
+    Attributes
+    ----------
+    result : str
+        SHA-256 of the calibration that steers.
+    nominal, corrected : Matrix
+        (P, n) rad of all poses of the plan.
+    moved_mm : Vector
+        (P,) by how much the calibrated arm misses its place with the nominal angles.
+    noise_mm : Vector
+        (P,) 3D standard deviation of a point measured there.
+    took_part : Annotated[ndarray, as_list(list[bool])] or None
+        (P,) bool, whether the calibration was made with a pose there; None: not known.
+    """
 
     result: str
     nominal: Matrix

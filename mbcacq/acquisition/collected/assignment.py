@@ -27,9 +27,23 @@ class Slot:
 
 @dataclass(frozen=True)
 class CloudAssignment:
-    """cloud: for each slot the index of its cloud, or None. spare: clouds without slot. moved: clouds that fit their slot only out of order
-    (index of the cloud -> index of the slot where its order would put it, or None). distances: (C, P) mm, see PlacementFit. cost: a slot,
-    on average. near_mm: how far a cloud may be from its pose."""
+    """Which cloud belongs to which slot of a run.
+
+    Attributes
+    ----------
+    cloud : tuple[int or None, ...]
+        For each slot the index of its cloud, or None.
+    spare : tuple[int, ...]
+        Clouds without slot.
+    moved : dict[int, int or None]
+        Clouds that fit their slot only out of order (index of the cloud -> index of the slot where its order would put it, or None).
+    distances : ndarray
+        (C, P) mm, see PlacementFit.
+    cost : float
+        Mean cost of a slot.
+    near_mm : float
+        How far a cloud may be from its pose.
+    """
 
     cloud: tuple[int | None, ...]
     spare: tuple[int, ...]

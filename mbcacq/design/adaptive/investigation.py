@@ -61,12 +61,28 @@ class Budget:
 class Decision:
     """One look and what follows from it.
 
-    number: 0, 1 ..; poses, moves, seconds: measured and needed until then. verdict, log_e_value: of the evidence; sets: those that are not
-    excluded, in words, with their odds against the first. excluded: share of the effects of the catalogue that are excluded at the size
-    that matters; further: odds of a further effect beside the most probable set; hiding: the effects that could hide, each as large as it
-    is not excluded, in usual sizes.
-    reasons: what is asked of the next visit. steps: that visit as steps of a plan; none at the end. end: why the investigation ended, ''
-    while it goes on.
+    Attributes
+    ----------
+    number : int
+        0, 1 ..
+    poses, moves, seconds
+        Measured and needed until then.
+    verdict, log_e_value
+        Verdict and logarithm of the e-value.
+    sets : tuple[tuple[str, float], ...]
+        Those that are not excluded, in words, with their odds against the first.
+    excluded : float
+        Share of the effects of the catalogue that are excluded at the size that matters.
+    further : float
+        Odds of a further effect beside the most probable set.
+    hiding : tuple[tuple[str, float], ...]
+        The effects that could hide, each as large as it is not excluded, in usual sizes.
+    reasons : tuple[str, ...]
+        Questions to the next visit.
+    steps : Steps
+        That visit as steps of a plan; none at the end.
+    end : str
+        Why the investigation ended, '' while it goes on.
     """
 
     number: int

@@ -32,8 +32,16 @@ MOST_NAMED = 3  # effects that a sentence names
 class NextPoses:
     """The visits that decide most of what a recording leaves open, in their order; none where nothing reachable would.
 
-    open_pairs: sets of effects that are not told apart. futile: whether nothing that can be reached tells them apart. hidden: effects, as
-    ``name:where``, that could still hide and that the visits show; shown: those that all that can be reached would show.
+    Attributes
+    ----------
+    open_pairs : tuple[OpenPair, ...]
+        Sets of effects that are not told apart.
+    futile : bool
+        Whether nothing that can be reached tells them apart.
+    hidden : tuple[str, ...]
+        Effects, as ``name:where``, that could still hide and that the visits show.
+    shown : frozenset[str]
+        Those that all that can be reached would show.
     """
 
     visits: tuple[Visit, ...]

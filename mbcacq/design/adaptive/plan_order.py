@@ -29,8 +29,21 @@ AT_ONCE = 8  # poses that are left out together while there are twice as many as
 
 @dataclass(frozen=True)
 class PlanOrder:
-    """text: YAML of the ordered plan. poses: chosen ones; blocks: how many in each block. shares: of the information (mean over all effects
-    of log(1 + information)) of the whole given plan, that the poses up to the end of each block have. tried: poses to choose from.
+    """A plan whose poses stand in the order of their information.
+
+    Attributes
+    ----------
+    text : str
+        YAML of the ordered plan.
+    poses : int
+        Number of chosen poses.
+    blocks : tuple[int, ...]
+        Number of poses in each block.
+    shares : tuple[float, ...]
+        Shares of the information (mean over all effects of log(1 + information)) of the whole given plan, that the poses up to the end of
+        each block have.
+    tried : int
+        Number of poses to choose from.
     """
 
     text: str

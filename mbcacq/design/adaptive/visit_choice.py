@@ -42,8 +42,20 @@ class VisitCosts:
 
 @dataclass(frozen=True, kw_only=True)
 class Visit:
-    """poses: to be measured at the station, in this order. gain: log odds between sets that are expected to be gained, as far as they are
-    needed; value: with all else that it shows; seconds: it takes; moves: of the artefact, 0 or 1.
+    """Poses at one station that are measured next.
+
+    Attributes
+    ----------
+    poses : tuple[PlannedPose, ...]
+        To be measured at the station, in this order.
+    gain : float
+        Log odds between sets that are expected to be gained, as far as they are needed.
+    value : float
+        The gain with everything else that the visit shows.
+    seconds : float
+        Time that the visit takes.
+    moves : int
+        Moves of the artefact, 0 or 1.
     """
 
     station: str

@@ -58,12 +58,26 @@ class FittedEffect:
 class MotionFit:
     """A group of channels with the effects found.
 
-    residual_before, residual_after: with the base alone and with all effects; used: which samples count. links: torque by which the
-    links differ from their description, as fitted; load_uncertainty: (J,) relative standard deviation of the torque that passes the
-    gear. sets: of effects that were compared. load_alternatives: other loads that they do not exclude.
-    inertial: (b, 10) parameters of the links and of the tool
-    that was found (``geometry.dynamics.INERTIAL``), None for another channel. held_out_before, held_out_after, train_before,
-    train_after: (J,) mean squares; floor: (J,) standard deviation of the channels' noise.
+    Attributes
+    ----------
+    residual_before, residual_after : ByRun
+        Residuals with the base alone, and with all effects.
+    used : ByRun
+        The samples that count.
+    links : ByRun
+        Torque by which the links differ from their description, as fitted.
+    load_uncertainty : ndarray
+        (J,) relative standard deviation of the torque that passes the gear.
+    sets : RankedSets or None
+        Sets of effects that were compared.
+    load_alternatives : list[NotSeparable]
+        Other loads that they do not exclude.
+    inertial : ndarray or None
+        (b, 10) parameters of the links and of the tool that was found (``geometry.dynamics.INERTIAL``), None for another channel.
+    held_out_before, held_out_after, train_before, train_after : ndarray
+        (J,) mean squares.
+    floor : ndarray
+        (J,) standard deviation of the channels' noise.
     """
 
     group: ChannelGroup

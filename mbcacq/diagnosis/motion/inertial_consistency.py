@@ -31,8 +31,16 @@ ROUNDS = 200  # of the solver; it stops earlier where it converges
 class InertialBodies:
     """The links of the description, then the tool that was found, if any.
 
-    described: (b, 10) parameters of the description; scale: (b, 10) of one unit of a coefficient, zero where a parameter is not free;
-    at: (b, 10) positions of the coefficients among those chosen, -1 where not free; rotors: positions of the rotors' coefficients.
+    Attributes
+    ----------
+    described : ndarray
+        (b, 10) parameters of the description.
+    scale : ndarray
+        (b, 10) of one unit of a coefficient, zero where a parameter is not free.
+    at : ndarray
+        (b, 10) positions of the coefficients among those chosen, -1 where not free.
+    rotors : ndarray
+        Positions of the rotors' coefficients.
     """
 
     described: np.ndarray

@@ -29,10 +29,15 @@ class ErrorBeforeAfter:
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """How well one joint of one channel is explained. unit: 'deg' or 'N m', also of noise_floor (one standard deviation).
+    """How well one joint of one channel is explained.
 
-    refused_rms: held-out rms of a model that made this joint worse and is refused there (then ``held_out`` is the same before and after);
-    None where the model is kept.
+    Attributes
+    ----------
+    unit : str
+        'deg' or 'N m', also of noise_floor (one standard deviation).
+    refused_rms : float or None
+        Held-out rms of a model that made this joint worse and is refused there (then ``held_out`` is the same before and after); None where
+        the model is kept.
     """
 
     channel: str

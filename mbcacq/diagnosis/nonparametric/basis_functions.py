@@ -23,9 +23,20 @@ XYZ = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Shape:
-    """depends_on: name of the covariate. columns: k functions of the pose, or of the centre, centred and of unit size; values: the same at
-    the poses (P, k), or centres (M, k); weight: (k,) relative prior sigma of each. at: name of the location, where several share their
-    components.
+    """Basis functions of one covariate.
+
+    Attributes
+    ----------
+    depends_on : str
+        Name of the covariate.
+    columns : tuple[Column, ...]
+        K functions of the pose, or of the centre, centred and of unit size.
+    values : ndarray
+        The same at the poses (P, k), or centres (M, k).
+    weight : ndarray
+        (k,) relative prior sigma of each.
+    at : str
+        Name of the location, where several share their components.
     """
 
     depends_on: str

@@ -19,9 +19,22 @@ from mbcacq.estimation.terms import PER_POSE
 
 @dataclass(frozen=True)
 class Location:
-    """name: as in the contract. keys: (place, index, component) of its unit columns; mix: (c, len(keys)), components as combinations of
-    them. variants: which components may move together, each a tuple of rows of mix. frame: whose gravity moment acts here. joint: index of
-    the joint there, or before it.
+    """Where an unmodelled effect can act.
+
+    Attributes
+    ----------
+    name : str
+        Name as in the contract.
+    keys : tuple[tuple[str, int, int], ...]
+        (place, index, component) of its unit columns.
+    mix : ndarray
+        (c, len(keys)), components as combinations of them.
+    variants : tuple[tuple[int, ...], ...]
+        Components that may move together, each a tuple of rows of mix.
+    frame : int
+        The frame whose gravity moment acts here.
+    joint : int
+        Index of the joint there, or before it.
     """
 
     name: str

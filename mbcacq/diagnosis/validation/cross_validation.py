@@ -19,9 +19,18 @@ from mbcacq.diagnosis.workers import WorkerPool
 class CrossValidation:
     """Scores on data left out.
 
-    before, after: with geometry alone and with the model. split: how the data were left out. without: the model without one effect, by its
-    name, or 'name:location' of one at several; without random effects at a location, by 'unknown:LOCATION'. parametric: where random
-    effects at all locations could explain what parametric ones do, the model without these; each effect's gain is then measured against it.
+    Attributes
+    ----------
+    before, after : PredictiveScore
+        Scores with geometry alone and with the model.
+    split : str
+        How the data were left out.
+    without : dict[str, PredictiveScore]
+        The model without one effect, by its name, or 'name:location' of one at several; without random effects at a location, by
+        'unknown:LOCATION'.
+    parametric : PredictiveScore or None
+        Where random effects at all locations could explain what parametric ones do, the model without these; each effect's gain is then
+        measured against it.
     """
 
     before: PredictiveScore

@@ -42,9 +42,16 @@ class ProgrammedPoint:
 
 @dataclass(frozen=True)
 class RobotProgram:
-    """points: the absolute joint targets. left_alone: name, line and reason of each that looks like one and stays as it is.
+    """The joint targets of a controller's program.
 
-    coupling: (n, n), the joint angles of the arm's description from those of the program, where a controller counts them otherwise.
+    Attributes
+    ----------
+    points : tuple[ProgrammedPoint, ...]
+        The absolute joint targets.
+    left_alone : tuple[LeftAlone, ...]
+        Name, line and reason of each that looks like one and stays as it is.
+    coupling : ndarray or None
+        (n, n), the joint angles of the arm's description from those of the program, where a controller counts them otherwise.
     """
 
     text: str

@@ -32,8 +32,19 @@ LIKE_A_JAW = 2.2, 0.2  # rad: the range of a last joint that opens from nearly z
 
 @dataclass(frozen=True)
 class TreeJoint:
-    """kind: 'revolute', 'continuous', 'prismatic', 'fixed' or what the format calls another. lower, upper: rad, nan where unknown.
-    follows: name of the joint whose motion this one copies, '' for a free one. bare: whether its child is a frame without any shape."""
+    """A joint of a kinematic tree.
+
+    Attributes
+    ----------
+    kind : str
+        'revolute', 'continuous', 'prismatic', 'fixed' or what the format calls another.
+    lower, upper : float
+        rad, nan where unknown.
+    follows : str
+        Name of the joint whose motion this one copies, '' for a free one.
+    bare : bool
+        Whether its child is a frame without any shape.
+    """
 
     name: str
     kind: str

@@ -41,8 +41,17 @@ class StandstillSpec(Strict):
 
 
 class BagSpec(Strict):
-    """file: a rosbag2 folder or an .mcap file, beside cell.yaml; joints: names in the order of the axes;
-    if not given, that which the names tell, or that of the message. target_frame: child frame of the target, where its topic is /tf."""
+    """Where a bag holds angles and targets.
+
+    Attributes
+    ----------
+    file : str
+        A rosbag2 folder or an .mcap file, beside cell.yaml.
+    joints : tuple[str, ...]
+        Names in the order of the axes; if not given, that which the names tell, or that of the message.
+    target_frame : str or None
+        Child frame of the target, where its topic is /tf.
+    """
 
     file: str
     joint_states: str = "/joint_states"

@@ -23,10 +23,25 @@ SHOWN = 60  # characters of a value
 
 @dataclass(frozen=True, kw_only=True)
 class KeptPlan:
-    """plan: its YAML; files: name -> text of the files it names; cell: which cell was driven. None for what neither the folder nor its
-    recordings say. path: where the plan was read from, in runs of today. corrected: of a run that a calibrated arm steers, its targets.
-    grown_from: number of poses that the plan had before others were added.
-    repairs: one sentence for each file that had to be restored or is lost."""
+    """The plan that a run folder holds.
+
+    Attributes
+    ----------
+    plan : str or None
+        Its YAML.
+    files : Mapping[str, str] or None
+        Name -> text of the files it names.
+    cell : str or None
+        The cell that was driven. Fields are None if neither the folder nor its recordings state them.
+    path : str or None
+        Where the plan was read from, in runs of today.
+    corrected : Mapping[str, Any] or None
+        Corrected of a run that a calibrated arm steers, its targets.
+    grown_from : int or None
+        Number of poses that the plan had before others were added.
+    repairs : tuple[str, ...]
+        One sentence for each file that had to be restored or is lost.
+    """
 
     plan: str | None
     files: Mapping[str, str] | None
