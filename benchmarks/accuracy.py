@@ -84,10 +84,10 @@ def stated_sigma(calibration, ends) -> np.ndarray:
 def efficiency(given: argparse.Namespace) -> None:
     """Monte Carlo: how near the estimator comes to the Cramer-Rao bound, and how far the paper's method is from it.
 
-    Each cell has its own errors of the size of the paper's Table 1, stations and poses (the paper's plan: 6 translations, 6
-    orientations, 8 positions by 8 orientations); each is measured several times with fresh noise. Judged at ten places of a 500 mm bar,
-    without noise of the verification itself: error of the bar's length as the calibrated cell would see it, against its standard
-    deviation by the inverse of the information at the truth.
+    Each cell has its own errors of the size of the paper's Table 1, stations and poses (the paper's plan: 6 translations, 6 orientations, 8
+    positions by 8 orientations). Each is measured several times with fresh noise. The judgement is made at ten places of a 500 mm bar,
+    without noise of the verification itself. The error of the bar's length as the calibrated cell would see it is compared with its
+    standard deviation by the inverse of the information at the truth.
     """
     square, limit, ours, inside, count = [], [], [], 0, 0
     theirs: dict[str, list[tuple[float, float]]] = {pairs: [] for pairs in PAIRS}

@@ -7,13 +7,13 @@
     python benchmarks/check.py year [--years 3]           the rest of the year for those that are not noticed within a month
     python benchmarks/check.py page                       the figures of all as benchmarks/check.md
 
-A cell is calibrated from a recording of plans/seeing.yaml by the array path (the fake cell's world without protocols), its twelve poses
-are chosen, and days of these are recorded by the same path: a pool of days as they are, and for each change and each of its sizes its
-trace, the difference of two days of one noise with and without it. The days of a year are put together of poses of the pool, with a random
-sign of their noise, and what changes from day to day is added to them; a change stands from day 30 on.
-Years without a change are looked at daily until day 60 and every tenth day from then on, or on all days (``daily``); years with one daily
-from the change for a month, and the rest of the year in steps that grow by a tenth (``year``). For changes more than twenty checks back the
-simulation takes every fifth with the weight of five. Figures are kept in runs/check-benchmark, so that a call goes on where another ended.
+A cell is calibrated from a recording of plans/seeing.yaml by the array path (the fake cell's world without protocols), and its twelve poses
+are chosen. Days of these are recorded by the same path. There is a pool of days as they are, and a trace for each change and each of its
+sizes, the difference of two days of one noise with and without it. The days of a year are put together of poses of the pool, with a random
+sign of their noise, and the changes from day to day are added to them. A change stands from day 30 on. Years without a change are looked at
+daily until day 60 and every tenth day from then on, or on all days (``daily``). Years with a change are looked at daily from the change for
+a month, and the rest of the year in steps that grow by a tenth (``year``). For changes more than twenty checks back the simulation takes
+every fifth with the weight of five. Figures are kept in runs/check-benchmark, so that a call goes on where another ended.
 """
 
 from __future__ import annotations

@@ -117,8 +117,8 @@ def time_row(name: str, data: Path, kind: str) -> str:
 def times(given: argparse.Namespace) -> None:
     """Time and memory of ``mbcacq diagnose`` as whole processes, start of the interpreter included.
 
-    Made recordings: ``plans/seeing.yaml``, 128 poses before balls and bar (605 centres), and 128 poses at 16 stations that see all
-    eight balls (1024 centres), with nothing, one and two effects concealed, and one without a name. --tracker: a long recording besides.
+    Made recordings: ``plans/seeing.yaml``, 128 poses before balls and bar (605 centres), and 128 poses at 16 stations that see all eight
+    balls (1024 centres). They conceal nothing, one and two effects, and one without a name. --tracker: a long recording besides.
     """
     recordings = [(name, partial(made, effect, seed)) for name, effect, seed in CASES]
     recordings += [(f"all balls seen, {name}", partial(all_seen, effects)) for name, effects in ALL_SEEN]
@@ -329,9 +329,9 @@ def with_scanner(name: str, seed: int, stations: int = 12) -> Observations:
 def heavy_arms(given: argparse.Namespace) -> None:
     """Heavy arms at rest: how much of the kinematic model's error the diagnosis removes where everything elastic acts at once.
 
-    Cells of the fake world, which shares no code with the diagnosis: a KR 210 and a KR 300 with their published masses and 150 kg at
-    the flange; soft gearboxes at A2, A3 and A5, one with lost motion, friction under load, a gas balancer, a base that tilts, a gear
-    error. Measured by a tracker (a target on the flange, 15 um) and by a scanner (an eight-ball artefact at ten places, 5 to 9 um).
+    Cells of the fake world, which shares no code with the diagnosis: a KR 210 and a KR 300 with their published masses and 150 kg at the
+    flange. They have soft gearboxes at A2, A3 and A5, one with lost motion, friction under load, a gas balancer, a base that tilts, and a
+    gear error. Measured by a tracker (a target on the flange, 15 um) and by a scanner (an eight-ball artefact at ten places, 5 to 9 um).
     Errors are those on held-out stations or blocks of poses. For comparison: 54.9 % is published for an arm of this class.
     """
     rows, shares = [], []

@@ -131,8 +131,8 @@ def study(plan: Path, seed: int, protocols: bool) -> list[str]:
 
 
 def by_noise_alone(plan: Path, seed: int, folder: Path | None, options: mbcacq.CalibrationOptions) -> list[str]:
-    """What noise leaves where nothing is concealed and geometry is calibrated: of the bar, from centres and from clouds; and chi2 per
-    degree of freedom of a second run, which the uncertainty of the calibration is in as well.
+    """Errors from noise alone, with nothing concealed and geometry calibrated. They are those of the bar, from centres and from clouds, and
+    chi2 per degree of freedom of a second run. The latter contains the uncertainty of the calibration as well.
     """
     calm = recorded(plan, seed, folder, hidden=[])
     cell = mbcacq.calibrate(calm, options)
@@ -160,12 +160,12 @@ HEADER = (
 def loop(given: argparse.Namespace) -> None:
     """What a diagnosis finds comes back: a cell with concealed compliance and gear errors, calibrated with and without what was found.
 
-    For each seed a fake cell conceals an elastic A2 and A3 and a wavy A4. It is recorded (by arrays; with --protocols through its
-    servers, with clouds), calibrated as geometry, diagnosed, and calibrated with the effects. Printed are sphere spacing errors of
-    the bar, which took part in no fit, from measured centres and, with --protocols, from the clouds themselves brought into the base
-    as ``mbcacq apply`` does; and the centres of a second run of the same cell at other poses, with other noise, predicted by the
-    simulation with everything held (chi2 per degree of freedom under the stated noise). Beside it stands what noise alone leaves: the
-    same of a run that conceals nothing, calibrated as geometry.
+    For each seed a fake cell conceals an elastic A2 and A3 and a wavy A4. It is recorded (by arrays; with --protocols through its servers,
+    with clouds), calibrated as geometry, diagnosed, and calibrated with the effects. Two figures are printed. The first is the sphere
+    spacing errors of the bar, which took part in no fit: from measured centres and, with --protocols, from the clouds themselves brought
+    into the base as ``mbcacq apply`` does. The second is about the centres of a second run of the same cell at other poses, with other
+    noise. The simulation predicts them with everything held (chi2 per degree of freedom under the stated noise). Beside it stands what
+    noise alone leaves: the same of a run that conceals nothing, calibrated as geometry.
     """
     rows = [HEADER, "|---" * 13 + "|"]
     print(*rows, sep="\n", flush=True)
@@ -252,11 +252,11 @@ def steered(given: argparse.Namespace) -> None:
     """The arm steered by its calibrated model: true errors at 50 new places, as it is, corrected by geometry, and with effects.
 
     A fake cell conceals an elastic A2 and A3 and a wavy A4 besides its errors of geometry. It is recorded at the places of
-    plans/seeing.yaml by the array path, calibrated, diagnosed, and calibrated with what was found. Then it is sent to 50 other
-    places, by ``mbcacq.run`` against the fake cell at the wire of each driver: with the plan's own targets, with targets corrected by
-    the geometry, and by geometry and effects. The true flange of every recorded pose (the world's own arm, with all it conceals) is
-    compared with the place that was meant. Base and tool are adjusted to the 50 places, as a user who teaches a base and a tool does;
-    repeatability is that of one arrival, by two at the same joint angles.
+    plans/seeing.yaml by the array path, calibrated, diagnosed, and calibrated with what was found. Then it is sent to 50 other places, by
+    ``mbcacq.run`` against the fake cell at the wire of each driver. The targets are the plan's own, those corrected by the geometry, and
+    those corrected by geometry and effects. The true flange of every recorded pose (the world's own arm, with all it conceals) is compared
+    with the place that was meant. Base and tool are adjusted to the 50 places, as a user who teaches a base and a tool does; repeatability
+    is that of one arrival, by two at the same joint angles.
     """
     given.out.mkdir(parents=True, exist_ok=True)
     results = given.out / "geometry.json", given.out / "effects.json"

@@ -4,7 +4,7 @@
     python benchmarks/exported_files.py [DIR]
 
 Writes the files as the programs write them, from cells whose truth is known, runs the commands on them one after the other and prints a
-table: program, commands, seconds, what was found and how far it is from the truth.
+table. Its columns are program, commands, seconds, result and distance from the truth.
 """
 
 from __future__ import annotations

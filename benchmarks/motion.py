@@ -156,10 +156,9 @@ def excitation_page(rows: list[dict[str, Any]]) -> str:
 def excitation(given: argparse.Namespace) -> None:
     """A balancer that a small motion hides behind the masses of the arm, and the motion designed to show it.
 
-    The arm (MuJoCo behind the fake drives) has a balancer at A2 that nobody described, and masses that differ from their description.
-    It is recorded over 27 deg to either side of A2's home, diagnosed, then twice along the motion that ``mbcacq plan design --motion``
-    makes of that recording, and diagnosed again with all three: what is learnt of a motion must be predicted by another. Three arms
-    take some two minutes.
+    The arm (MuJoCo behind the fake drives) has a balancer at A2 that nobody described, and masses that differ from their description. It is
+    recorded over 27 deg to either side of A2's home, diagnosed, then twice along the motion that ``mbcacq plan design --motion`` makes of
+    that recording, and diagnosed again with all three. A model learnt on one motion must predict another. Three arms take some two minutes.
     """
     rows = []
     for seed in given.seeds:

@@ -199,9 +199,9 @@ def columns(rates, motor, links, payload, law, j):
 def kr300(given: argparse.Namespace) -> None:
     """An independent fit of the KR 300's torque, to compare the diagnosis with: nothing of mbcacq is used.
 
-    The masses are those of cell.yaml and stay fixed; a point mass hangs 100 mm in front of the flange; the gas balancer of A2 is off,
-    as the source of the data publishes it (isothermal gas, two anchor points), or that with a free factor. Per joint an offset,
-    Coulomb and viscous friction and the rotor are fitted by least squares on one trajectory and tested on the other.
+    The masses are those of cell.yaml and stay fixed. A point mass hangs 100 mm in front of the flange. The gas balancer of A2 is off, as
+    the source of the data publishes it (isothermal gas, two anchor points), or that with a free factor. Per joint an offset, Coulomb and
+    viscous friction and the rotor are fitted by least squares on one trajectory and tested on the other.
     """
     from scipy.signal import savgol_filter
 

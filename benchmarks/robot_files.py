@@ -3,10 +3,11 @@
     pip install pin                                        # pinocchio; without it URDF files are imported and not compared
     python benchmarks/robot_files.py DIR [DIR ...] [--all] [--package NAME=DIR]
 
-Takes every .urdf, .xacro, .mjcf and .xml with <robot> or <mujoco> below the folders. Prints what was refused and why, and per kind: files,
-imported and right (20 random vectors of joint angles within 1e-3 mm and 1e-6 rad of the reference), imported and not compared, wrong;
-several arms, each of which is right when ``--flange`` names it; no arm; refused although something in it may be an arm. Meshes that are
-not there are replaced by a small body for MuJoCo, whose kinematics they do not change.
+Takes every .urdf, .xacro, .mjcf and .xml with <robot> or <mujoco> below the folders. Prints the refused files with their reasons, and
+counts per kind. The counts are files, imported and right (20 random vectors of joint angles within 1e-3 mm and 1e-6 rad of the reference),
+imported and not compared, and wrong. Further ones are several arms, each of which is right when ``--flange`` names it, no arm, and refused
+although something in it may be an arm. Meshes that are not there are replaced by a small body for MuJoCo, whose kinematics they do not
+change.
 """
 
 from __future__ import annotations

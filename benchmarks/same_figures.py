@@ -3,10 +3,10 @@
     python benchmarks/same_figures.py record FOLDER [--shared ../shared/data] [--only TEXT]
     python benchmarks/same_figures.py compare BEFORE AFTER
 
-``record`` runs the commands below and keeps what they print, one file a command. ``compare`` takes the numbers out of two such
-folders, in their order, and names every command of which one differs. Times, dates, paths and process ids are left out of
-the comparison; words are too, so that a sentence may change but a figure may not. What went over the wire of a dry run is compared
-to one part in ten million: the arm's position at the exposure depends on the cycle in which it arrived, and that on the machine.
+``record`` runs the commands below and keeps what they print, one file a command. ``compare`` takes the numbers out of two such folders, in
+their order, and names every command of which one differs. Times, dates, paths and process ids are left out of the comparison; words are
+too, so that a sentence may change but a figure may not. What went over the wire of a dry run is compared to one part in ten million. The
+arm's position at the exposure depends on the cycle in which it arrived, and that on the machine.
 """
 
 from __future__ import annotations

@@ -41,10 +41,9 @@ A shift of 5 um is three to four standard deviations, and neither this diagnosis
 def ball_shift(given: argparse.Namespace) -> None:
     """How small a shift of one ball a diagnosis can find; some seconds.
 
-    The poses are those of the tests (128, every ball seen in 72 of them, centres to 5 to 9 um, balls certified to 1 um). The estimate
-    of a shift is normal about the true one with the covariance that these poses give, all geometry free; of draws of it the evidence
-    is computed as the diagnosis does, and compared with its bound. No other effect competes. "Best test" knows which ball it is, and
-    errs as seldom.
+    The poses are those of the tests (128, every ball seen in 72 of them, centres to 5 to 9 um, balls certified to 1 um). The estimate of a
+    shift is normal about the true one with the covariance that these poses give, all geometry free. The evidence of draws of it is computed
+    as the diagnosis does, and compared with its bound. No other effect competes. "Best test" knows which ball it is, and errs as seldom.
     """
     problem = prepare(simulated.observe(simulated.plan(), 1))
     projected = CandidateScoring.of(problem.linear, problem.noise)

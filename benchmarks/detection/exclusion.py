@@ -199,9 +199,9 @@ def exclusion(given: argparse.Namespace) -> None:
     """Coverage of the exclusion limits: recordings with an effect exactly at its stated limit.
 
     A draw is two recordings of the plan in linear theory: geometry errors, noise of instrument and joints. The limits of one location of
-    each effect and band are computed from the first as the diagnosis does it, under noise estimated from it. Then an effect is put,
-    exactly as large as that limit and anywhere in the family for which it was stated, into the second, and its limit is computed again:
-    it should be at least as large in 95 % of the cases. Three plans, 400 draws each take some twelve minutes of a processor.
+    each effect and band are computed from the first as the diagnosis does it, under noise estimated from it. Then an effect is put, exactly
+    as large as that limit and anywhere in the family for which it was stated, into the second, and its limit is computed again. The limit
+    should be at least as large in 95 % of the cases. Three plans, 400 draws each take some twelve minutes of a processor.
     """
     kept = Kept(given.kept)
     planned = {name: PlannedRecording.of(name) for name in given.plans}

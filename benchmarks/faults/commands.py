@@ -58,11 +58,11 @@ def commands(given: argparse.Namespace) -> int:
     """Kills, full disks and power cuts over the commands that write: what stands there afterwards is the old output or the new one, whole.
 
     Commands that replace what they wrote from other data, and commands that go on with a session that was interrupted. Their writes,
-    synchronisations and renames below a folder are recorded once (``faults/system_call_faults.c``), those of programs that they start
-    too, and replayed up to each moment: as the system has them (SIGKILL there), and as a disk may hold them (a power cut: only what was
-    synchronised, or unsynchronised blocks and names by chance). Beside the replay the command is really run and killed at files that it
-    opens, renames or removes, and with a disk that is full from its n-th write on. Then the next command's first step (``finish_set``)
-    is taken and every file is compared; a session is resumed to its end. Linux, gcc.
+    synchronisations and renames below a folder are recorded once (``faults/system_call_faults.c``), those of programs that they start too.
+    They are replayed up to each moment, as the system has them (SIGKILL there), and as a disk may hold them after a power cut. The disk
+    then has only what was synchronised, or unsynchronised blocks and names by chance. Beside the replay the command is really run and
+    killed at files that it opens, renames or removes, and with a disk that is full from its n-th write on. Then the next command's first
+    step (``finish_set``) is taken and every file is compared; a session is resumed to its end. Linux, gcc.
     """
     library, kept = preload(), Kept(given.kept)
     with tempfile.TemporaryDirectory(prefix="strikes-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as place:

@@ -198,12 +198,12 @@ def one_case(driver: str, moment: str, times: int, resume: bool, work: Path, rng
 def ctrl_c(given: argparse.Namespace) -> int:
     """Ctrl-C at a terminal, once to three times, at drawn moments of a whole run: how it ends, and what it leaves behind.
 
-    Each case types ``mbcacq run PLAN`` at a pseudo-terminal of its own and presses the key there, so that the kernel sends the signal
-    to every process of the foreground, as at a desk. The robot is driven by RSI and EKI in turn. The moments: while the program
-    starts, while it plans, while the arm moves and scans, while it closes, calibrates and writes the report. While the arm may move,
-    the fake cell is one of our own, whose arm is looked at when the command has ended; else it is that of ``--dry-run``. Afterwards
-    there must be: exit code 130 (0 where the run had ended), no stack trace, no process, no shared memory, an arm at rest, a folder
-    with which ``--resume`` goes on; every third is resumed to its end. Linux.
+    Each case types ``mbcacq run PLAN`` at a pseudo-terminal of its own and presses the key there, so that the kernel sends the signal to
+    every process of the foreground, as at a desk. The robot is driven by RSI and EKI in turn. The moments: while the program starts, while
+    it plans, while the arm moves and scans, while it closes, calibrates and writes the report. While the arm may move, the fake cell is one
+    of our own, whose arm is looked at when the command has ended; else it is that of ``--dry-run``. Afterwards the exit code must be 130 (0
+    where the run had ended), with no stack trace, no process, no shared memory, an arm at rest, and a folder with which ``--resume`` goes
+    on. Every third run is resumed to its end. Linux.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)  # what is started in the background ignores the key, and so would its children
     rng, table, bad, began = random.Random(given.seed), Counter(), 0, time.monotonic()

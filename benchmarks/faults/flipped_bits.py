@@ -48,8 +48,8 @@ def compared(loaded: Observations, true: Observations) -> str:
 def flipped_bits(given: argparse.Namespace) -> int:
     """One flipped bit anywhere in the files of a run: is it found, and does it ever become a wrong observation without a word?
 
-    The run is a small synthetic one. Every flip is checked by `recover --check` (as a library call), then the observations are
-    loaded: what is loaded must be a part of the true ones, bit for bit, or loading must end in one of our errors.
+    The run is a small synthetic one. Every flip is checked by `recover --check` (as a library call), then the observations are loaded. They
+    must be a part of the true ones, bit for bit, or loading must end in one of our errors.
     """
     work = Path(tempfile.mkdtemp(prefix="flips-"))
     record(work / "true")

@@ -18,9 +18,9 @@ def power_cuts(given: argparse.Namespace) -> int:
     """A power cut at a moment of a run: what was written since the last sync is lost. Can the folder be resumed, and is nothing wrong?
 
     ``system_call_faults.c`` records every write, sync, rename and new name below the folder of a run. For a moment drawn among these
-    records the folder is built as a disk could hold it then: 'lost' keeps only what was synced (contents by fsync of the file, names
-    by fsync of the folder), 'some' keeps each unsynced block of 4 KiB and each unsynced name with probability one half. Then the run
-    is resumed, every so often to its end. Linux, gcc.
+    records the folder is built as a disk could hold it then. 'lost' keeps only what was synced (contents by fsync of the file, names by
+    fsync of the folder). 'some' keeps each unsynced block of 4 KiB and each unsynced name with probability one half. Then the run is
+    resumed, every so often to its end. Linux, gcc.
     """
     runs = DisturbedRuns(preload())
     from mbcacq.workflow.resume import resumed_progress

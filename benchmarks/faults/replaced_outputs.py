@@ -22,8 +22,8 @@ class Case:
     """make(of, folder): the command of the data 'a' or 'b', writing into a folder. prepare: fills the folder before.
 
     sets: beginning of a file's name -> the set that it belongs to, '' for files that are none of its outputs, EACH where each is one by
-    itself; a file that none begins is of the one set. strikes: at most so many real runs of each kind. run_folder: it works on a run
-    folder, whose checksums are compared. runs: it reads the simulated runs.
+    itself. A file whose name has none of these beginnings belongs to the one set. strikes: at most so many real runs of each kind.
+    run_folder: it works on a run folder, whose checksums are compared. runs: it reads the simulated runs.
     """
 
     make: Callable[[str, Path], Work]

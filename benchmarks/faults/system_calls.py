@@ -80,10 +80,10 @@ def print_table(cases: list[dict]) -> int:
 def system_calls(given: argparse.Namespace) -> int:
     """A fault at a system call of a run: does it go on or end named, does the arm rest, can the folder be resumed?
 
-    A run of three poses is repeated; in each repetition the n-th call of one function of the C library (open, write, fsync, ..., an
-    allocation above 1 MiB) fails with one errno that it may have. Calls are taken in turn, n and errno are drawn with the seed.
-    --cycle: in the process that answers the controller. --kept: every case is added to this file at once, those in it are not
-    repeated. --clock: the clock of the day jumps by an hour in the middle, in place of faults. Linux, gcc.
+    A run of three poses is repeated. In each repetition the n-th call of one function of the C library (open, write, fsync, ..., an
+    allocation above 1 MiB) fails with one errno that it may have. Calls are taken in turn, n and errno are drawn with the seed. --cycle: in
+    the process that answers the controller. --kept: every case is added to this file at once, those in it are not repeated. --clock: the
+    clock of the day jumps by an hour in the middle, in place of faults. Linux, gcc.
     """
     runs, began = DisturbedRuns(preload()), time.monotonic()
     print("calls of an undisturbed run: " + ", ".join(f"{n} {call}" for call, n in runs.counts.items() if n), flush=True)

@@ -93,12 +93,12 @@ def followed(loaded: LoadedPlan, scenario: Scenario, folder: Path) -> dict:
 def advice(given: argparse.Namespace) -> None:
     """The advice of diagnoses that cannot tell: does it run as written, and does it decide?
 
-    Cells are recorded by the array path at the first 24 to 64 poses of a plan, as a run that was stopped early, with effects that these
-    poses show by an information of 8 to 40, about what a decision takes. Where a look says ``cannot_tell``, the next poses are chosen as
-    by ``mbcacq diagnose RUN --next next.yaml``, the plan is written, read, grown onto that of the recording and checked as
-    ``mbcacq run next.yaml --extend RUN`` does, every motion of it too; its poses are measured in the same cell and all is weighed again.
-    What is still open gets one more piece of advice. Rows go to runs/investigate-benchmark, so that a call goes on where another ended;
-    the last lines count them.
+    Cells are recorded by the array path at the first 24 to 64 poses of a plan, as a run that was stopped early. They have effects that
+    these poses show by an information of 8 to 40, about as much as a decision needs. If a look says ``cannot_tell``, the next poses are
+    chosen as by ``mbcacq diagnose RUN --next next.yaml``. The plan is written, read, grown onto that of the recording and checked as
+    ``mbcacq run next.yaml --extend RUN`` does, every motion of it too. Its poses are measured in the same cell and all is weighed again.
+    What is still open gets one more piece of advice. Rows go to runs/investigate-benchmark, so that a call goes on where another ended; the
+    last lines count them.
     """
     loaded = mbcacq.load_plan(given.plan)
     table = Table(f"advice-{given.plan.stem}-{given.seed}")

@@ -72,10 +72,10 @@ def in_time(old: Challenger, new: Challenger, count: int, seed: int) -> None:
 def plan_order(given: argparse.Namespace) -> None:
     """What an ordered plan shows with half of the poses: power of its first 64 against all 128 of another plan, over the catalogue.
 
-    Each effect of the catalogue is injected at several places, as strong as a test that knows it needs to find it nine times in ten with
-    OLD's 128 poses, times 2.5, which is what a search over the catalogue needs. Both plans record the same cell by the array path, and
-    a look weighs all explanations. Rows go to runs/plan-order-benchmark, so that a call goes on where another ended; the last line
-    counts them.
+    Each effect of the catalogue is injected at several places. Its strength is that at which a test that knows it finds it nine times in
+    ten with OLD's 128 poses, times 2.5, because a search over the catalogue needs so much. Both plans record the same cell by the array
+    path, and a look weighs all explanations. Rows go to runs/plan-order-benchmark, so that a call goes on where another ended; the last
+    line counts them.
 
     With --in-time the first 64 are compared as a run by itself, by information only: what is concealed begins or grows within it. Beside
     them stand every second pose of OLD, and the same 64 with each station visited early and late, half of its poses each time.

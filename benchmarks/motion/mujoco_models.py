@@ -142,8 +142,8 @@ class Peer:
 
 
 def fitted_by_peer(arm: MujocoArm, spec: mujoco.MjSpec, fit: RollOutFit) -> Peer:
-    """sysid fits friction of all joints, gear of A2, inertia of link 6 and the delay of the torques: it is given that it is these, and
-    gets the weights, the samples and the settled start that this program uses. spec: with the gear's hinge and the sensors.
+    """sysid fits friction of all joints, gear of A2, inertia of link 6 and the delay of the torques. The choice of these is given to it, as
+    are the weights, the samples and the settled start that this program uses. spec: with the gear's hinge and the sensors.
 
     Its optimiser (mujoco.minimize.least_squares) damps with at most 1e8 in the units of the residual's square. With residuals in units of
     the noise the curvature is far above that, no step is accepted and the start is returned. So each pass divides the residuals by what

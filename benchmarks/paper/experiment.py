@@ -151,10 +151,10 @@ def table_2(results) -> None:
 def experiment(given: argparse.Namespace) -> None:
     """The paper's experiment, made again: its Table 1 and hand-eye are the truth, its plan is carried out, both methods identify it.
 
-    Prints Table 1 and Table 2 beside the published ones. Neither the arm nor the length of the bar nor its places are published. The
-    arm repeats within 0.04 mm; of KUKA's that do, the one is taken whose error "before" comes out as published with a bar of a
-    plausible length; the places are those of plans/kuka.yaml, farther out by as much as the arm is longer. --before: what decides the
-    error before calibration: noise, arm, bar.
+    Prints Table 1 and Table 2 beside the published ones. Neither the arm nor the length of the bar nor its places are published. The arm
+    repeats within 0.04 mm. Among KUKA's arms that do, the one is taken whose error "before" comes out as published with a bar of a
+    plausible length. The places are those of plans/kuka.yaml, farther out by as much as the arm is longer. --before: what decides the error
+    before calibration: noise, arm, bar.
     """
     if given.before:
         what_decides_before(min(given.seeds, 6))

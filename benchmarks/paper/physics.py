@@ -134,7 +134,7 @@ def best_forms(rows) -> list[dict[str, Any]]:
 
 def stretch_signal(plan) -> float:
     """rms (um) by which the distances of the paper's constraint change when all lengths of a perfect arm are stretched by WANTED / L,
-    angles and hand-eye adjusted to hide it: what the method has to see the arm's size by."""
+    angles and hand-eye adjusted to hide it. It is all that shows the arm's size to the method."""
     from mbcacq.calibration.staged import distance_constraint
 
     obs = several_balls(record(*plan, None, 0.0, 1, errors="none", **EXACT), "four")
@@ -215,9 +215,9 @@ def folded_chance(tries: int = 400_000) -> float:
 def physics(given: argparse.Namespace) -> None:
     """Which left-out physics leaves the paper's signed, nearly constant sphere spacing error, at which size, which measurement tells.
 
-    Cells have the errors of the paper's Table 1, a KR 10 class arm, a 735 mm bar. Three questions: what the methods leave with no
-    effect at all; what each effect adds (same cell, same noise, with and without it) and the size at which it adds 0.394 mm; what
-    other readings the candidates then give. One to ten minutes on one core; every draw is seeded.
+    Cells have the errors of the paper's Table 1, a KR 10 class arm, a 735 mm bar. There are three questions. What do the methods leave with
+    no effect at all? What does each effect add (same cell, same noise, with and without it), and at which size does it add 0.394 mm? Which
+    other readings do the candidates then give? One to ten minutes on one core; every draw is seeded.
     """
     made = plans()
     loaded, poses = made["tree"]

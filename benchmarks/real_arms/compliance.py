@@ -84,8 +84,8 @@ def compliances(obs: Observations, poses: int) -> list[list[str]]:
 def compliance(given: argparse.Namespace) -> None:
     """The compliance of the UR10's joints in two campaigns, and how much of a difference is the model's.
 
-    Each campaign is linearised at its geometry, with the noise that is left beside all groups; the compliances are fitted with the
-    geometry, then with each joint's own errors, with what its movement from the pose before leaves behind, and with links and base
+    Each campaign is linearised at its geometry, with the noise that is left beside all groups. The compliances are fitted with the
+    geometry, and then with further errors: each joint's own, those that its movement from the pose before leaves behind, and links and base
     that tilt under the weight behind them. Standard deviations are scaled by the misfit.
     """
     each = [compliances(mbcacq.load_observations(given.data / f"ur10-tracker-{name}"), given.poses) for name in "ac"]

@@ -154,9 +154,9 @@ def _zyx(R: np.ndarray) -> list[float]:
 def calibration(given: argparse.Namespace) -> None:
     """Time to calibrate, against the number of poses, and beside scipy's sparse least squares on the same problem from the same start.
 
-    Prints a Markdown table. The peer gets everything for nothing: start, noise, and the true sparsity pattern of its Jacobian (arm
-    and hand-eye dense, each station's six columns only where it is seen); it minimises the same whitened residuals with numerical
-    derivatives. --pybotics, --figaroh: they fit the arm to 104 readings of a reflector by a tracker, and so does ``calibrate``.
+    Prints a Markdown table. The peer gets everything for nothing: start, noise, and the true sparsity pattern of its Jacobian (arm and
+    hand-eye dense, each station's six columns only where it is seen). It minimises the same whitened residuals with numerical derivatives.
+    --pybotics, --figaroh: they fit the arm to 104 readings of a reflector by a tracker, and so does ``calibrate``.
     """
     print(f"<!-- {machine()} -->")
     print("| poses | stations | calibrate ms | adjustment alone ms | scipy ms, sparse and dense | scipy over calibrate | peak memory MB |")

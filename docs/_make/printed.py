@@ -2,9 +2,9 @@
 
 ``python docs/_make/printed.py docs/tutorials/your-own-arm.md ..`` executes the ``sh`` blocks of these pages, as a reader would paste them,
 and writes the marked blocks anew: ``text`` blocks behind a line ``<!-- printed -->``. Their lines stand in the order in which they are
-printed; a line ``...`` stands for any number of others. A line that is printed no more is named, to be chosen anew by hand. A test
-executes the same commands and calls ``faults``. What takes data that no page can make (a cell that changed on the ninth day, two logs)
-stands behind a line ``<!-- printed by tests/FILE -->``: that test makes the data, and calls ``faults`` with its own name.
+printed; a line ``...`` stands for any number of others. A line that is printed no more is named, to be chosen anew by hand. A test executes
+the same commands and calls ``faults``. Some output needs data that no page can make (a cell that changed on the ninth day, two logs). It
+stands behind a line ``<!-- printed by tests/FILE -->``; that test makes the data, and calls ``faults`` with its own name.
 """
 
 from __future__ import annotations

@@ -49,9 +49,9 @@ class _Request:
 class ModbusLink:
     """Reads and writes ``Register`` values. Safe to use from several threads; they take turns.
 
-    An answer is that to the request just sent: what came before it is discarded; after a time-out TCP connects anew, and a serial line
-    is left alone until it has been silent for longer than the time-out. An answer of another unit, function or length is none. The first
-    answer after a time-out is confirmed: if a second one follows, the request is made again.
+    An answer is that to the request just sent; earlier input is discarded. After a time-out TCP connects anew, and a serial line is left
+    alone until it has been silent for longer than the time-out. An answer of another unit, function or length is none. The first answer
+    after a time-out is confirmed: if a second one follows, the request is made again.
 
     A connection that the far end has closed, e.g. as idle, is opened again before a request, and for a reading also where it breaks
     meanwhile. A request to write is not repeated after its connection has broken.

@@ -57,7 +57,7 @@ class SerialConnection(SerialPortOptions):
 class SerialLink:
     """``ask`` sends a text and returns the line that comes back. Raises ConnectError, DeviceTimeout, ProtocolError, IdentityError.
 
-    A question that was not answered in time may be answered late: the next one waits until the line has been silent for longer than the
+    A question that was not answered in time may be answered late. The next one waits until the line has been silent for longer than the
     time-out, and its own answer is the last line before another such silence. A connection that the far end has closed is opened again
     before anything is sent.
 

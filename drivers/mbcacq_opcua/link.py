@@ -45,8 +45,8 @@ class OpcUaLink:
     """``on_reading(time_s, angles)`` is called with every reading: seconds since the server's start, by its clock, and angles in its own
     units; ``on_error`` with what ended the conversation. Only read, browse and session services are used.
 
-    A connection that the server has closed is opened again, as long as it is the same robot of a server that was not started again, and
-    within the time after which it counts as lost.
+    A connection that the server has closed is opened again within the time after which it counts as lost. The robot must be the same, of a
+    server that was not started again.
     """
 
     def __init__(self, name: str, options: OpcUaOptions, on_reading: Reading, on_error: Callable[[MbcacqError], None]) -> None:

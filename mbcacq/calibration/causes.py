@@ -2,7 +2,7 @@
 
 Balls taken for each other show in distances alone. A wrong sign, unit, order or frame removes most of the misfit when it is mended. A place
 that moved, a scanner that slipped or a joint that stepped at a moment, one wrong pose and one wrong ball are further columns of the linear
-problem, whose gain of chi square follows from the solution without another fit.
+problem. Their gain of chi square follows from the solution without another fit.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class Story:
 
 
 def fault_of(strict: Solution, known: Collection[int] = ()) -> str:
-    """A sentence on the one simple fault while the recording was made that explains it; '' where none does, where its misfit is within the
-    scatter of the noise, and where one of the poses that are ``known`` (their numbers) explains it.
+    """A sentence on the one simple fault while the recording was made that explains it. It is '' if none does, if the misfit is within the
+    scatter of the noise, or if one of the ``known`` poses (their numbers) explains it.
 
     Parameters
     ----------

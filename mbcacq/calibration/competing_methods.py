@@ -108,8 +108,8 @@ def plain_least_squares(alone: Adjustment) -> Adjustment:
     Returns
     -------
     Adjustment
-        Its noise of a point is the rms of the residuals times the root of the number of centres at a pose: what the model lacks is common
-        to them, and its uncertainties take this into account. The joints repeat as the data sheet has it, for predictions.
+        Its noise of a point is the rms of the residuals times the root of the number of centres at a pose. The lacks of the model are
+        common to them, and its uncertainties take this into account. The joints repeat as the data sheet has it, for predictions.
     """
     obs = alone.lineariser.obs
     every = alone.lineariser.everything

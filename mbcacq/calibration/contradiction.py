@@ -1,8 +1,8 @@
 """Whether a recording contradicts its description: noise and link errors as they would have to be, against what they may be.
 
 A calibration estimates the noise, and an estimate adapts: after the fit everything looks as it should. So the judgement is made with the
-sizes that statement and data sheet give. Each kind of error then has a ratio, the square root of what it would have to be over what is
-allowed; it is about 1 for any cell that is as described, within a factor, and grows in proportion to a fault.
+sizes that statement and data sheet give. Each kind of error then has a ratio, the square root of its required over its allowed variance.
+The ratio is about 1, within a factor, for any cell that is as described, and grows in proportion to a fault.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ def noise_ratios(solution: Solution) -> tuple[float, float]:
     """Ratios of the scanner's noise and of the joints', each over all its components.
 
     The ratio of a component k is y'P V_k P y / tr(P V_k), which is 1 in expectation under the noise of the solution (Patterson and Thompson
-    1971); the score by log sigma is their difference.
+    1971). The score by log sigma is the difference of numerator and denominator.
     """
     joints = len(solution.noise.joint)
     score, _ = reml_score_and_information(solution.system, solution.noise)

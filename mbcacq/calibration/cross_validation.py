@@ -1,8 +1,8 @@
 """Accuracy on held-out poses: the figure that judges a model.
 
 'random' and 'block': stations keep their pose from the training poses; the figure is the 3D distance of measured and predicted centres.
-'station': a whole placement is left out. Its own pose is unknown and fitted to the held-out poses alone, the geometry fixed, so
-the figure is their spread about it, with the six (or fewer) degrees of freedom that this fit takes accounted for.
+'station': a whole placement is left out. Its own pose is unknown and fitted to the held-out poses alone, the geometry fixed. The figure is
+their spread about it, with the six (or fewer) degrees of freedom that this fit takes accounted for.
 """
 
 from __future__ import annotations

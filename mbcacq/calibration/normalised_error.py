@@ -58,8 +58,8 @@ class NormalisedError:
 
 
 def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: EffectModel, used: np.ndarray) -> NormalisedError:
-    """The residual of each centre over its stated uncertainty: covariance of the learnt arm and effects and the variance of effects that
-    differ between recordings, of which the fitted places absorb a part, and the noise of measuring.
+    """The residual of each centre over its stated uncertainty. The uncertainty consists of the covariance of the learnt arm and effects,
+    the variance of effects that differ between recordings, and the noise of measuring. The fitted places absorb a part of the first two.
     """
     obs, residual = fitted.fit.observations, fitted.fit.residual
     rng = np.random.default_rng(0)
@@ -119,8 +119,8 @@ def _root(C: np.ndarray) -> np.ndarray:
 def _degrees_of_freedom(learnt: np.ndarray, joint: np.ndarray, point: np.ndarray, pose: np.ndarray) -> float:
     """Degrees of freedom of a sum of squares of correlated normalised errors (Satterthwaite): tr(S)^2 / tr(S^2) of their covariance S.
 
-    learnt (m, 3, g), joint (m, 3, n), point (m, 3, 3): factors of the three parts of S; what was learnt is shared by all centres, joint
-    noise by those of a pose (m,), noise of points by none.
+    learnt (m, 3, g), joint (m, 3, n), point (m, 3, 3): factors of the three parts of S. All centres share the errors of the learnt cell,
+    those of a pose (m,) share joint noise, and none share noise of points.
     """
     of_pose = [np.flatnonzero(pose == p) for p in np.unique(pose)]
     shared = learnt.reshape(-1, learnt.shape[2])

@@ -27,8 +27,9 @@ class Parameter(EveryKey):
     error : float
         Value minus nominal.
     status : Status
-        'free', 'prior' (free within a certificate, or within the common size of such errors), 'marginal' (the nominal value stays; std says
-        by how much it may be off, which every other uncertainty takes into account) or 'held' (reason says why; std is None).
+        'free', 'prior', 'marginal' or 'held'. 'prior' is free within a certificate, or within the common size of such errors. For
+        'marginal' the nominal value stays; std says by how much it may be off, and every other uncertainty takes this into account. For
+        'held' reason says why, and std is None.
     prior_std, prior_mean
         Standard deviation and mean of the error's prior, if a prior was used.
     """

@@ -45,10 +45,10 @@ def parts_left_out(
 ) -> tuple[CentreResiduals, CentreResiduals] | None:
     """Predictions of parts of a recording by its other parts: without and with what the recording learnt from could not teach.
 
-    Arm and effects stay as they were learnt. Base, tool and stations are fitted to four of five parts; the second time, at the sizes that
-    were learnt, random effects are fitted with them: what differs between recordings (drift, what movements leave behind), and unmodelled
-    effects beyond where they were learnt. The fifth part is predicted. What the second prediction leaves is what was learnt wrongly, and
-    noise.
+    Arm and effects stay as they were learnt. Base, tool and stations are fitted to four of five parts. The second time, random effects are
+    fitted with them at the sizes that were learnt. They are the effects that differ between recordings (drift, traces of movements), and
+    unmodelled effects beyond the range in which they were learnt. The fifth part is predicted. What the second prediction leaves is what
+    was learnt wrongly, and noise.
 
     Parameters
     ----------

@@ -50,8 +50,8 @@ def calibrate_together(
     """One calibration for each recording: all have the same arm and effects, with the covariance that all recordings together give them.
 
     Base, tool, stations, artefacts and noise are each recording's own. effects: terms of the arm, refitted to all recordings or, with
-    ``hold``, kept. A coefficient that differs between the recordings by more than they explain is a random effect: the common value is
-    reported, its variance is that of the common value and that between recordings together, as it holds on another day; 'day_to_day' of
+    ``hold``, kept. A coefficient that differs between the recordings by more than they explain is a random effect. The common value is
+    reported. Its variance is the sum of that of the common value and that between recordings, as it holds on another day. 'day_to_day' of
     ``extra`` has the values of each coefficient in every recording.
 
     Raises ConfigError where the recordings are not of one arm, CalibrationError where one contradicts its cell.

@@ -2,10 +2,9 @@
 
 Verification after the manner of VDI/VDE 2634 Part 3: probing error (form and size), sphere spacing error, length measuring error.
 
-"After the manner of", because that guideline speaks of optical measuring systems by themselves and excludes sensors that are
-positioned by axes; the quantities are formed as it forms them, on places and balls of the verification poses. A limit is held against
-each figure with the uncertainty of measuring it in mind (``length_budget``): pass only where it keeps clear of it, fail only where it
-clearly exceeds it.
+"After the manner of", because that guideline speaks of optical measuring systems by themselves and excludes sensors that are positioned by
+axes. The quantities are formed as it forms them, on places and balls of the verification poses. A limit is held against each figure with
+the uncertainty of measuring it in mind (``length_budget``): pass only where it keeps clear of it, fail only where it clearly exceeds it.
 """
 
 from __future__ import annotations
@@ -281,8 +280,8 @@ def points_in_base(obs: Observations, state: CellState, effects: EffectModel | N
 
 
 def ball_positions(obs: Observations, state: CellState, effects: EffectModel | None = None):
-    """Where each ball of each station was found in the base, mean over poses: {(station, ball id): (3,) mm}; and the pose nearest to
-    that mean with the number of poses, {(station, ball id): (q (1, n), xyz (1, 3), count)}."""
+    """Mean place of each ball of each station in the base, over poses: {(station, ball id): (3,) mm}. Also the pose nearest to that mean
+    with the number of poses, {(station, ball id): (q (1, n), xyz (1, 3), count)}."""
     base = points_in_base(obs, state, effects)
     station = obs.station[obs.pose]
     where, ends = {}, {}

@@ -1,8 +1,8 @@
 """Calibration of an arm whose errors beyond its geometry are smooth functions of posture: kept where the evidence asks for them.
 
-Which groups there are, their sizes and the noise beside them are found within the linear problem at the adjustment by geometry alone, by
-restricted maximum likelihood, in a long recording by a part of its poses; all poses are then adjusted once more with the groups that are
-left. Sizes begin large and the noise begins as stated, since noise that has taken up what repeats gives it back slowly.
+The groups, their sizes and the noise beside them are found within the linear problem at the adjustment by geometry alone, by restricted
+maximum likelihood. A long recording uses a part of its poses for this. All poses are then adjusted once more with the groups that are left.
+Sizes begin large and the noise begins as stated, since noise that has taken up what repeats gives it back slowly.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from mbcacq.model.observations import Observations
 
 MOST_POSES = 2400  # by which groups are found and sized: 3000 of a UR10 predict as well as all of them do so (104 um; by 1200 111 um)
 LEAST_GAIN = 5.0  # log evidence over geometry alone: odds of 150 to 1 for all groups together
-# Log evidence that each size gains by chance, on 60 arms that err by their geometry alone: 28 own errors gain 2.4 in the median; 168 stages
-# of gears 2.9 and at most 12.2, where those that are not supported by themselves are left out.
+# Log evidence that each size gains by chance, on 60 arms that err by their geometry alone. 28 own errors gain 2.4 in the median; 168 stages
+# of gears gain 2.9 and at most 12.2, if those that are not supported by themselves are left out.
 CHANCE, CHANCE_OF_SUPPORTED = 0.1, 0.05
 LEAST_SIZE = 3e-3  # of the size at the start (1 mrad): smaller groups move no point by a micrometre
 LARGEST_SIZE = 4.0  # of the same, which is large already

@@ -2,8 +2,8 @@
 
 A prior of the size that link errors have lets every estimate lean towards nominal, by more where the poses determine less. That makes the
 calibrated arm better; between two recordings it makes every change too small. With the posterior N(x, C) and the prior N(m, D) of the
-links, the data alone give N(x + C_l (D - C_ll)^-1 (x_l - m), C + C_l (D - C_ll)^-1 C_l'), C_l being the columns of the links
-(Woodbury's identity applied to the difference of the two informations).
+links, the data alone give N(x + C_l (D - C_ll)^-1 (x_l - m), C + C_l (D - C_ll)^-1 C_l'). C_l are the columns of the links (Woodbury's
+identity applied to the difference of the two informations).
 """
 
 from __future__ import annotations

@@ -23,10 +23,9 @@ from mbcacq.errors import ConfigError
 @click.option("--seed", default=0, show_default=True, help="Seed of the split.")
 @click.option("--json", "as_json", is_flag=True, help="Print the rows as one JSON object on stdout.")
 def command(data: Path, other: Path | None, report: Path | None, no_held_out: bool, seed: int, as_json: bool) -> None:
-    """Calibrate the recording DATA in every way and compare: nominal, AX=XB and AX=ZB (Tsai-Lenz,
-    Park-Martin, Horaud-Dornaika, Andreff, Daniilidis; Shah, Li), hand-eye only, the paper's method
-    (as printed, and with more pairs of balls), distance constraint only, maximum likelihood. A method that DATA does not determine is
-    listed with the reason.
+    """Calibrate the recording DATA in every way and compare. The ways are nominal, AX=XB and AX=ZB (Tsai-Lenz, Park-Martin,
+    Horaud-Dornaika, Andreff, Daniilidis; Shah, Li), hand-eye only, the paper's method (as printed, and with more pairs of balls), distance
+    constraint only, and maximum likelihood. A method that DATA does not determine is listed with the reason.
 
     With OTHER, a second recording of the same arm: what changed from DATA to OTHER, parameter by parameter and effect by effect.
     Both are run folders with a result, or a result.json. What each recording alone says is compared, without the prior that a

@@ -28,8 +28,8 @@ from mbcacq.cli.terminal import echo
 def command(result: Path, other: tuple[Path, ...], place: str, as_json: bool) -> None:
     """Try the arm of RESULT (a result.json, or a run folder that holds one), with its effects, on each recording OTHER.
 
-    The arm and its effects stay as they were learnt. Says what geometry alone leaves there and what is left with the effects (in mm, and
-    as chi2 per degree of freedom), what each effect gains, how the errors compare with their stated uncertainty, and where OTHER leaves
+    The arm and its effects stay as they were learnt. Prints the misfit there of geometry alone and with the effects (in mm, and as chi2 per
+    degree of freedom), and the gain of each effect. Also says how the errors compare with their stated uncertainty, and where OTHER leaves
     the range in which an effect was learnt. OTHER must be of the same arm as RESULT: of the same name and nominal links.
 
     Example: mbcacq verify result.json another-day --place fitted

@@ -1,10 +1,10 @@
 """A quick robust fit of the plain geometry: hand-eye and station poses, the arm as it is described.
 
-Every measurement says that a point m that moves with the flange and a point f of a station are one: F_i T_e m = T_s f, with F_i the pose of
-the flange, T_e the hand-eye transform and T_s the station's pose. For a scanner on the flange m is the measured centre and f the certified
-one; for an instrument that watches a target m belongs to the target and f is measured. A measured orientation counts as three points more,
-``LEVER_MM`` along its axes. With affine instead of rigid T_e and T_s the equations are linear: that is the start; Gauss-Newton with
-iteratively reweighted residuals follows.
+Every measurement says that a point m that moves with the flange and a point f of a station coincide: F_i T_e m = T_s f. Here F_i is the
+pose of the flange, T_e the hand-eye transform and T_s the station's pose. For a scanner on the flange m is the measured centre and f the
+certified one; for an instrument that watches a target m belongs to the target and f is measured. A measured orientation counts as three
+points more, ``LEVER_MM`` along its axes. With affine instead of rigid T_e and T_s the equations are linear: that is the start; Gauss-Newton
+with iteratively reweighted residuals follows.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Which physical effects a plan could show, and which it cannot tell apart: every catalogued effect at its usual size, geometry refitted.
 
-What matters is not how far an effect moves the balls, but what remains of that once geometry, hand-eye and stations have absorbed
-all they can, against the noise of the scanner and of the joints.
+The measure is not how far an effect moves the balls. It is the part of that motion that geometry, hand-eye and stations cannot absorb,
+against the noise of the scanner and of the joints.
 """
 
 from __future__ import annotations

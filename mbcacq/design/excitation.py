@@ -1,9 +1,9 @@
 """A motion that tells apart what earlier recordings could not: masses of the links, a load on the flange and a balancer at A2.
 
 Every joint follows a Fourier series that begins and ends at home, at rest (Swevers, Ganseman, Tukel, De Schutter, Van Brussel 1997: Optimal
-robot excitation and identification). Among series within the limits of position, speed, acceleration and jerk the one is sought that
-minimises the log determinant of the expected covariance of the named parameters, the earlier recordings included, everything else that
-the diagnosis fits being free (Ds-optimality); then it is checked against collisions along its whole way.
+robot excitation and identification). The search is among series within the limits of position, speed, acceleration and jerk. It minimises
+the log determinant of the expected covariance of the named parameters, the earlier recordings included; everything else that the diagnosis
+fits is free (Ds-optimality). The result is checked against collisions along its whole way.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ def station_moves(loaded: LoadedPlan) -> list[StationMove]:
 
 
 def _nearest_offset(loaded: LoadedPlan, own: list[Target]) -> np.ndarray | None:
-    """The shortest of the offsets (3,) mm tried by which all targets of a station can be reached with nothing too close to the arm; where
+    """The shortest of the offsets (3,) mm tried by which all targets of a station can be reached with nothing too close to the arm. If
     there is none, the shortest by which they can be reached."""
     solver, clearance, reached = router_of(loaded).solver, router_of(loaded).clearance, None
     wrist = loaded.cell.robot.n - 2

@@ -21,9 +21,9 @@ from mbcacq.effects.effect_term import UNKNOWN
 
 
 def verdict_by_evidence(full: ModelFit, fit: EvidenceFit) -> str:
-    """``none`` where the evidence of all effects is below what noise alone reaches; ``cannot_tell`` where it is above that and yet shows
-    nothing, where another set is not excluded, or where time ran out before all sets were compared; otherwise by what explains more of the
-    mismatch: effects of the catalogue, or unmodelled ones.
+    """The verdict is ``none`` if the evidence of all effects is below that of noise alone. It is ``cannot_tell`` if the evidence is above
+    that and yet shows nothing, if another set is not excluded, or if time ran out before all sets were compared. Otherwise it says which
+    explain more of the mismatch: effects of the catalogue, or unmodelled ones.
     """
     if fit.cut_short:
         return "cannot_tell"

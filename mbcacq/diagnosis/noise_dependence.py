@@ -2,7 +2,7 @@
 
 Real scanners are noisier far away and at slanting surfaces, and an arm that reaches out sways more. Under one noise for all poses a search
 takes what the noisy ones do for effects, and trusts the quiet ones too little. After a search, the squares that its model leaves are
-compared over the poses, in two parts: what no rigid motion of a pose explains is the instrument's, and the rest is of joints and
+compared over the poses, in two parts. The part that no rigid motion of a pose explains is the instrument's; the rest belongs to joints and
 instrument together. Each is a sum of squares of d degrees of freedom whose variance is exp(a + b x) of a covariate x (gamma regression).
 """
 

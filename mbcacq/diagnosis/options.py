@@ -26,10 +26,10 @@ class DiagnosisOptions:
     # Exclusion limits
     largest_usual: float = 10.0  # typical sizes, beyond which no machine is believed to be: a limit there says nothing
 
-    # Verdict. The evidence of all effects together has mean one without any effect, at every size of a recording that grows: with the
-    # noise known it exceeds 100 at any look in less than 1 % of recordings (Ville's inequality). That the noise is estimated and sets are
-    # searched is not covered by that (benchmarks/investigate.py looks). Below the lower value there is nothing to speak of:
-    # noise alone is above it in 4 of 1000 recordings of 50 poses and more.
+    # Verdict. The evidence of all effects together has mean one without any effect, at every size of a recording that grows. With the noise
+    # known it exceeds 100 at any look in less than 1 % of recordings (Ville's inequality). That the noise is estimated and sets are
+    # searched is not covered by that (benchmarks/investigate.py looks). Below the lower value there is nothing to speak of: noise alone is
+    # above it in 4 of 1000 recordings of 50 poses and more.
     least_e_value: float = 100.0  # of all effects together, for an effect to be there
     noteworthy_e_value: float = 2.0  # above which it cannot be told whether there is one
     undecided: float = 0.05  # a set that has more than this share of the best one's probability is an alternative to it

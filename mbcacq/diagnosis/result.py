@@ -137,8 +137,8 @@ class NoiseDependence:
 
 @dataclass(frozen=True)
 class ExclusionBand:
-    """Values of a hyper-parameter for which a limit holds, from low to high, but for those that are left out: orders of a gear (periods a
-    turn), numbers of the first pose after a change, breakpoints, time constants.
+    """Values of a hyper-parameter for which a limit holds, from low to high, but for those that are left out. They are orders of a gear
+    (periods a turn), numbers of the first pose after a change, breakpoints, or time constants.
     """
 
     parameter: str
@@ -149,8 +149,9 @@ class ExclusionBand:
 
 @dataclass(frozen=True, kw_only=True)
 class ExclusionLimit:
-    """The size of an effect at a location that is excluded with 95 % confidence, everything that it is confused with being free: of effects
-    as large, with any value from ``holds_for`` and any direction of the coefficients, 95 % would have shown more than the recording does.
+    """The size of an effect at a location that is excluded with 95 % confidence, everything that it is confused with being free. 95 % of
+    effects as large, with any value from ``holds_for`` and any direction of the coefficients, would have shown more than the recording
+    does.
 
     Attributes
     ----------

@@ -3,9 +3,9 @@
 Absolute encoders of one make carry the same scale. Its errors then repeat in every joint, from another zero and, where an encoder is
 mounted the other way round, in the other direction. Angles that one joint never visited are known from another.
 
-Joints are compared by their evidence in the normal equations of the recording: each order of a joint's own error is a random effect, and
-the Bayes factor says by how much its measurements are more probable if that error is the pattern plus a small deviation than if it is one
-of its own, for every offset and direction. What other joints, the geometry and gravity could explain instead is integrated out.
+Joints are compared by their evidence in the normal equations of the recording. Each order of a joint's own error is a random effect. The
+Bayes factor, for every offset and direction, compares two models of that error: the pattern plus a small deviation, and an error of its
+own. What other joints, the geometry and gravity could explain instead is integrated out.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _grown(errors: OwnErrors, anchor: int) -> dict[int, JointAlignment]:
 def _aligned_anew(comparisons: _Comparisons, found: Mapping[int, JointAlignment], anchor: int) -> dict[int, JointAlignment]:
     """The joints that follow the pattern, each compared with that of all others, until none changes.
 
-    A joint that was added early was compared with a pattern that few joints had shown, at few angles: its offset may be another one where
+    A joint that was added early was compared with a pattern that few joints had shown, at few angles. Its offset may be another one where
     more of the pattern is known, and a joint that did not fit may fit then.
     """
     found = dict(found)

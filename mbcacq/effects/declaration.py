@@ -32,9 +32,9 @@ class EffectCoupling:
     locations
         (context) -> locations at which the other effect matters for it.
     candidates
-        (context, coefficient of the other effect by location) -> candidates. With ``spread``, the covariance (size, size) of its
-        coefficients where that is known with the uncertainty of the other effect in it; with ``complete``, every location at which
-        the other effect acts is among those given.
+        (context, coefficient of the other effect by location) -> candidates. ``spread`` is the covariance (size, size) of its coefficients,
+        if it is known with the uncertainty of the other effect in it. ``complete`` says that every location at which the other effect acts
+        is among those given.
     carrier
         (context, candidate of the other effect, coefficients (size,), text that tells it apart) -> that candidate as it acts where the
         effect has these coefficients.

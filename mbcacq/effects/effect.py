@@ -242,7 +242,7 @@ class Candidate(Generic[R]):
     @cached_property
     def components(self: Candidate[StandstillRows]) -> tuple[tuple[str, int, int], ...]:
         """The (place, index, component) of its parts if all are multiplied by the same functions of the pose, so that all values of the
-        hyper-parameter can be scanned at once; coefficients are then ordered component by component. Empty for other effects.
+        hyper-parameter can be scanned at once. Coefficients are then ordered component by component. Empty for other effects.
         """
         if self.hyper is None:
             return ()

@@ -242,8 +242,8 @@ class EffectTerm(EveryKey):
 
         The discrepancy of a calibration has both. A joint's own error by periods a turn (``order k``) and the softening of a wind-up are
         known in the range of the data alone, and fade. Its other groups (variant ``SMOOTH``) go on, with the uncertainty of their
-        coefficients: wind-up is proportional to the torque beyond the torques that were there, too, a coupling to the other joint's angle,
-        and a direction of arrival or a product of two first harmonics has no end of a range.
+        coefficients. Wind-up is proportional to the torque beyond the recorded torques, too, and a coupling to the other joint's angle. A
+        direction of arrival or a product of two first harmonics has no end of a range.
         """
         return self.name == UNKNOWN and self.variant not in (COMMON_PATTERN, SMOOTH) and GIVES_WAY not in self.units
 

@@ -50,8 +50,8 @@ def order_weight(order: np.ndarray) -> np.ndarray:
 
 
 def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
-    """The group at a location (A1.., link1.., base, mount, target, the only station) by a covariate: the angle of a joint, its movement
-    from the pose before, a gravity torque, the order of the poses, the incidence on the target. None where there is none.
+    """The group at a location (A1.., link1.., base, mount, target, the only station) by a covariate. It is the angle of a joint, its
+    movement from the pose before, a gravity torque, the order of the poses, or the incidence on the target. None where there is none.
     """
     keys = keys_of(here, location)
     if not keys:
@@ -63,9 +63,9 @@ def group(here: Covariates, location: str, covariate: str) -> EffectTerm | None:
 
 
 def everywhere(here: Covariates) -> list[EffectTerm]:
-    """Groups for a recording of many poses: every joint by its own angle, by its movement from the pose before and by gravity; the links
-    by the weight behind them, and by the angle of the joint before them; an instrument beside the arm by the order of the poses, and the
-    orientation that it measures by the line of sight.
+    """Groups for a recording of many poses. Every joint has groups by its own angle, by its movement from the pose before and by gravity.
+    The links have groups by the weight behind them, and by the angle of the joint before them. An instrument beside the arm has groups by
+    the order of the poses, and the orientation that it measures by the line of sight.
     """
     n, torque = here.n, here.gravity_torque
     moving = [i for i in range(n) if np.ptp(here.obs.q[:, i]) > 0.02]

@@ -1,7 +1,7 @@
 """Angles between radians in memory and decimal degrees in text, without losing a bit.
 
-Multiplying by pi/180 in float64 does not reach every float64 angle, so a decimal of more than 17 significant digits is
-converted exactly instead, and such a decimal is written where no shorter one reads back as the same angle.
+Multiplying by pi/180 in float64 does not reach every float64 angle, so a decimal of more than 17 significant digits is converted exactly
+instead. Such a decimal is written where no shorter one reads back as the same angle.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def write_files(
     """Write several files of one folder as a set.
 
     A folder that is new appears with all of them. In one that is there, all are on the disk before the first takes its name, and a file
-    INCOMPLETE.txt lists them while they do: where that is stopped, ``finish_set`` completes it, and the set is never half the old one.
+    INCOMPLETE.txt lists them while they do. If that is interrupted, ``finish_set`` completes it, and the set is never half the old one.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """The one reader of CSV tables that enter: every cell by its column's name, in the program's unit, or a refusal with file, line and column.
 
-The separator is the comma; the semicolon or the tab of a spreadsheet that writes decimal commas is read as well: then '1,5' is a number,
+The separator is the comma; the semicolon or the tab of a spreadsheet that writes decimal commas is read as well. Then '1,5' is a number,
 and a cell with a point beside such cells is refused, since the point may separate thousands. In a table with commas a quoted '1,5' is read
 likewise, but not '1,500'. A cell may have a unit of its own: '90°', '0.4 m', 'pi/2'. Rows of nothing but empty cells are left out.
 """

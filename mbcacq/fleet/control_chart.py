@@ -1,10 +1,10 @@
 """Control charts of a fleet: each arm's figures over time, and the arms of one type beside each other.
 
-An individuals chart (Shewhart; ISO 7870-2): the centre line is the median of an arm, weighted by precision; the variance of a recording
-is what its calibration states plus what arms of the type change from one recording to the next. The latter is such that the median moving
-range is as expected (Wheeler), which a drift or a few outliers do not widen. Arms are compared with each other in the same way. Limits are
-quantiles of Student's t, with the degrees of freedom of the variance (Welch, Satterthwaite), so that a fleet without any change has a
-recording in 370 outside of them, over all of its figures, and an arm in 370.
+An individuals chart (Shewhart; ISO 7870-2): the centre line is the median of an arm, weighted by precision. The variance of a recording is
+that stated by its calibration plus that of the changes of arms of the type from one recording to the next. The latter is such that the
+median moving range is as expected (Wheeler), which a drift or a few outliers do not widen. Arms are compared with each other in the same
+way. Limits are quantiles of Student's t, with the degrees of freedom of the variance (Welch, Satterthwaite). A fleet without any change
+then has a recording in 370 outside of them, over all of its figures, and an arm in 370.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Drift of an arm over its recordings: a straight line through all parameters together, and the single parameter that explains it.
 
 One recording of a few poses determines combinations of parameters far better than any of them. The slope of all parameters over the
-recordings is estimated by generalised least squares with their whole covariances; for each parameter follows the drift that it would have
+recordings is estimated by generalised least squares with their whole covariances. For each parameter follows the drift that it would have
 if it were the only one that drifts, which uses those combinations. Its significance is corrected for the number of parameters.
 """
 

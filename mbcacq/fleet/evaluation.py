@@ -41,8 +41,8 @@ def evaluate_recording(recording: FleetRecording, task: FleetTask) -> tuple[Flee
     """The row of a recording for the table, and the content of its file: 'result' as result.json, 'diagnosis' and 'transfer' where asked
     for.
 
-    status of the row: 'evaluated', with what its calibration warned of as the reason; 'refused', with the reason, where the recording is
-    broken or determines nothing; 'failed' where the program or the computer is at fault.
+    status of the row: 'evaluated', with the warnings of its calibration as the reason; 'refused', with the reason, if the recording is
+    broken or determines nothing. It is 'failed' if the program or the computer is at fault.
     """
     begin, used = time.perf_counter(), time.process_time()
     row = FleetRow(recording=recording.path, arm=recording.arm, time=recording.time or None)

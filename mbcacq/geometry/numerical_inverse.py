@@ -38,8 +38,8 @@ class SolverOptions:
     most_branches: int = 24  # per target: a six-axis arm has at most 16, and of a continuum this is a fair sample
 
 
-# Where thousands of views are tried and enough can be taken: of 40 targets of a Panda and of a CRX-10iA none was missed, and 6 and 1 % of
-# the branches, in 0.27 and 0.31 of the time.
+# For searches that try thousands of views and need only enough of them. On 40 targets of a Panda and of a CRX-10iA none was missed, and 6
+# and 1 % of the branches, in 0.27 and 0.31 of the time.
 SAMPLED = SolverOptions(rounds=3, quiet_rounds=1)
 
 

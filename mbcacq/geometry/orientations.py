@@ -1,7 +1,7 @@
 """Orientations as controllers and instruments write them: Euler angles of any order, rotation vectors, quaternions, matrices.
 
-A convention is a word: 'ZYX' names Euler angles about axes that turn along (capital letters, first to last), 'xyz' about axes that stay
-(small letters), 'vector' a rotation vector, 'wxyz' and 'xyzw' quaternions, 'matrix' nine numbers row by row.
+A convention is a word. 'ZYX' names Euler angles about axes that turn along (capital letters, first to last), 'xyz' about axes that stay
+(small letters). 'vector' is a rotation vector, 'wxyz' and 'xyzw' are quaternions, and 'matrix' is nine numbers row by row.
 """
 
 from __future__ import annotations

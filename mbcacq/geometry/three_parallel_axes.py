@@ -1,8 +1,8 @@
 """Inverse kinematics in closed form of six axes of which 2, 3 and 4 are parallel, as collaborative arms mostly have them.
 
-An arm is its axes at zero: the flange moves by the product of the rotations about them. What each rotation leaves in its place gives one
-angle after the other, each by a cos x + b sin x = c (subproblems after Paden and Kahan; the decomposition of this family is in Elias and
-Wen, "IK-Geo: unified robot inverse kinematics using subproblem decomposition", 2025):
+An arm is its axes at zero: the flange moves by the product of the rotations about them. The decomposition of this family is in Elias and
+Wen, "IK-Geo: unified robot inverse kinematics using subproblem decomposition", 2025. The invariants of each rotation give one angle after
+the other, each by a cos x + b sin x = c (subproblems after Paden and Kahan):
 
 1. The point P where axes 5 and 6 meet keeps its height along the parallel axes, whatever these do: q1.
 2. So does the direction of axis 6, but for q5.

@@ -4,16 +4,16 @@ A check measures the same R rows every day: r_t = mu + noise of the day, N(0, Si
 days, whatever it is; Sigma_h is one of several levels h of the noise of measuring and of changes from day to day. A change k with onset
 after n of the days says that mu moves there by G_k a, a ~ N(0, size^2).
 
-What is compared are densities of the differences between days (a maximal invariant under shifts of mu), so that mu needs no prior: with the
-flat prior both have, their ratio is a likelihood ratio whatever mu is (Perez-Ortiz, Lardy, de Heide and Grunwald 2024). Over changes, sizes
-and onsets it is averaged; over the levels of noise the null takes its best (universal inference; Wasserman, Ramdas and Balakrishnan 2020):
+Densities of the differences between days are compared (a maximal invariant under shifts of mu), so that mu needs no prior. Both have the
+flat prior, and their ratio is a likelihood ratio whatever mu is (Perez-Ortiz, Lardy, de Heide and Grunwald 2024). Over changes, sizes and
+onsets it is averaged; over the levels of noise the null takes its best (universal inference; Wasserman, Ramdas and Balakrishnan 2020):
 
     E_t = sum over k, h, sizes, onsets of weight x density of the change / max over h of the density of the null
 
 Under the null of any mu and any level h, E is at most a martingale of mean one: P(E_t >= 1 / alpha for any t) <= alpha (Ville 1939).
 That is a bound where the noise is normal with one of the levels. Which name gets the odds is calibration: it depends on sizes and list.
 
-By sufficiency the rows enter through y_t = G' Sigma^-1 r_t alone: with T and C their sums over all t and over the first n days, the score
+By sufficiency the rows enter through y_t = G' Sigma^-1 r_t alone. Let T and C be their sums over all t and over the first n days. The score
 of a change after day n is S = n T / t - C, with information n (t - n) / t times G' Sigma^-1 G.
 """
 

@@ -31,8 +31,8 @@ class UsualChanges:
 class CheckOptions:
     """Lengths mm, angles rad.
 
-    The threshold follows from ``false_alarms``: an e-process exceeds 1 / alpha with a probability of at most alpha, ever (Ville 1939), and
-    the two that are kept, since the calibration and since the first check, share it.
+    The threshold follows from ``false_alarms``: an e-process exceeds 1 / alpha with a probability of at most alpha, ever (Ville 1939). Two
+    are kept, since the calibration and since the first check, and share it.
     """
 
     poses: int = 12  # of a check; more notice little more, and take minutes

@@ -70,8 +70,8 @@ class InJson:
 
 
 class EveryKey:
-    """Base of a dataclass of which a file holds every field, also one that has a default in Python: none may be missing there, but those
-    in ``left_out``, which are not written where they have their default, and those in ``later``, which older files of the format lack.
+    """Base of a dataclass of which a file holds every field, also one that has a default in Python. No field may be missing there, with two
+    exceptions: those in ``left_out`` are not written where they have their default, and older files of the format lack those in ``later``.
     """
 
     left_out: ClassVar[tuple[str, ...]] = ()

@@ -125,8 +125,8 @@ class Clearance:
     def _own_pairs(self) -> list[Pair]:
         """All bodies of the arm against each other, except neighbouring links, and what overlaps in each of many random postures.
 
-        The scanner and what carries it are no links, and no joint limit of the maker's keeps them off the arm: where they overlap with a
-        link in every posture, they are divided, and only those parts of them are left out that do.
+        The scanner and its carrier are no links, and no joint limit of the maker's keeps them off the arm. If they overlap with a link in
+        every posture, they are divided, and only the overlapping parts are left out.
         """
         return [p for a, b in combinations(self._arm, 2) if b.link > max(a.link, 1) for p in self._examined(a, b)]
 

@@ -83,9 +83,9 @@ def _poses(loaded: LoadedPlan, wanted: list[Target], chosen: list[np.ndarray]) -
 
 
 def _free_solutions(loaded: LoadedPlan, wanted: list[Target], options: list[np.ndarray], restart: list[bool]) -> list[np.ndarray]:
-    """The joint position (n,) rad to take at each target: of those that reach it (k, n) one at which nothing is too close, if there is
-    one, and of an arm with many ways to a pose one with a free path to it. A position that fails is left out, with the same posture full
-    turns away, and all are chosen anew."""
+    """The joint position (n,) rad to take at each target. It is one of those that reach it (k, n) at which nothing is too close, if there
+    is one. For an arm with many ways to a pose it is one with a free path to it. A position that fails is left out, with the same posture
+    full turns away, and all are chosen anew."""
     router, needed = router_of(loaded), loaded.plan.clearance_mm
     many_ways = isinstance(router.solver, NumericalInverse)
     left, spoiled = list(options), [target.T_base_flange is None for target in wanted]

@@ -9,8 +9,8 @@ from mbcacq.plan.schema import FieldOfView, View
 
 
 def aim_depth(field: FieldOfView) -> float:
-    """z (mm, scanner frame) at which what is looked at appears: 0, or the middle of the view where the frame's origin is not in it, as
-    that of a scanner whose frame is its camera's."""
+    """z (mm, scanner frame) of the target of a view. It is 0, or the middle of the view if the frame's origin is not in it, as for a
+    scanner whose frame is its camera's."""
     return 0.0 if field.far_z_mm <= 0 <= field.near_z_mm else (field.near_z_mm + field.far_z_mm) / 2
 
 

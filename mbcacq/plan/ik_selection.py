@@ -13,8 +13,8 @@ def select_solutions(loaded: LoadedPlan, options: list[np.ndarray], restart: lis
     """Index of the option to take at each pose.
 
     options: per pose (k, n) rad, k >= 1; restart: True where the arm comes from home instead of from the pose before (the artefact was
-    moved). The cost of a motion is the time its slowest joint needs at full speed; positions near a limit, with a nearly straight wrist,
-    or that reach over the arm's back where home does not, cost extra.
+    moved). The cost of a motion is the time its slowest joint needs at full speed. Positions near a limit, with a nearly straight wrist, or
+    that reach over the arm's back where home does not, cost extra.
     """
     if not options:
         return []

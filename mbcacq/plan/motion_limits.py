@@ -67,8 +67,8 @@ def arms_beyond(cell: Cell) -> np.ndarray:
 
 
 def longest_duration(travel: np.ndarray, limits: MotionLimits, arms: np.ndarray) -> float:
-    """Generous bound (s, robot clock) on how long a motion may take before something is wrong: travel (n,) rad by the plan's limits, or
-    where that takes longer as a controller drives in T1, no point faster than its reduced speed. arms: (n,) mm of ``arms_beyond``."""
+    """Generous bound (s, robot clock) on how long a motion may take before something is wrong. The travel (n,) rad is driven by the plan's
+    limits or, if that takes longer, as in T1, no point faster than its reduced speed. arms: (n,) mm of ``arms_beyond``."""
     ramp = np.max(limits.speed / limits.acceleration + limits.acceleration / limits.jerk)
     planned = 3.0 * float(np.max(np.abs(travel) / limits.speed) + 2.0 * ramp)
     reduced = float(np.abs(travel) @ arms) / T1_MM_S

@@ -60,7 +60,8 @@ def plan_scene(loaded: LoadedPlan) -> dict[str, Any]:
     dict
         'groups': balls of all stations, by artefact ('name', 'colour', 'points' (k, 3)). 'arm': (n + 1, 3) at home. 'boxes': obstacles,
         corners (8, 3) each. 'poses': for each 'label', 'arm' (n + 2, 3) to the scanner, 'view' (8, 3) corners of the field of view, four
-        near and four far, 'seen' (k, 3) the balls in it, 'colour' of its phase. 'unreachable': number of poses that the arm cannot take.
+        near and four far, 'seen' (k, 3) the balls in it. 'colour' is that of its phase. 'unreachable': number of poses that the arm cannot
+        take.
     """
     poses, lacking = expand_reachable(loaded)
     cell, field = loaded.cell, loaded.plan.scanner.field_of_view

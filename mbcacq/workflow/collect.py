@@ -217,8 +217,8 @@ def _files(sources: Sources) -> list[Path]:
 
 
 def _slots(loaded: LoadedPlan, poses: Sequence[PlannedPose], table: Path | None, done: frozenset[int], clouds: int) -> list[Slot]:
-    """What clouds there should be, in order: as the program's table says, else all exposures of the poses that are not done, or of all
-    poses where there are more clouds than that: then those of the poses that are done are among them."""
+    """The expected clouds, in order. The program's table gives them; without it they are all exposures of the poses that are not done. If
+    there are more clouds than that, those of the poses that are done are among them, and all poses count."""
     index = {pose.number: k for k, pose in enumerate(poses)}
     if table is None:
         every = [Slot(k, e) for k, pose in enumerate(poses) for e in range(pose.exposures)]

@@ -89,8 +89,9 @@ def read_targets(content: Any) -> CorrectedTargets:
 def corrected_targets(loaded: LoadedPlan, poses: Sequence[PlannedPose], calibrated: CalibratedArm, dry_run: bool) -> CorrectedTargets:
     """Correct the targets of a plan's poses by a calibrated arm with its effects.
 
-    A simulated calibration steers only fakes. Raises ConfigError where the result is of another arm, holds the nominal arm, is simulated
-    and the arm real, where a place cannot be reached within the limits, or the calibrated arm misses one by more than an arm in good order.
+    A simulated calibration steers only fakes. Raises ConfigError if the result is of another arm, holds the nominal arm, or is simulated
+    and the arm real. It is also raised if a place cannot be reached within the limits, or if the calibrated arm misses one by more than an
+    arm in good order.
     """
     arm = as_cell(calibrated)
     refuse_other_arm("the result is of", arm.robot, arm.nominal, loaded.cell.robot, "the plan")

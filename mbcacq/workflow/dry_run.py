@@ -36,8 +36,8 @@ class MeasuredBefore:
 def device_overrides(
     loaded: LoadedPlan, poses: Sequence[PlannedPose], dry_run: bool, seed: int, assume_yes: bool, before: MeasuredBefore | None = None
 ) -> Iterator[Overrides]:
-    """Options that replace the plan's own by device: the fake cell's addresses in a dry run, while the fake cell is up; and the answer yes
-    to the prompts of a person who moves the artefacts. before: what a run that goes on has measured in the same cell.
+    """Options that replace the plan's own by device. They are the fake cell's addresses in a dry run, while the fake cell is up, and the
+    answer yes to the prompts of a person who moves the artefacts. before: what a run that goes on has measured in the same cell.
 
     Raises ConfigError where a driver cannot be imported or refuses its options: before a folder is made, a device opened.
     """

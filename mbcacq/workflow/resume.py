@@ -51,9 +51,9 @@ def poses_to_skip(
 ) -> frozenset[int]:
     """Numbers of the poses that a resumed run passes over.
 
-    An artefact that was touched since stands elsewhere, and its station must be measured as a whole: so it is where ``measure_again`` says
-    so, or where a person moves the artefacts and ``moved(station)``, asked of the first partly measured station, says so. A positioner is
-    taken to have left it alone (a large move is found in the first scan).
+    An artefact that was touched since stands elsewhere, and its station must be measured as a whole. ``measure_again`` says so; if a person
+    moves the artefacts, ``moved(station)``, asked of the first partly measured station, says so. A positioner is taken to have left it
+    alone (a large move is found in the first scan).
     """
     partial = partial_stations(poses, before)
     if not measure_again and partial and loaded.plan.positioner.driver == "manual":

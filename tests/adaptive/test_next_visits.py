@@ -128,8 +128,8 @@ def test_what_can_do_less_than_the_limit_of_the_user_does_not_hide(looked):
 
 
 def test_what_geometry_explains_tells_no_sets_apart_and_what_chance_made_does_not_come_again():
-    """Two fits that differ by the same change of geometry before and after predict the same; one that differed by what was noise in the
-    measured poses, and now stands for it, predicts differently wherever its effect acts."""
+    """Two fits that differ by the same change of geometry before and after predict the same. A fit that took up noise of the measured poses
+    predicts differently wherever its effect acts."""
     rng = np.random.default_rng(4)
     Z, own = rng.normal(size=(30, 4, 5)), rng.normal(size=(30, 4, 1))
     E = np.concatenate([Z @ rng.normal(size=(5, 1)), 3.0 * own, own], axis=2)  # geometry; an effect as fitted, and by its column

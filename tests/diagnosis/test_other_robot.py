@@ -21,7 +21,7 @@ def test_angles_of_another_robot_are_refused(plan, spoil):
 
 @pytest.mark.parametrize("size", [1.0, 0.5])
 def test_an_artefact_of_any_size_contradicts_angles_in_rad(plan, size):
-    """No hand-eye fits such data, and the last digit of an angle decides where its fit ends; the balls of a small artefact may then miss
+    """No hand-eye fits such data, and the last digit of an angle decides where its fit ends. The balls of a small artefact may then miss
     each other by less than those of a poor arm do. The answer is the same for all of them."""
     whole, bar = plan.cell.artefacts
     artefacts = (replace(whole, centres=size * whole.centres), bar)

@@ -16,8 +16,8 @@ from mbcacq.workflow.compare_runs import compare_results, compare_runs
 
 
 def another(result, seed, **errors):
-    """The same cell measured again: the data move by their own noise, some parameters by a known change (rad, mm) as well; the estimates
-    are those that the prior of the links lets lean towards nominal."""
+    """The same cell measured again. The data move by their own noise, some parameters by a known change (rad, mm) as well. The estimates
+    lean towards nominal as the prior of the links lets them."""
     again = json.loads(json.dumps(result))
     rng = np.random.default_rng(seed)
     names, own = again["names"], without_prior(result)

@@ -1,5 +1,5 @@
-"""What the vendor's sample programs ask, in their order and by their paths, is answered by the fake sensor: free run by the time trigger,
-a recording and its replay, the paths of a laser line sensor, subscriptions and streams."""
+"""The fake sensor answers the requests of the vendor's sample programs, in their order and by their paths. They are free run by the time
+trigger, a recording and its replay, the paths of a laser line sensor, subscriptions and streams."""
 
 import socket
 import struct

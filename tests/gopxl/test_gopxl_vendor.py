@@ -1,4 +1,4 @@
-"""The driver against what the sources of the vendor's own client say (GoPxL SDK for C++, 2022 to 2025, MIT licence): which requests it
+"""The driver against the sources of the vendor's own client (GoPxL SDK for C++, 2022 to 2025, MIT licence). They say which requests it
 writes, byte for byte, which replies it takes, and how it reads the messages of a scan. Read, not copied: bytes are made after their
 order."""
 

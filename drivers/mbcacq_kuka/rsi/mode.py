@@ -91,9 +91,9 @@ class ModeProbe:
 
 
 class Proof:
-    """No motion begins before the arm was seen to carry out an absolute correction: the last axis is moved by a little, waits, and goes
-    back, until that is ``seen``, the arm runs away (``relative``), or it has done nothing for ``ATTEMPTS`` (``in_vain``). Stopped meanwhile
-    it goes back to a correction of zero, at which an arm of either kind stands."""
+    """No motion begins before the arm was seen to carry out an absolute correction. The last axis is moved by a little, waits, and goes
+    back. This ends when the correction is ``seen``, when the arm runs away (``relative``), or when it has done nothing for ``ATTEMPTS``
+    (``in_vain``). Stopped meanwhile it goes back to a correction of zero, at which an arm of either kind stands."""
 
     def __init__(self, reference: Sequence[float], noise_deg: float, step_deg: float, wait_cycles: int, direction: float) -> None:
         """reference: joints (6,) without a correction; step_deg: of the written angles; else as ModeProbe."""

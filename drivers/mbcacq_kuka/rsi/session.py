@@ -1,17 +1,17 @@
 """One RSI session: which answer each telegram gets, and what ends the motion. No sockets, no clock of its own.
 
-Corrections are absolute: offset of every axis (deg) from its position at RSI_ON, which is the first AIPos received. They
-advance by one set point an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. Where an answer
-was not used, or a telegram never came, the controller has held the set point before it: the motion goes on from there, from rest, so
-that the path it sees stays within the limits. A telegram that was kept on its way (see punctuality) is answered with the set point
-before it: no controller takes that answer, and one that hides it in its Delay must not fall behind the set points.
+Corrections are absolute: offset of every axis (deg) from its position at RSI_ON, which is the first AIPos received. They advance by one set
+point an answered telegram, never by elapsed time, so that no delay anywhere can make the arm jump. Where an answer was not used, or a
+telegram never came, the controller has held the set point before it. The motion goes on from there, from rest, so that the path it sees
+stays within the limits. A telegram that was kept on its way (see punctuality) is answered with the set point before it. No controller takes
+that answer, and one that hides it in its Delay must not fall behind the set points.
 
-The first fault is kept. It brakes the arm, then ends the controller's session; where the arm does not do what it is told, the session
-is ended at once, and where the controller may have begun a new one nothing is answered any more. docs/safety.md has the argument.
+The first fault is kept. It brakes the arm, then ends the controller's session. If the arm does not follow its commands, the session is
+ended at once. If the controller may have begun a new one, nothing is answered any more. docs/safety.md has the argument.
 
-The answer to the next telegram is rendered while the controller waits for nothing: ``reply`` only compares bytes with what is
-expected and hands it out; everything else, which is parsing, watching, recording and planning, is done by ``digest`` after it was
-sent. So a command takes effect one cycle later than it could; a telegram that is not the expected one is parsed first.
+The answer to the next telegram is rendered while the controller waits for nothing: ``reply`` only compares bytes with the expected ones and
+hands it out. ``digest`` does everything else after it was sent: parsing, watching, recording and planning. So a command takes effect one
+cycle later than it could; a telegram that is not the expected one is parsed first.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Does the arm do what it is asked to? Compares measured and commanded joint angles, one robot cycle after the other. deg.
 
-An arm follows its commands with a lag. Whatever the shape of that lag, its position is a weighted mean of past commands and its
-speed a weighted mean of past commanded speeds, so both lie between the smallest and the largest of the last cycles. An arm that
-stands still when it should move, or moves when it should not, leaves one of the two bands.
+An arm follows its commands with a lag. Whatever the shape of that lag, its position is a weighted mean of past commands and its speed a
+weighted mean of past commanded speeds. Both therefore lie between the smallest and the largest of the last cycles. An arm that stands still
+when it should move, or moves when it should not, leaves one of the two bands.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from mbcacq_fakes.world.description import ScannerView
 
 @dataclass(frozen=True)
 class NoiseGrowth:
-    """How the noise grows over the field of view: by ``ratio`` (3,) along x, y, z for each ``span_mm`` away from ``middle_z``, away from
-    the scanner; and with the incidence by its cosine to the power of -``slant``."""
+    """How the noise grows over the field of view. It grows by ``ratio`` (3,) along x, y, z for each ``span_mm`` away from ``middle_z``,
+    away from the scanner, and with the incidence by its cosine to the power of -``slant``."""
 
     ratio: np.ndarray
     middle_z: float

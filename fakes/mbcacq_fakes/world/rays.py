@@ -3,8 +3,8 @@
 Pixel (row i, column j) looks along x = u_j (a_x + b_x z), y = v_i (a_y + b_y z), with u, v in (-1, 1): straight lines that fill the
 scanner's frustum exactly. The ray parameter is z itself; the scanner looks down, so the first hit is the one with the largest z.
 
-x depends on the column alone and y on the row alone, so over a rectangle of pixels every quadratic form of the rays is a sum of one term
-for each column and one for each row.
+x depends on the column alone and y on the row alone. Over a rectangle of pixels every quadratic form of the rays is therefore a sum of one
+term for each column and one for each row.
 """
 
 from __future__ import annotations

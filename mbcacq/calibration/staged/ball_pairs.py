@@ -1,10 +1,10 @@
 """Which pairs of measured centres enter the distance constraint (Eq. 21-24).
 
-The equations speak of "the two points" a and b, "the center points of two spheres on the stereo target", and say of repetition only
+The equations speak of "the two points" a and b, "the center points of two spheres on the stereo target". About repetition they only say
 that "the position of the stereo target was varied, and the above process was repeated": one pair of balls, at every position. That is
-``one``. Nothing there takes four balls (they make the virtual point of Eq. 5) or all of them; read as an equation for *any* two balls
-it would allow ``all``. Which two is not said: the two farthest apart are taken. Nor is said which poses: all pairs of poses of a
-position are taken.
+``one``. Nothing there takes four balls (they make the virtual point of Eq. 5) or all of them; read as an equation for *any* two balls it
+would allow ``all``. Which two is not said: the two farthest apart are taken. Nor is said which poses: all pairs of poses of a position are
+taken.
 """
 
 from __future__ import annotations

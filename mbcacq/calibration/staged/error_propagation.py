@@ -1,9 +1,9 @@
 """Error propagation: the noise of every pose carried through the least squares of the distance constraint.
 
 Distances are not independent. Each centre enters many of them, the angle adjustment ties the centres of a scan, and the repeatability of
-the joints moves all of them together; plain least squares of the distances understates the uncertainty several times. The method itself
-has no noise model, so the hierarchical one is used, with its two levels taken from the same data: the scanner's from the shape
-of each scan against the certificate, the joints' from what the distances miss beyond that (method of moments).
+the joints moves all of them together. Plain least squares of the distances understates the uncertainty several times. The method itself has
+no noise model, so the hierarchical one is used, with its two levels taken from the same data. The scanner's level follows from the shape of
+each scan against the certificate, the joints' from the errors of the distances beyond that (method of moments).
 """
 
 from __future__ import annotations

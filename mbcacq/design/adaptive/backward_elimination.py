@@ -30,8 +30,8 @@ class MeasuredInformation:
     products: np.ndarray
 
     def of_block(self, g: int, block: slice) -> MeasuredInformation:
-        """The same information of the first g parameters and one block of six of a station alone, all other stations at their best places:
-        rows of one station say nothing about another, so their blocks are independent, given the first g.
+        """The same information of the first g parameters and one block of six of a station alone, all other stations at their best places.
+        Rows of one station say nothing about another, so their blocks are independent, given the first g.
         """
         N_each, B_each, products_each = self._eliminated(g)
         own = (block.start - g) // SIX

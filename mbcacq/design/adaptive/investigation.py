@@ -29,8 +29,8 @@ from mbcacq.plan.growth import with_steps
 from mbcacq.plan.schema import Taught
 
 LARGEST = 1e6  # usual sizes: JSON has no infinity, and what the geometry absorbs has no limit
-# Every figure of a decision is the same to the last bit wherever it is made: two threads of linear algebra add up in another order than
-# one, and a command has one where a program that imports the library has as many as the computer has cores.
+# Every figure of a decision is the same to the last bit wherever it is made. Two threads of linear algebra add up in another order than
+# one. A command has one thread; a program that imports the library has as many as the computer has cores.
 repeatable = threadpool_limits.wrap(1)
 Steps = list[dict[str, Any]]
 Measure = Callable[[LoadedPlan], Observations]  # a plan, of which the first poses may be measured already -> all that is measured
@@ -193,8 +193,8 @@ def _acts_in_time(label: str) -> bool:
 
 
 def sure(look: InterimEvidence) -> bool:
-    """Whether what a diagnosis would say can be stood for: nothing, after a first block and with no effect half as probable as none; or
-    effects of which each shows by enough information, with no further one probable beside them.
+    """Whether the statement of a diagnosis would be reliable. "No effect" is reliable after a first block, if no effect is half as probable
+    as none. Effects are reliable if each shows by enough information, and no further one is probable beside them.
     """
     if look.verdict == "cannot_tell":
         return False

@@ -156,8 +156,8 @@ def _approached(poses: list[PlannedPose], both_ways: bool) -> tuple[PlannedPose,
 
 
 def _feasible(loaded: LoadedPlan, visits: list[Visit]) -> list[Visit]:
-    """The visits without the poses that a check of their plan finds wrong. What is wrong with no single pose, such as a bar that calibrates
-    nothing by itself, is none of their faults: they extend a recording, and the plan that has grown is checked as a whole before it is run.
+    """The visits without the poses that a check of their plan finds wrong. A fault of no single pose, such as a bar that calibrates nothing
+    by itself, is not counted: the poses extend a recording. The plan that has grown is checked as a whole before it is run.
     """
     while visits:
         text = next_plan_text(loaded, visits, loaded.path.parent)

@@ -67,9 +67,9 @@ class _Item:
 def ordered(loaded: LoadedPlan, count: int | None = None, steepest_deg: float = 40.0, seed: int = 0) -> PlanOrder:
     """The plan with its 'position' poses, or ``count`` better ones, in blocks of which each is the best continuation of those before it.
 
-    From the plan's poses and random views, the one is left out again and again that is missed least, by the information on all effects of
-    the catalogue per second of motion, scan and artefact move. The poses of the other phases stay.
-    Raises ConfigError where the plan has no 'position' step that looks at stations.
+    The plan's poses and random views are reduced step by step: each step leaves out the one that is missed least. The measure is the
+    information on all effects of the catalogue per second of motion, scan and artefact move. The poses of the other phases stay. Raises
+    ConfigError where the plan has no 'position' step that looks at stations.
     """
     kept, items = _items(loaded, steepest_deg, seed)
     own = sum(item.given for item in items)

@@ -219,7 +219,7 @@ class VisitChoice:
     def _of_station(
         self, before: MeasuredInformation, here: np.ndarray, costs: VisitCosts, station: Station, most: int
     ) -> tuple[list[int], float, float]:
-        """Poses of one station, by elimination of all others: of the numbers of poses that may be, the one with most value per second; with
+        """Poses of one station, by elimination of all others. Their number is the permitted one with most value per second. Also returns
         the log odds that they are expected to gain between sets, and their value.
         """
         asked, pairs = self.asked, slice(0, self.asked.pairs)
@@ -264,8 +264,8 @@ def _linearised(look: InterimEvidence, pool: Sequence[PlannedPose], stations: Se
 def predicted(
     measured: MeasuredInformation, ahead: InformationBlocks, differences: np.ndarray
 ) -> tuple[MeasuredInformation, InformationBlocks]:
-    """The same, with the columns (indices) by which two fits differ as the difference of what they predict for the poses ahead: each fit
-    has its own geometry, and both have what was measured behind them.
+    """The same, with the columns (indices) by which two fits differ as the difference of their predictions for the poses ahead. Each fit
+    has its own geometry, and both rest on the measured poses.
     """
     B, products, E = measured.B.copy(), measured.products.copy(), ahead.E.copy()
     E[:, :, differences] -= ahead.Z @ np.linalg.solve(measured.N, B[:, differences])

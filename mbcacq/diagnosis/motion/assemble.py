@@ -1,7 +1,7 @@
 """The diagnosis of motion put together from the fits of all groups of channels.
 
-The held-out table of channels is the one truth: a joint of a channel that its model makes worse there keeps no model, and what the effects
-of a joint remove is shared out of what the table says.
+The held-out table of channels decides. A joint of a channel that its model makes worse there keeps no model, and the effects of a joint
+share the improvement that the table states.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:
 
 
 def _advice(runs: tuple[MotionSignals, ...], not_separable: tuple[NotSeparable, ...]) -> list[Advice]:
-    """Which axes should move further, where effects could not be told apart: gravity torques of the masses, of a tool and of a balancer go
+    """The axes that should move further, if effects could not be told apart. Gravity torques of the masses, of a tool and of a balancer go
     together over a small range of angles, and apart over a large one."""
     robot = runs[0].robot
     if not not_separable or robot is None:

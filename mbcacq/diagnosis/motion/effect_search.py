@@ -91,7 +91,7 @@ class MotionSearch(EvidenceSearch):
 
     def settled(self, best: Hypothesis, first: int = 0) -> Hypothesis:
         """The set with the most probable value of the hyper-parameters of its effects from number ``first`` on, one after the other, at the
-        noise that they leave: before an effect is there, the noise hides which value fits best.
+        noise that they leave. Before an effect is there, the noise hides which value fits best.
         """
         members = list(best.members)
         for i, member in list(enumerate(members))[first:]:

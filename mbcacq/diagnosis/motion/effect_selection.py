@@ -1,7 +1,7 @@
 """Which effects a group of channels needs: the sets of the evidence search, linearised anew after every effect.
 
-Effects that hide each other (friction of all joints, a tool, a balancer) start together, and what is not needed is left out: one by one,
-each would have to stand out of the structure that the others leave. Whenever a set changes, the delay of the channel, the continuous
+Effects that hide each other (friction of all joints, a tool, a balancer) start together, and those that are not needed are left out. One by
+one, each would have to stand out of the structure that the others leave. Whenever a set changes, the delay of the channel, the continuous
 hyper-parameters and the load are estimated anew, and periodic components are looked for in what is left.
 """
 

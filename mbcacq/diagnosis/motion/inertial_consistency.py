@@ -1,8 +1,8 @@
 """Inertial parameters that a body can have.
 
-A rigid body's pseudo-inertia [[S, h], [h^T, m]], with S the second moment of its mass, S = trace(I) / 2 - I, is positive definite
-(Wensing, Kim, Slotine, Linear matrix inequalities for physically consistent inertial parameter identification, 2018). Here it is L L^T of
-a lower triangular L, so that the least squares of the torque are solved within that set; rotors are squares for the same reason.
+A rigid body's pseudo-inertia [[S, h], [h^T, m]] is positive definite, with S the second moment of its mass, S = trace(I) / 2 - I. See
+Wensing, Kim, Slotine, Linear matrix inequalities for physically consistent inertial parameter identification, 2018. Here it is L L^T of a
+lower triangular L, so that the least squares of the torque are solved within that set; rotors are squares for the same reason.
 """
 
 from __future__ import annotations

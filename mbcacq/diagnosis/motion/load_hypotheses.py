@@ -2,7 +2,8 @@
 
 The masses are described to 10 % and free within that, so over a small range of angles they stand for a balancer or for another load, and
 these for them, although they differ beyond it. Where the second axis moved over a small part of its range and the masses did not fit their
-description, the selected explanation is compared with the others by evidence: coefficients of a few sizes, all else fitted with them.
+description, the selected explanation is compared with the others by evidence. Their coefficients have a few sizes, and all else is fitted
+with them.
 """
 
 from __future__ import annotations

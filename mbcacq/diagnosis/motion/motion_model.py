@@ -74,8 +74,9 @@ class MotionModel:
         return np.concatenate([self.store.base, *(e.columns for e in self.selected if e is not without)]).astype(int)
 
     def weights(self, chosen: np.ndarray) -> np.ndarray:
-        """What a sample of each joint (J,) counts: one over the mean square of the residual of these columns and over the number of samples
-        that say the same, so that a residual with structure does not outvote what is known of the arm. Weights and coefficients in turn."""
+        """Weight of a sample of each joint (J,). It is one over the mean square of the residual of these columns and over the number of
+        samples that say the same. A residual with structure then does not outvote the knowledge of the arm. Weights and coefficients in
+        turn."""
         store = self.store
         count = np.maximum(store.count.sum(axis=0), 1.0)
         least = count * self.least_noise**2

@@ -1,7 +1,7 @@
 """Normal equations of a group of channels, segment by segment in time: any choice of columns is fitted and tested from them alone.
 
-Per joint and segment (half a second of a recording) the products of all columns, and of the mismatch, with each other are kept; the
-fit on some segments and the squared error on others are then small matrix products, however long the recording.
+Per joint and segment (half a second of a recording) the products of all columns, and of the mismatch, with each other are kept. The fit on
+some segments and the squared error on others are then small matrix products, however long the recording.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class NormalStore:
             self.base = np.concatenate([self.base, self.add(list(joints), columns, group.prior)])
 
     def _offset_prior(self, j: int) -> np.ndarray | None:
-        """An offset of an angle is a convention; that of a torque is an error of its measurement, or friction that differs by direction,
-        and small: free, it would stand for a balancer or a mass wherever a joint moves little."""
+        """An offset of an angle is a convention. An offset of a torque is an error of its measurement, or friction that differs by
+        direction, and small. If it were free, it would stand for a balancer or a mass wherever a joint moves little."""
         if self.group.refit or not self.group.signal:
             return None
         largest = max(float(np.abs(s[:, j]).max()) for s in self.group.signal)

@@ -1,8 +1,8 @@
 """A channel that was sampled late is corrected in time, so that every other effect appears at the instant at which it acted.
 
-A column for the delay among the others would serve for a slow motion only: periodic components and friction are late with the channel
-too, and a recorded torque, differentiated, carries noise that shrinks its own coefficient. So the recording is shifted, and the slope
-by which the remaining delay is estimated is that of the simulation, which has no noise.
+A column for the delay among the others would serve for a slow motion only. Periodic components and friction are late with the channel too,
+and a recorded torque, differentiated, carries noise that shrinks its own coefficient. So the recording is shifted, and the slope by which
+the remaining delay is estimated is that of the simulation, which has no noise.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Bayes factor of coefficients of unknown size: the ratio of marginal likelihoods with them and without.
 
-Coefficients are normal with standard deviations s times typical; each size s of a few is equally probable beforehand. With
-A = D X'PX D and a = D X'Pr (D: typical sizes), log BF(s) = 1/2 (s^2 a'(I + s^2 A)^-1 a - ln|I + s^2 A|). Without an effect its
-expectation is one, whatever the columns, so averages over blocks (with prior shares) may be compared, and an average of R or more has a
-probability of at most 1/R where there is nothing.
+Coefficients are normal with standard deviations s times typical; each size s of a few is equally probable beforehand. With A = D X'PX D and
+a = D X'Pr (D: typical sizes), log BF(s) = 1/2 (s^2 a'(I + s^2 A)^-1 a - ln|I + s^2 A|). Without an effect its expectation is one, whatever
+the columns, so averages over blocks (with prior shares) may be compared. An average of R or more has a probability of at most 1/R where
+there is nothing.
 """
 
 from __future__ import annotations

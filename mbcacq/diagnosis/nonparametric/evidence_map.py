@@ -136,8 +136,8 @@ def _with_residual(projected: CandidateScoring, keys: tuple[UnitKey, ...]) -> np
 
 
 def without_rounding(raw: np.ndarray) -> np.ndarray:
-    """(k,) squares of a group's columns, with the largest in the place of those that are rounding: a turn of a bar about itself moves no
-    ball, and its coefficient, in units of what it moves, could be anything.
+    """(k,) squares of a group's columns, with the largest in the place of those that are rounding. A turn of a bar about itself moves no
+    ball, and its coefficient, in units of its motion, could be anything.
     """
     largest = float(raw.max(initial=1e-300))
     return np.where(raw > ROUNDING * largest, raw, largest)

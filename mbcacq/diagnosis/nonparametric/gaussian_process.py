@@ -1,6 +1,6 @@
 """Richer descriptions of an unmodelled effect whose location is known: a Gaussian process of one covariate, or of several together.
 
-On a box a process with a Matern kernel is, but for the neighbourhood of its walls, a random effect of the box's cosines, whose prior
+On a box a process with a Matern kernel is a random effect of the box's cosines, but for the neighbourhood of its walls. Their prior
 variances are the kernel's spectral density at their frequencies (Solin, Sarkka 2020). So it is written down as any other effect is. Its
 length is one of a few; which, and of which covariates, is decided by evidence.
 """
@@ -22,8 +22,8 @@ from mbcacq.effects.functions import Column, Function, Product, evaluate
 LENGTHS = (0.2, 0.4, 0.8)  # rad, or of the largest moment: from a local bump to what few harmonics nearly are
 COMPARED = 30  # functions of each process, while these are compared
 MOST_FUNCTIONS = 90  # of the one chosen: what fewer leave of it would be taken for noise of the joints
-# Share of its prior variance that so many functions must carry. Of a process over many lengths of two covariates they carry a fifth to a
-# half: then they fit the poses, and state 5 um of uncertainty between these where the error was 40 (a taut hose over 10 rad of A6).
+# Share of its prior variance that so many functions must carry. They carry a fifth to a half of a process over many lengths of two
+# covariates. They then fit the poses, and state 5 um of uncertainty between these where the error was 40 (a taut hose over 10 rad of A6).
 REPRESENTED = 0.9
 SMOOTHNESS = 2.5  # of the kernel: twice differentiable
 
@@ -77,8 +77,8 @@ class Process:
 
 
 def processes(s: Context, location: Location, depends_on: str) -> list[Process]:
-    """Processes at a location where something was found to depend on a covariate: of an angle, of it together with that of either
-    neighbouring joint, and of the gravity moment and the direction of gravity, whole and by their components.
+    """Processes at a location where something was found to depend on a covariate. They are processes of an angle, of it together with that
+    of either neighbouring joint, and of the gravity moment and the direction of gravity, whole and by their components.
     """
     out = list[tuple[str, list[str], float]]()
     if is_angle(depends_on):

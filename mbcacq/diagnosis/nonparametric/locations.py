@@ -1,7 +1,7 @@
 """Locations of the cell at which an unmodelled effect may act: their components, in axes in which neighbours can be told apart.
 
-A link's components stand in the frame of its own joint, so that turning about that joint (which is the joint's) is left out, and a
-single component that is a rotation about the next joint as well is left to that joint.
+A link's components stand in the frame of its own joint, so that turning about that joint (which is the joint's) is left out. A single
+component that is a rotation about the next joint as well is left to that joint.
 """
 
 from __future__ import annotations

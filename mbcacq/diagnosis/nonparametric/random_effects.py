@@ -1,6 +1,6 @@
 """Random effects: the model of what has no parametric effect, groups of functions at locations, each group with a size of its own.
 
-Every group is a random effect u ~ N(0, sigma^2) whose common size maximises the marginal likelihood: groups that the data do not ask for
+Every group is a random effect u ~ N(0, sigma^2) whose common size maximises the marginal likelihood. Groups that the data do not ask for
 vanish, and ranges without data stay near zero instead of being extrapolated.
 """
 

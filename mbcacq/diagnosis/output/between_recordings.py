@@ -1,6 +1,6 @@
 """What of an effect is common to several recordings of one arm, and what differs from day to day.
 
-Every effect is fitted to each recording by itself, with the geometry of all, and the values are a random effect: a common value and a
+Every effect is fitted to each recording by itself, with the geometry of all. The values are a random effect with a common value and a
 variance between recordings, by restricted maximum likelihood (as in meta-analysis: Hardy, Thompson 1996).
 """
 
@@ -35,8 +35,8 @@ def between_recordings(full: ModelFit) -> tuple[BetweenRecordings, ...]:
 
 
 def with_common_values(effects: Sequence[EffectFound], each: Sequence[BetweenRecordings]) -> list[EffectFound]:
-    """The effects, whose parameters that differ between the recordings are what these have in common, as uncertain as they differ: a fit to
-    all of them is more certain of its value than another day allows.
+    """The effects. Parameters that differ between the recordings have the common value, with an uncertainty that covers their differences:
+    a fit to all recordings is more certain of its value than another day allows.
     """
     differing: dict[tuple[str, str], list[BetweenRecordings]] = {}
     for one in each:

@@ -22,8 +22,8 @@ Beside = Sequence[tuple[Candidate, float | None]]  # effects that are free, each
 
 @dataclass(frozen=True)
 class Compensation:
-    """Geometry of a recording, in units of its prior sigma: Z (rows, z) whitened, normal Z'Z + I, and there (M, R, g) what its last g
-    parameters, those that no station owns, do at the postures elsewhere.
+    """Geometry of a recording, in units of its prior sigma: Z (rows, z) whitened, and normal Z'Z + I. ``there`` (M, R, g) is the effect of
+    its last g parameters, those that no station owns, at the postures elsewhere.
     """
 
     problem: CandidateScoring

@@ -1,5 +1,6 @@
-"""Tables of the diagnosis: the parametric effects with their parameters, the unmodelled ones, and the mismatch by location; with their
-probabilities, corrected for all that was tried, and the locations that these data cannot tell apart.
+"""Tables of the diagnosis: the parametric effects with their parameters, the unmodelled ones, and the mismatch by location.
+
+Each has its probability, corrected for all that was tried, and the locations that these data cannot tell apart.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Exclusion limits: the size of every effect at every location above which it would have shown, with 95 % confidence.
 
-A limit is of one parameter (an amplitude, a shift, a compliance) over a band of the effect's hyper-parameter (``limit_bands``): of all
-effects of that size, with a value from the band and any direction of the coefficients, 95 % would have shown more than this recording does
+A limit is of one parameter (an amplitude, a shift, a compliance) over a band of the effect's hyper-parameter (``limit_bands``). 95 % of all
+effects of that size, with a value from the band and any direction of the coefficients, would have shown more than this recording does
 (``upper_limit``).
 
 With the effect everything is free that it is confused with: geometry, what was found, the elasticity that every arm has, and the other

@@ -1,8 +1,8 @@
 """Whether a recording could have shown the effects of the catalogue at their typical sizes, and how many poses like its own could.
 
-That nothing was found means something only where something could have been. Each effect is taken by itself here, with what was found and
-the geometry free, at the value of its hyper-parameter where it is determined as at the median: it would have been seen, though perhaps not
-told from others. What is reported as limits is ``exclusion_limits``.
+That nothing was found means something only where something could have been. Each effect is taken by itself here, with the found effects and
+the geometry free. Its hyper-parameter has the value at which it is determined as at the median. The effect would then be found, though
+perhaps with alternatives that cannot be told apart. What is reported as limits is ``exclusion_limits``.
 """
 
 from __future__ import annotations

@@ -48,8 +48,8 @@ NO_CENTRES = PredictiveScore(0.0, 0, 0.0, 0.0)
 
 
 class HeldOutPrediction:
-    """Geometry and the coefficients of a model fitted on train (M,) bool, evaluated on test (M,) bool, where only the stations that are
-    not in train are free, and the moment of a change that fell among the poses left out. A pose is in one of both as a whole.
+    """Geometry and the coefficients of a model fitted on train (M,) bool, evaluated on test (M,) bool. Only the stations that are not in
+    train are free there, and the moment of a change that fell among the poses left out. A pose is in one of both as a whole.
     """
 
     def __init__(

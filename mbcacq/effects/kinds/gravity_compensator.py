@@ -1,9 +1,9 @@
 """A spring or gas balancer at A2, which carries the arm; nothing of it stands in the rigid-body model.
 
-Its torque depends on q2 alone. A rod between a point of the base, D apart from the axis, and one of the link, k along it, has the length
-l = sqrt(D^2 + k^2 - 2 D k cos(delta)), delta = q2 - q0, and pulls with a force F(l): torque F D k sin(delta) / l. It carries the arm, so
-q0 is near the angle at which the link stands upright. For springs and gas, which is compressed by less than half, F = F0 + F1 (l - l0).
-F0, F1 and a shift of q0 are the coefficients; the ratio k / D is tried.
+Its torque depends on q2 alone. A rod between a point of the base, D apart from the axis, and one of the link, k along it, has the length l
+= sqrt(D^2 + k^2 - 2 D k cos(delta)), delta = q2 - q0. It pulls with a force F(l), which is a torque F D k sin(delta) / l. It carries the
+arm, so q0 is near the angle at which the link stands upright. For springs and gas, which is compressed by less than half, F = F0 + F1 (l -
+l0). F0, F1 and a shift of q0 are the coefficients; the ratio k / D is tried.
 
 In the torque of a motion these coefficients are identified themselves, for mechanisms of another shape by a series of harmonics. At
 standstill the torque winds the gearbox up against gravity: what is identified is the torque times the compliance of A2, two angles.

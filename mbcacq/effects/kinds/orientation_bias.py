@@ -1,8 +1,8 @@
 """A bias of a target's measured orientation by the direction from which the instrument beside the arm sees it.
 
 A camera finds the orientation of a target from its markers; the error depends on how these lie in the picture. A constant error is the
-hand-eye transform's, so the turn is a polynomial of the line of sight in the target's axes without a constant: of first degree, or all
-polynomials of second degree on the sphere.
+hand-eye transform's, so the turn is a polynomial of the line of sight in the target's axes without a constant. It is of first degree, or
+consists of all polynomials of second degree on the sphere.
 """
 
 import numpy as np

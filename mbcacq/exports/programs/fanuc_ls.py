@@ -1,6 +1,6 @@
 """FANUC LS (.ls): positions in joint form that motion instructions go to without INC and without an offset.
 
-The teach pendant counts J3 from the horizontal: the angle between the links of axes 2 and 3 is J2 + J3, and that is the joint angle of a
+The teach pendant counts J3 from the horizontal. The angle between the links of axes 2 and 3 is J2 + J3, and that is the joint angle of a
 description by rows (as of the maker's own for ROS).
 """
 

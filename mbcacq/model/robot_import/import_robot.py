@@ -57,8 +57,8 @@ def import_robot(
     packages: Mapping[str, Path] | None = None,
     arguments: Mapping[str, str] | None = None,
 ) -> ImportedRobot:
-    """Read a URDF, xacro, MJCF file, a DH table (CSV, YAML; then ``convention`` must be said) or the factory calibration of a UR arm (YAML,
-    as ``ur_calibration`` writes it), and write it as a robot file.
+    """Read the description of an arm and write it as a robot file. It is a URDF, xacro or MJCF file, a DH table (CSV, YAML; then
+    ``convention`` must be given) or the factory calibration of a UR arm (YAML, as ``ur_calibration`` writes it).
 
     base, flange: links (URDF), bodies or sites (MJCF); default: what the file's names suggest. speed_deg_s: of every axis where the source
     states none. packages: folders of the ROS packages that a xacro names and that are not found above it; arguments: of its ``$(arg ..)``.

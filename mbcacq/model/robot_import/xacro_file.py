@@ -119,8 +119,8 @@ class _Packages:
         return str(found)
 
     def _by_folder(self, package: str) -> Path | None:
-        """A package that was copied without its package.xml is known by its folder: one above the file, or beside these; or one above whose
-        name begins as the package's does (kuka_kr6 for kuka_kr6_support), or the other way round."""
+        """A package that was copied without its package.xml is recognised by its folder, above the file or beside such folders. The name of
+        a folder above may also begin as the package's does (kuka_kr6 for kuka_kr6_support), or the other way round."""
         near = self._path.parents[:NEAR]
         beside = (f / package for f in near)
         alike = (f for f in near if len(f.name) >= SHORTEST_NAME and (package.startswith(f"{f.name}_") or f.name.startswith(f"{package}_")))

@@ -1,8 +1,8 @@
 """``poses.csv`` as one wide table: joint angles and what was measured in one row.
 
-One ball or target has the columns x_mm, y_mm, z_mm (and qw, qx, qy, qz); several balls have x1_mm, y1_mm, z1_mm with the ball's number, and
-a row that does not show one of them leaves its cells empty. ``pose`` may be missing (rows are numbered from 1), ``station`` where the
-cell has only one, ``ball`` where the cell has only one ball.
+One ball or target has the columns x_mm, y_mm, z_mm (and qw, qx, qy, qz). Several balls have x1_mm, y1_mm, z1_mm with the ball's number, and
+a row that does not show one of them leaves its cells empty. ``pose`` may be missing (rows are numbered from 1), ``station`` where the cell
+has only one, ``ball`` where the cell has only one ball.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ NOT_OURS = "holds no recording of mbcacq"  # in the sentence about a file that c
 class LibraryReader:
     """One .rrd file. Where its footer is missing, it is read from end to end.
 
-    The library ends the whole process at some damaged files (it aborts in its Arrow buffers): only a file that is known to be as it was
-    written may be read in a process that must live on. Raises RecordingError.
+    The library ends the whole process at some damaged files (it aborts in its Arrow buffers). Only a file that is known to be undamaged may
+    be read in a process that must live on. Raises RecordingError.
     """
 
     def __init__(self, path: Path) -> None:

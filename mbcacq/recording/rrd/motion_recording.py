@@ -67,8 +67,8 @@ def log_motion(stream: rr.RecordingStream, motion: MotionDrawn) -> None:
 
 
 def motion_tabs(motion: MotionDrawn, name: str = "Diagnosis") -> list[rrb.Container]:
-    """A tab of that name with the verdict and all residuals of each kind of channel; then one for each kind of channel of each recording:
-    of each joint what was measured, both models, and what they leave."""
+    """A tab of that name has the verdict and all residuals of each kind of channel. Then one tab for each kind of channel of each recording
+    has the measurements of each joint, both models, and their residuals."""
     series, titles = motion.series, motion.titles
     entities = _by_entity(series)
     text = rrb.TextDocumentView(name="Verdict", origin=layout.MOTION_TEXT)

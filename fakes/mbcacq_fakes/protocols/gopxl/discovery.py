@@ -24,8 +24,8 @@ class GoPxLDiscovery(datagrams.Responder):
     """Answers requests as a sensor at ``host`` does; on 0.0.0.0 as one at the address that the asker sees.
 
     It listens on all interfaces, since a socket bound to one address hears no broadcast; one at a loopback address answers this computer
-    only. The vendor's client hears what comes to its own ``reply_port`` (3320), by broadcast or not, and not what comes to the port that
-    asked; so both get the answer, the first by broadcast, for several programs on one computer may have it.
+    only. The vendor's client hears its own ``reply_port`` (3320), by broadcast or not, and not the port that asked. Both therefore get the
+    answer, the first by broadcast, for several programs on one computer may have that port.
 
     Parameters
     ----------
