@@ -138,7 +138,7 @@ def power_of_ten(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in whole percent; of one below 1 % the tenth too, so that what is there is not said to be nothing."""
+    """A share in whole percent. A share below 1 % has a tenth too, so that it does not look like nothing."""
     return f"{share:.1%}" if 0.0005 <= share < 0.0095 else f"{share:.0%}"
 
 

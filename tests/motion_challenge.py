@@ -131,7 +131,7 @@ def _text(location: Location) -> str:
 
 
 def _errors(truth: Mapping[str, Any], found: Parameters) -> dict[str, float]:
-    """Largest error among the components of each parameter; of several periodic components that of the nearest order counts."""
+    """Largest error among the components of each parameter; that of the nearest order counts among several periodic components."""
     component = _nearest_order(truth, found)
     if component is not None and component < 0:
         return {}

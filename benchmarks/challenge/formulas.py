@@ -40,7 +40,7 @@ OF_COVARIATES = {"axis_wobble": "q", "cable_drag": "q", "link_bending": "gravity
 
 
 def right_terms(kind: str, truth: dict[str, Any], terms: tuple[str, ...]) -> bool:
-    """Whether a formula is the true one, or, of those forms, of the true covariates alone."""
+    """Whether a formula is the true one. For the forms outside of the dictionary, the true covariates alone suffice."""
     if kind not in OF_COVARIATES:
         return terms in accepted(kind, truth)
     factors = [re.sub(r"^linear |^\d+(?=q)|\^\d$", "", factor) for term in terms for factor in term.split("*")]

@@ -179,7 +179,7 @@ def sizes_page(records: list[dict]) -> str:
         "says. False alarms: an effect, or another verdict than `none` and `cannot_tell`, where nothing was injected.",
         f"With one plain effect ({effects}): right is that effect and no other,",
         "wrong is all but that, `cannot_tell` and `none`. Limits are those of Clopper and Pearson; a row of few cells says little.",
-        f"Of {len(unseen)} recordings with an effect the verdict is `none`; the exclusion limits of {possible} of them say that this",
+        f"The verdict is `none` for {len(unseen)} recordings with an effect; the exclusion limits of {possible} of them say that this",
         f"effect may be there in that size. {known}",
         "",
         *grouped("all", lambda r: ("all",)),

@@ -87,7 +87,7 @@ class Disk:
 
     def after_cut(self, rng: random.Random | None) -> dict[str, bytes]:
         """Name -> content. rng: keeps unsynced blocks and names by chance; None keeps none. A renaming is kept or lost as a whole, as file
-        systems with a journal promise; of several, any may be lost."""
+        systems with a journal promise; any of several may be lost."""
         names = dict(self.durable_names)
         for record, file in self.pending if rng is not None else ():
             if rng.random() < 0.5:

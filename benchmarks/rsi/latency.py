@@ -127,8 +127,8 @@ def compiled(name: str, folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Heard:
-    """Of one program, each telegram: when it was sent, s (n,), and the latency in us (n,), negative for a cycle without an answer; and the
-    processor time that its process took meanwhile, s."""
+    """Each telegram of one program: the time when it was sent, s (n,), and the latency in us (n,), negative for a cycle without an answer.
+    Also the processor time that its process took meanwhile, s."""
 
     sent_s: np.ndarray
     latency_us: np.ndarray

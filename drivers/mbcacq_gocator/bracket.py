@@ -26,8 +26,8 @@ def best(scans: Sequence[Scan]) -> Scan:
 
 
 def merged(scans: Sequence[Scan]) -> Scan:
-    """One point a pixel: of the exposures that see it, the one with the grey value nearest the middle; without grey values the one
-    of the exposure with the most points. The arm must have stood still, so that a pixel is the same place in all of them.
+    """One point a pixel: that of the exposure that sees it with the grey value nearest the middle; without grey values the one of the
+    exposure with the most points. The arm must have stood still, so that a pixel is the same place in all of them.
 
     Time and frame are those of the first exposure, ``exposure_us`` that of the exposure that gave most points. Raises ProtocolError.
     """

@@ -101,7 +101,7 @@ class _Compiled:
 
     @staticmethod
     def _room(pixels: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points and pixels, room for all: of one size for one sensor, so that it fits the next scan too."""
+        """Points and pixels, room for all: it has one size for one sensor, so that it fits the next scan too."""
         return _memory.empty(3 * pixels, np.float32).reshape(pixels, 3), _memory.empty(pixels, np.int32)
 
 

@@ -65,7 +65,7 @@ class CalibratedCell(CellEstimate):
     covariance : ndarray
         (g, g) of the free parameters in the order of ``names``; those of the hand-eye are a local twist (scanner frame).
     noise : Noise
-        Of a centre and of the joints.
+        Noise of a centre and of the joints.
     effects : EffectModel or None
         What the arm does beyond its geometry, free or held: parametric, unmodelled, and the smooth discrepancy of the joints.
     simulated : bool
@@ -249,7 +249,7 @@ class CalibratedCell(CellEstimate):
 
     @property
     def parameters(self) -> list[Parameter]:
-        """Every parameter, blocks in order; of the balls only the free ones."""
+        """Every parameter, blocks in order; balls have only their free ones."""
         if self.own_fit is None:
             return [from_fields(Parameter, p) for p in self.extra["parameters"]]
         return result_io.parameters_of(self.own_fit, self.layout, self.state, self.covariance)

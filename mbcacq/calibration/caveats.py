@@ -12,8 +12,8 @@ UNVERIFIED = "never verified: no poses were kept apart to check these values; ve
 
 
 def export_command(result: Mapping[str, Any], source: object) -> str:
-    """The command that writes a result for other programs, as it is accepted: of simulated data only if that is said. source: its file or
-    folder."""
+    """The command that writes a result for other programs, as it is accepted. A result of simulated data must be accepted as such. source:
+    its file or folder."""
     return command_line("export", source, "--results", "results", *(("--simulated-anyway",) if result.get("simulated") else ()))
 
 

@@ -28,7 +28,7 @@ class CellEstimate:
     covariance : ndarray
         (g, g) of the free parameters in the order of ``names``; those of the hand-eye are a local twist (scanner frame).
     noise : Noise
-        Of a centre and of the joints.
+        Noise of a centre and of the joints.
     effects : EffectModel or None
         What the arm does beyond its geometry.
     """

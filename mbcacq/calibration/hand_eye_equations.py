@@ -80,7 +80,7 @@ def daniilidis(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     T[:, 3:, 0], T[:, 3:, 1:4], T[:, 3:, 4], T[:, 3:, 5:] = d1, se3.skew(s1), d0, se3.skew(s0)
     v7, v8 = np.linalg.svd(T.reshape(-1, 8), full_matrices=False)[2][-2:]
     u1, w1, u2, w2 = v7[:4], v7[4:], v8[:4], v8[4:]
-    # (s u1 + u2) . (s w1 + w2) = 0, of the two roots the one with the larger norm of the real part.
+    # (s u1 + u2) . (s w1 + w2) = 0, the one of the two roots with the larger norm of the real part.
     roots = np.roots([u1 @ w1, u1 @ w2 + u2 @ w1, u2 @ w2])
     size = [float(s * s * (u1 @ u1) + 2 * s * (u1 @ u2) + u2 @ u2) for s in np.real(roots)]
     if not size or max(size) <= 0:

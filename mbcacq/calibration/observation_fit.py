@@ -100,9 +100,9 @@ class ObservationFit:
     residual, whitened : ndarray
         (M, R) mm (and rad), measured minus predicted; and the same of unit variance.
     chi2, dof, rank : float, int, int
-        Of the fit; the rank is that of the free parameters and stations together.
+        Figures of the fit; the rank is that of the free parameters and stations together.
     iterations : int
-        Of the solver.
+        Number of iterations of the solver.
     undetermined : tuple of Undetermined
         What the poses leave open, and was held.
     rejected : tuple of Rejected

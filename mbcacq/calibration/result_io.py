@@ -29,7 +29,7 @@ MAX_BYTES = 256 << 20  # a joint result of a hundred recordings has a tenth of t
 
 
 def parameters_of(fit: ObservationFit, layout: ParameterLayout, state: CellState, covariance: np.ndarray) -> list[Parameter]:
-    """Every parameter of a fit, blocks in order; of the balls only the free ones."""
+    """Every parameter of a fit, blocks in order; balls have only their free ones."""
     cell, T = fit.observations.cell, state.T_flange_scanner
     turn = se3.rotation_log((se3.inverse(cell.T_flange_scanner) @ T)[:3, :3])
     mount, moved = np.concatenate([T[:3, 3], turn]), np.concatenate([T[:3, 3] - cell.T_flange_scanner[:3, 3], turn])
@@ -127,7 +127,7 @@ def _block(block: str, names: Sequence[str], free: set[str], reported: Mapping[s
 
 
 def read_result(path: Path, *, any_of_them: bool = False) -> dict[str, Any]:
-    """The content of a result.json, given itself or by its run folder; of one of several recordings by its number (result.json#2), or
+    """The content of a result.json, given itself or by its run folder; one of several recordings is given by its number (result.json#2), or
     without a number where ``any_of_them`` will do. Raises ConfigError naming file and what is wrong."""
     path, number = split_number(path)
     if path.is_dir():

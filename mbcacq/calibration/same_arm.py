@@ -1,4 +1,4 @@
-"""Whether what was learnt on an arm may be applied to a recording or a plan: of an arm of the same name and nominal links alone."""
+"""Whether what was learnt on an arm may be applied to a recording or a plan: only if the arm has the same name and nominal links."""
 
 from __future__ import annotations
 

@@ -141,8 +141,8 @@ def refuse_poor(layout: ParameterLayout, C: np.ndarray, expected_mm: float, obs:
 
 
 def orientation_range(obs: Observations, enough: float = np.inf) -> float:
-    """Largest angle (rad) between the flange orientation of a pose and that of the first pose of the same station; of the first poses
-    alone where these reach ``enough``."""
+    """Largest angle (rad) between the flange orientation of a pose and that of the first pose of the same station; if the first poses alone
+    reach ``enough``, only these count."""
     largest, first = 0.0, np.zeros(len(obs.cell.stations), int)
     first[obs.station[::-1]] = np.arange(obs.n_poses)[::-1]
     for poses in np.split(np.arange(obs.n_poses), [FIRST_LOOK]):

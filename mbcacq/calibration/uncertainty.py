@@ -31,7 +31,7 @@ def fill_effect_columns(
     A : ndarray
         (P, 3, g), changed in place.
     names : sequence of str
-        Of its g columns; effects that are not among them are held.
+        Names of its g columns; effects that are not among them are held.
     """
     position = {name: j for j, name in enumerate(names)}
     here = Covariates(single_points(effects, q, xyz))

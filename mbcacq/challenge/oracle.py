@@ -70,7 +70,7 @@ def achievable(observations: Observations, truth: list[dict[str, Any]]) -> Achie
 
 
 def true_members(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[Member]:
-    """The catalogue's candidates that are the injected effect; of several variants the one that fits best for its size."""
+    """The catalogue's candidates that are the injected effect; only the best-fitting one of several variants, for its size."""
     if (coupling := declaration(effect["name"]).coupling) is not None:
         return [Member(c, None) for c in coupling.candidates(setup.context, carriers(coupling, effect))]
     chosen = []

@@ -66,8 +66,8 @@ def score(
 ) -> Score:
     """The score of a diagnosis, as its JSON object, against the injected effects.
 
-    truth: with name, where and parameters; of several effects each with what it ``adds`` to the others. achievable, least, adds: shares
-    of the held-out chi2; what removes less than ``least`` need not be reported. catalogued: whether the catalogue has the effect.
+    truth: with name, where and parameters; each of several effects also states what it ``adds`` to the others. achievable, least, adds:
+    shares of the held-out chi2; what removes less than ``least`` need not be reported. catalogued: whether the catalogue has the effect.
     """
     effects, verdict = diagnosis["effects"], diagnosis["verdict"]
     names = {t["name"] for t in truth}

@@ -158,7 +158,7 @@ def command(
 
 def next_step(data: tuple[Path, ...], effects: tuple[Path, ...], out: Path | None, joints: bool = True) -> tuple[str, str]:
     """What to do after a calibration, and the command for it: ask for what the model lacks, unless that was done. joints: their angles
-    are known; of poses of the flange no effect can be asked for."""
+    are known; no effect can be asked for with poses of the flange."""
     if not joints:
         return "hold the usual methods for the hand-eye transformation against it", command_line("compare", data[0])
     if not effects:

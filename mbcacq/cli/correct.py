@@ -68,5 +68,5 @@ def command(program: Path, result: Path, out: Path | None, force: bool, simulate
 
 
 def _place(name: str, line: int) -> str:
-    """The name of a point and its line; of a point without a name the line alone."""
+    """The name of a point and its line; only the line for a point without a name."""
     return name if name == f"line {line}" else f"{name} (line {line})"

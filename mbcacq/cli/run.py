@@ -109,7 +109,7 @@ def command(
 
 
 def plan_of(resume: Path | None) -> Path | LoadedPlan:
-    """The plan of the run to go on with; of one that has grown, the plan that its folder keeps. Raises UsageError where none is given."""
+    """The plan of the run to go on with; if it has grown, the plan that its folder keeps. Raises UsageError where none is given."""
     from mbcacq.recording.run_folder.run_plan import plan_of_run, read_kept_plan
     from mbcacq.workflow.next_plan import plan_of_recording
 

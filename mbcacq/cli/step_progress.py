@@ -30,8 +30,8 @@ def shortened(text: str, columns: int) -> str:
 
 class StepProgress:
     """Call it with a sentence at the begin of each step; use it as a context. A sentence that ends with 'k of n' is counted: the time
-    left is then estimated from the counts before it. On a terminal one line is written over; elsewhere each step is a line, of many counted
-    ones every tenth. An empty sentence ends the steps: the terminal belongs to somebody else, and no signal comes."""
+    left is then estimated from the counts before it. On a terminal one line is written over; elsewhere each step is a line; every tenth of
+    many counted ones has one. An empty sentence ends the steps: the terminal belongs to somebody else, and no signal comes."""
 
     def __init__(self, quiet: bool = False) -> None:
         self._quiet, self._terminal = quiet, sys.stderr.isatty()

@@ -167,7 +167,8 @@ def fit(result: dict[str, Any]) -> list[str]:
 
 
 def _chi2(result: dict[str, Any]) -> str:
-    """Chi square per degree of freedom under the noise that was stated; of one that is estimated from the same residual it says nothing."""
+    """Chi square per degree of freedom under the noise that was stated; under a noise that is estimated from the same residual it says
+    nothing."""
     if (stated := result.get("stated_chi2_dof")) is not None:
         return f", χ²/dof {stated:.2f} under the stated noise"
     own = result["fit"].get("chi2_dof")

@@ -24,8 +24,8 @@ class MismatchEntry(EveryKey):
     Attributes
     ----------
     share : Number
-        Share of the excess over the noise, 0 to 1; of a motion, of the held-out excess of that kind of mismatch (``channel``), at a joint
-        or of all joints.
+        Share of the excess over the noise, 0 to 1. For a motion it is the held-out excess of that kind of mismatch (``channel``), at a
+        joint or of all joints.
     equivalent : tuple[str, ...]
         Other locations that move the centres of a recording of poses alike, so that these data cannot tell which it is.
     """
@@ -94,36 +94,36 @@ class EffectFound(EveryKey):
     Attributes
     ----------
     name
-        Of the catalogue, or ``unknown`` for an unmodelled effect.
+        Name in the catalogue, or ``unknown`` for an unmodelled effect.
     parameters
         By name, with the unit as its suffix.
     p_value
         As in version 1 of the format: ``p_local`` of a parametric effect of poses; otherwise exp(-log Bayes factor).
     held_out_gain
-        Share of the held-out excess over the noise floor that the effect removes, 0 to 1; of a motion, of the excess of its ``channel``.
+        Share of the held-out excess over the noise floor that the effect removes, 0 to 1. For a motion it is the excess of its ``channel``.
     trend
-        Why it is a trend, of which no figure may be relied on; empty for a finding.
+        Reason why it is a trend, whose figures are not reliable; empty for a finding.
     p_local
-        Of poses: probability that noise alone gains as much by these very coefficients; None for an unmodelled effect.
+        Probability that noise alone gains as much by these very coefficients. Poses only; None for an unmodelled effect.
     p_corrected
-        Of poses: the same by anything that was tried (all candidates and values of their hyper-parameters, or all locations).
+        The same by anything that was tried (all candidates and values of their hyper-parameters, or all locations). Poses only.
     log_bayes_factor
-        Of poses: natural logarithm, of an unmodelled effect against none.
+        Natural logarithm of the Bayes factor of an unmodelled effect against none. Poses only.
     equivalent
-        Of poses: other locations that act alike on these data.
+        Other locations that act alike on these data. Poses only.
     held_out_gain_std
-        Of poses: standard deviation of ``held_out_gain``, 0 where it is not known.
+        Standard deviation of ``held_out_gain``, 0 where it is not known. Poses only.
     channel
-        Of a motion: the kind of mismatch that shows it; empty for poses.
+        Kind of mismatch of a motion that shows the effect; empty for poses.
     held_out_gain_here
-        Of a motion: share of the excess of its own joints that it removes on held-out data. Together the effects of a joint remove what
-        the table of channels says.
+        Share of the excess of its own joints that it removes on held-out data. Motion only. Together the effects of a joint remove what the
+        table of channels says.
     steps
-        Of a motion: its forms in the order of selection.
+        Forms of the effect in the order of selection. Motion only.
     notes
-        Of a motion: what its parameters leave open.
+        Sentences on what its parameters leave open. Motion only.
     shape
-        Of a motion: of structure in a residual that no effect of the catalogue explains, over the covariate ``depends_on``.
+        Structure in a residual that no effect of the catalogue explains, over the covariate ``depends_on``. Motion only.
     """
 
     left_out = (*OF_MOTION, "trend")

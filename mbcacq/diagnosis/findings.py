@@ -173,7 +173,7 @@ class Findings:
 
 
 def _row(effect: EffectFound) -> tuple[str, str, str, str]:
-    """Cells of a table, as HTML; of a trend no figure."""
+    """Cells of a table, as HTML; a trend has no figure."""
     values = [parameter_in_words(*p) for p in list(effect.parameters.items())[:MOST_PARAMETERS]]
     shown = f"a trend: {escape(effect.trend)}" if effect.trend else "<br>".join(map(escape, values))
     return escape(effect.name), escape(effect.at), shown, percent(effect.held_out_gain)

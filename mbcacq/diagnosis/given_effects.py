@@ -87,7 +87,7 @@ def evidence_given(obs: Observations, stated: Sequence[StatedParameters], option
     stated : sequence of StatedParameters
         Effects whose parameters are known. Those whose coefficients do not follow from their parameters are searched as all others.
     options : CalibrationOptions, optional
-        Of the adjustment.
+        Options of the adjustment.
 
     Returns
     -------

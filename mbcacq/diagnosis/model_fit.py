@@ -45,7 +45,7 @@ def fit_model(problem: DiagnosisProblem) -> ModelFit:
 
 
 def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> tuple[EffectSet, tuple[RandomEffect, ...]]:
-    """The effects and random effects that the centres in keep (M,) bool speak for; of a long recording without coefficients.
+    """The effects and random effects that the centres in keep (M,) bool speak for; those of a long recording have no coefficients.
 
     unmodelled: of a long recording, whether there is anything but effects of the catalogue.
     """

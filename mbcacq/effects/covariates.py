@@ -126,7 +126,7 @@ class Covariates:
 
     @cached_property
     def payload_force(self) -> np.ndarray:
-        """(P, 3) N: weight of the tool in flange axes; of one kilogram where its mass is not given."""
+        """(P, 3) N: weight of the tool in flange axes; one kilogram is assumed where its mass is not given."""
         mass = self.payload_mass if np.all(self.payload_mass > 0) else np.ones(self.obs.n_poses)
         return mass[:, None] * gravity.STANDARD_GRAVITY * self.flange_gravity
 

@@ -276,7 +276,7 @@ class EffectTerm(EveryKey):
     @property
     def sigma_elsewhere(self) -> np.ndarray:
         """(k,) standard deviation of the coefficients in another recording, of an effect that differs between recordings: as large as it
-        was found, in typical sizes; of an unmodelled one the size that was estimated. The prior is of what any machine has.
+        was found, in typical sizes; an unmodelled effect has its estimated size. The prior is of what any machine has.
         """
         if self.name == UNKNOWN:
             return self.sigma

@@ -210,7 +210,7 @@ def evaluate(columns: Sequence[Column], values: Values, rows: int, known: Known 
     if not columns:
         return np.zeros((rows, 0))
     each = np.broadcast_arrays(*out)[1:]
-    # Of a scan the rows of a column stay together in memory: they are summed over.
+    # The rows of a column stay together in memory in a scan: they are summed over.
     return np.stack(each, axis=-1) if each[0].ndim == 1 else np.swapaxes(np.stack(each, axis=1), 1, 2)
 
 

@@ -103,7 +103,7 @@ class MotionRows:
     tested
         So many leading coefficients must differ from zero; the others only follow (None: all).
     load_parameters
-        Of an effect that loads the arm as its own masses do, names of its leading coefficients and factors to their units.
+        Names of its leading coefficients and factors to their units, of an effect that loads the arm as its own masses do.
     typical
         (k,) sizes of the coefficients as the search compares them, which follow from sigma or from the recording.
     """

@@ -20,7 +20,7 @@ def result_schema() -> dict[str, Any]:
 
 
 def load_result(path: str | Path) -> dict[str, Any]:
-    """The result in a file, or in the run folder's result.json; of one of several recordings by its number (result.json#2).
+    """The result in a file, or in the run folder's result.json; one of several recordings is given by its number (result.json#2).
 
     Raises ConfigError naming file and what is wrong."""
     path = Path(path)

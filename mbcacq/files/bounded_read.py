@@ -8,7 +8,7 @@ _BLOCK = 1 << 20
 
 
 def read_bounded(path: Path, most: int) -> bytes:
-    """The bytes of a file, of a larger one ``most + 1``.
+    """The bytes of a file; a larger one gives ``most + 1`` bytes.
 
     Memory is taken as bytes come in: ``file.read(most)`` takes all of it at once, which a limit of address space refuses. Raises OSError.
     """

@@ -11,7 +11,7 @@ _UNITS = re.compile(
     r"\b(?:units?|einheit(?:en)?)\b([^\w\n]*)(?:(?:of[ \t]+)?length[^\w\n]*)?(?:(?:in|of|is|are|ist|sind)[ \t]+)?([A-Za-zµμ]+)",
     re.IGNORECASE,
 )
-# The same in a sentence: 'All dimensions in inch'. Of µm and m an uncertainty or a range may speak, which are therefore no unit of all.
+# The same in a sentence: 'All dimensions in inch'. An uncertainty or a range may be in µm or m, which are therefore no unit of all.
 _SAID = re.compile(
     r"(?:\bin|\b(?:dimension|length|coordinate|value|ma(?:ß|ss)|wert)\w*\W*[:=])\s+(inch(?:es)?|zoll|mm|millimet(?:er|re)s?|cm)\b",
     re.IGNORECASE,

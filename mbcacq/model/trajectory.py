@@ -64,8 +64,8 @@ class Trajectory:
 
 
 def moves(trajectory: Trajectory, samples: int = 15000) -> list[Trajectory]:
-    """The stretches in which the arm moves, with what is before and after, each from rest to rest; of a long recording so many, evenly
-    chosen, that about ``samples`` remain. A recording without rest is one stretch."""
+    """The stretches in which the arm moves, with what is before and after, each from rest to rest. A long recording gives so many of them,
+    evenly chosen, that about ``samples`` remain. A recording without rest is one stretch."""
     t = trajectory
     step = float(np.median(np.diff(t.time_s)))
     speed = np.abs(np.gradient(t.q, t.time_s, axis=0)).max(axis=1)

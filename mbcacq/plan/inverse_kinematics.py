@@ -45,7 +45,7 @@ class InverseKinematics(Protocol):
 
 def inverse_kinematics(robot: RobotModel, home: np.ndarray | None = None, *, sampled: bool = False) -> InverseKinematics:
     """The solver that suits an arm. home: (n,) rad, a posture near which solutions are wanted where there is a continuum of them. sampled:
-    of an arm without a closed form not every branch is looked for, which takes a quarter of the time."""
+    whether only some branches of an arm without a closed form are looked for, which takes a quarter of the time."""
     try:
         return OrthoParallelInverse.of(robot)
     except ConfigError:

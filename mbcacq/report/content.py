@@ -392,8 +392,9 @@ class ChangesContent:
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """All that a report says: of the cell with what its diagnosis found where the run has that, else of its geometry. earlier: the spacing
-    with the geometry alone, at the places of ``spacing``, where the cell has effects. arm_improved: of a run with corrected targets."""
+    """All that a report says. It is about the cell with the effects of its diagnosis, if the run has these, else about its geometry.
+    earlier: the spacing with the geometry alone, at the places of ``spacing``, where the cell has effects. arm_improved: of a run with
+    corrected targets."""
 
     title: str
     subtitle: str

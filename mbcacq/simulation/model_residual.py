@@ -101,7 +101,7 @@ class ModelResidual:
         return np.concatenate(out)
 
     def parts(self) -> np.ndarray:
-        """(N,) number of the part of each sample that is held out together: of its recording, of a single one of its block of time."""
+        """(N,) number of the part of each sample that is held out together: its recording, or its block of time in a single recording."""
         if len(self.trajectories) > 1:
             return np.concatenate([np.full(int(u.sum()), k) for k, u in enumerate(self.used)])
         n = int(self.used[0].sum())

@@ -150,7 +150,7 @@ def with_note(found: DiagnosisResult, note: str) -> DiagnosisResult:
 
 
 def said(error: Exception) -> str:
-    """What an error says; of one that is not for users, its kind as well."""
+    """The text of an error; one that is not for users has its kind as well."""
     return str(error) if isinstance(error, MbcacqError) else f"unexpected {type(error).__name__}: {error}; please report it"
 
 

@@ -71,7 +71,8 @@ class DiagnosisResult:
 
     @property
     def verdict(self) -> str:
-        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'; of poses and motion together where there are both."""
+        """'none', 'explained', 'partly_explained', 'unexplained' or 'cannot_tell'; it is that of poses and motion together where there are
+        both."""
         return self.main.verdict if self.both is None else self.both.verdict
 
     @cached_property

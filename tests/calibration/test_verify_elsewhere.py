@@ -1,4 +1,4 @@
-"""A calibrated arm tried on another recording: of the same arm alone, at its known stations, with figures that noise alone explains."""
+"""A calibrated arm tried on another recording: only the same arm, at its known stations, with figures that noise alone explains."""
 
 import json
 from dataclasses import replace

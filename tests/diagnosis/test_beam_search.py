@@ -120,7 +120,7 @@ def test_two_effects_that_show_only_together_are_found_together(made):
     columns, r = made
     found = searched(made, ahead=True)
     assert names(found[0]) == {"plain", "one", "other"}
-    # Of all sets there are, none is more probable.
+    # No other set is more probable.
     prior = SetPrior.of(columns, 1)
     every = [s for n in range(4) for s in combinations(columns, n)]
     posterior = {frozenset(c.name for c in s): exact([Member(c, None) for c in s], r) + prior.log_probability_of_set(s) for s in every}

@@ -59,7 +59,7 @@ def test_an_arm_that_sways_at_reach_is_no_noisier_instrument(plan):
 
 
 def test_one_noise_for_all_poses_is_not_said_to_vary():
-    """Of 3000 recordings of noise one in a hundred thousand would pass; a variation by half is seen in all."""
+    """One in a hundred thousand recordings of noise would pass; a strong variation is seen."""
     rng, x = np.random.default_rng(3), np.linspace(0.0, 1.0, 60)
     dof = np.full(60, 18)
     gains = [SquaresOfPoses(rng.chisquare(dof), dof).varying(x)[1] for _ in range(1000)]

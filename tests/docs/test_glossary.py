@@ -33,7 +33,7 @@ def test_no_text_says_it_otherwise(phrase):
 
 
 def test_proof_is_a_word_of_the_rsi_driver_alone():
-    """Of data, figures and effects it is said what they show, with which probability."""
+    """Data, figures and effects show something, with a probability; nobody proves them."""
     word = re.compile(r"\b(?:proofs?|proven|unproven)\b", re.IGNORECASE)
     pages = [p for p in PAGES if p.is_relative_to(ROOT / "docs") or p.name == "README.md"]
     assert [str(p.relative_to(ROOT)) for p in pages if word.search(p.read_text(encoding="utf-8"))] == ["docs/safety.md"]

@@ -19,7 +19,7 @@ LOSS = 0.01
 
 @dataclass(frozen=True)
 class Weather:
-    """What a network does to each datagram. loss, repeat, reorder: shares of the datagrams; of each 1 / loss exactly one, drawn at random,
+    """What a network does to each datagram. loss, repeat, reorder: shares of the datagrams; exactly one of each 1 / loss, drawn at random,
     is lost. jitter_s: largest delay; hold_s: how long a datagram is held back so that a later one overtakes it."""
 
     loss: float = LOSS

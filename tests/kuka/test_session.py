@@ -150,7 +150,7 @@ def test_a_discarded_answer_is_given_again_and_a_lost_telegram_costs_one_cycle(b
 def test_no_set_point_accelerates_beyond_the_limit_on_the_path_that_the_controller_saw(bench, counts_missing, events, data):
     """It holds its last set point where an answer is missing. What it does then is its own; every set point that it is given is judged.
 
-    Of a controller that did not count a missing answer nobody could tell whether the one before was discarded: it is not tried with both.
+    If a controller did not count a missing answer, nobody could know whether the one before was discarded: it is not tried with both.
     """
     target, events = data.draw(targets()), data.draw(st.lists(st.sampled_from(["good"] * 12 + events), min_size=50, max_size=300))
     one = bench(late_limit=10_000)

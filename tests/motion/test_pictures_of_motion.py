@@ -1,4 +1,4 @@
-"""The page and the recording of a diagnosis of motion say what its JSON says; of the drawn channels the rms is that of the fit."""
+"""The page and the recording of a diagnosis of motion say what its JSON says; the rms of the drawn channels is that of the fit."""
 
 import json
 import re

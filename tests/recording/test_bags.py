@@ -183,7 +183,7 @@ def test_a_topic_without_a_message_is_named(tmp_path):
 
 @pytest.mark.parametrize(("step", "offset"), [(12, 8), (16, 8), (12, 10)])
 def test_a_cloud_that_announces_more_than_it_holds_is_damaged(tmp_path, step, offset):
-    """Three points of 12 bytes: of 16 there are not as many bytes, and a field that begins at 10 ends beyond its point."""
+    """Three points of 12 bytes: there are not enough bytes for points of 16, and a field that begins at 10 ends beyond its point."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     kind = store.types
     with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:

@@ -39,7 +39,7 @@ def test_ci_runs_what_the_readme_says():
 
 
 def test_no_two_files_of_the_tests_have_one_name():
-    """They stand in no packages: of two with one name, whichever is imported first is taken for the other, and the suite does not begin."""
+    """They stand in no packages: if two have one name, the one imported first is taken for the other, and the suite does not begin."""
     names = [path.name for path in (ROOT / "tests").rglob("*.py") if path.name != "conftest.py"]
     assert sorted(names) == sorted(set(names))
 

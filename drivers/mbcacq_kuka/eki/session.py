@@ -83,8 +83,8 @@ class EkiSession:
         return 0 if self.state is None else self.state.time
 
     def await_link(self) -> None:
-        """Wait until the controller is heard again, over a connection taken up again where the last one has ended: of a move sent into one
-        that ended, nobody knows whether it was begun. What is heard may have waited in a connection that has ended since. Raises what
+        """Wait until the controller is heard again, over a connection taken up again where the last one has ended: nobody knows whether a
+        move that was sent into an ended one was begun. What is heard may have waited in a connection that has ended since. Raises what
         ended the session.
         """
         asked = time.monotonic()

@@ -116,7 +116,7 @@ class Shared:
             if self._header[_COMMAND_SEQ] == seq:
                 return seq, RsiCommand(int(v[0]), v[1:7], v[7:13], v[13:19], v[19:25], v[25], v[26])
 
-    # digital outputs, apart from the commands: of those only the last one counts
+    # digital outputs, apart from the commands, of which only the last one counts
 
     @property
     def outputs(self) -> int:

@@ -35,7 +35,7 @@ class FakeOperator:
         return int(self.station[pose]) if (pose := self.pose_for(q)) != NOBODY else NOBODY
 
     def pose_for(self, q: np.ndarray) -> int:
-        """Index of the planned pose nearest to an arm at q (n,) rad; of several equal ones the next in running order."""
+        """Index of the planned pose nearest to an arm at q (n,) rad; if several are equally near, the next in running order."""
         if not len(self.q):
             return NOBODY
         away = np.max(np.abs(self.q - q), axis=1)

@@ -96,7 +96,7 @@ class FringeScanner:
         )
 
     def frame(self, points: Points, time_s: float = 0.0) -> ScannerFrame:
-        """Points outside the measuring range are lost; of two on one pixel the later wins."""
+        """Points outside the measuring range are lost; the later of two on one pixel wins."""
         view = self.grid.view
         inside = (points.xyz[:, 2] <= view.near_z) & (points.xyz[:, 2] >= view.far_z)
         xyz = np.full((self.grid.rows * self.grid.columns, 3), np.nan, dtype=np.float32)

@@ -87,8 +87,8 @@ class MeasuredInformation:
 
 
 class BackwardElimination:
-    """Poses that are left, and what each of them is missed by. pairs: of the first so many effects whole products are kept, of the others
-    their squares.
+    """Poses that are left, and what each of them is missed by. pairs: number of first effects whose whole products are kept; only squares
+    are kept for the others.
     """
 
     def __init__(self, before: MeasuredInformation, blocks: InformationBlocks, pairs: int):

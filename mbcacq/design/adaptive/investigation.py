@@ -207,7 +207,7 @@ def sure(look: InterimEvidence) -> bool:
 
 
 def _lost_without(reported: Hypothesis, compared: Sequence[Hypothesis]) -> list[float]:
-    """Log evidence that a set loses without each of its effects, as far as that was compared; of a single effect against none."""
+    """Log evidence that a set loses without each of its effects, as far as that was compared; a single effect is compared with none."""
     out = []
     for label in reported.labels:
         rest = [h for h in compared if h.labels == reported.labels - {label}]

@@ -126,7 +126,7 @@ class VisitChoice:
 
     def sequence(self, visits: int, poses: int, refused: Callable[[PlannedPose], bool] = lambda pose: False) -> list[Visit]:
         """Visits one after the other, each chosen as if those before had been made: until what is open is expected to be decided, or so
-        many visits or poses are reached. refused: of a pose that was chosen, whether it cannot be measured after all.
+        many visits or poses are reached. refused: whether a chosen pose cannot be measured after all.
         """
         before, costs, free, out = self._before, self._costs, np.ones(len(self._pool), dtype=bool), list[Visit]()
         best_of: dict[str, tuple[Visit, list[int]] | None] = {}

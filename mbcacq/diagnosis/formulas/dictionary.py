@@ -125,7 +125,7 @@ def fading(context: Context) -> list[DictionaryEntry]:
 
 
 def powers(context: Context, first: Iterable[DictionaryEntry]) -> list[DictionaryEntry]:
-    """Linear functions, their squares and cubes; of what has both signs its magnitude and sign too."""
+    """Linear functions, their squares and cubes; a quantity with both signs also has its magnitude and sign."""
     out = []
     for one in first:
         out += [one, power(one, 2), power(one, 3)]

@@ -57,7 +57,7 @@ class ParameterAgreement:
     poses, motion
         Both estimates.
     sigmas
-        Their distance in combined standard deviations; of several components the distance of one that is as improbable as all together.
+        Their distance in combined standard deviations; several components have the distance of one that is as improbable as all together.
     agrees
         Whether that is less than three.
     """

@@ -1,8 +1,8 @@
 """The rows of a motion as the evidence sees them: Gram matrices of a group of channels at one noise.
 
-Every joint has a noise of its own, and neighbouring samples are alike: of ``colour`` samples one counts. The normal likelihood of all
-samples of a joint, to the power of one over its colour, is that of so many fewer independent ones; the weights by which coefficients are
-fitted are the same. Offsets and the inertial parameters of the links are integrated over their priors, as the geometry of poses is. A
+Every joint has a noise of its own, and neighbouring samples are alike, so that one of ``colour`` samples counts. The normal likelihood of
+all samples of a joint, to the power of one over its colour, is that of so many fewer independent ones; the weights by which coefficients
+are fitted are the same. Offsets and the inertial parameters of the links are integrated over their priors, as the geometry of poses is. A
 delay of the channel is a hyper-parameter: sets with it explain the corrected recording, all others the recording as it is.
 """
 

@@ -169,7 +169,7 @@ def name_of(key: str) -> str:
 
 
 def apart(key: str, mine: ParameterEstimate, theirs: ParameterEstimate) -> np.ndarray:
-    """(k,) difference of two estimates; of a phase the shorter way round."""
+    """(k,) difference of two estimates; a phase goes the shorter way round."""
     difference = np.subtract(mine.components[0], theirs.components[0])
     return (difference + TURN / 2) % TURN - TURN / 2 if name_of(key) == PHASE else difference
 

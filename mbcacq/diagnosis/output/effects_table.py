@@ -68,7 +68,7 @@ def parametric_effects(full: ModelFit, contributions: Contributions, validation:
 
 
 def gain_left_out(validation: CrossValidation, model: EffectSet, members: list[int]) -> float:
-    """Share of the held-out excess that an entry removes: of an effect with entries at several locations, the entry at its own."""
+    """Share of the held-out excess that an entry removes: an effect with entries at several locations has the entry at its own."""
     first = model.members[members[0]].candidate
     everywhere = sum(m.candidate.name == first.name for m in model.members) == len(members)
     return validation.gain(first.name if everywhere else first.label)

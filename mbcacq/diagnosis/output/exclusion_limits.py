@@ -98,7 +98,8 @@ def confounders(candidate: Candidate, others: Sequence[Candidate]) -> list[tuple
 
 
 def values_beside(other: Candidate) -> tuple[float | None, ...]:
-    """Values of the hyper-parameter of an effect that is free beside another one: of a gear the slow orders, which are like much else."""
+    """Values of the hyper-parameter of an effect that is free beside another one: for a gear these are the slow orders, which are like much
+    else."""
     hyper = other.hyper
     if hyper is None:
         return (None,)
@@ -233,8 +234,8 @@ def parameters_of(candidate: Candidate, hyper: float | None) -> dict[str, tuple[
 
 
 def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Elsewhere) -> tuple[ExclusionLimit, ...]:
-    """The limits as they are reported: those that these poses test first, of these the ones with the largest error in the workspace, and
-    each reading but once.
+    """The limits as they are reported: those that these poses test come first, then those with the largest error in the workspace, and each
+    reading but once.
 
     What the geometry absorbs and no length shows is not listed, nor a change in time that the places of the stations absorb: it acts on
     nothing that will be measured.

@@ -116,8 +116,8 @@ def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]
 
 
 def revealing(context: Context, limited: Sequence[SizedEffect]) -> list[Advice]:
-    """Measured postures that show the effect, of those that are not excluded at their typical size, that does most at such a size. limited:
-    each as large as the recording does not exclude it.
+    """Measured postures that show one effect. It is the effect that does most at its typical size, among those that are not excluded at
+    that size. limited: each as large as the recording does not exclude it.
     """
     there = as_measured(context)
     typical = [replace(e, coefficients=e.candidate.typical) for e in limited if e.in_typical_sizes > 1.0]

@@ -108,7 +108,7 @@ def _named(effects: Sequence[EffectFound]) -> str:
 
 
 def located(effect: EffectFound) -> str:
-    """What it is and where; of an unmodelled one also what it is a function of."""
+    """The effect and its location; for an unmodelled one also the covariate."""
     of = f" of {effect.depends_on}" if effect.name == UNKNOWN and effect.depends_on else ""
     return f"{effect_in_words(effect.name)}{of} at {', '.join(effect.where)}"
 
@@ -265,7 +265,7 @@ def limited(limit: ExclusionLimit) -> str:
 
 
 def describe(effect: EffectFound) -> list[str]:
-    """The lines of one effect, with an empty one at the end; of a trend no figure."""
+    """The lines of one effect, with an empty one at the end; a trend has no figure."""
     at = f"{effect_in_words(effect.name)} at {', '.join(effect.where)}"
     out = [f"{at} ({p_value(effect.p_value)}, removes {percent(effect.gain_here)} of the excess over noise)"]
     values = [effect.trend] if effect.trend else [reported(name, estimate) for name, estimate in effect.parameters.items()]

@@ -37,8 +37,8 @@ def directions(k: int) -> np.ndarray:
 
 
 def largest_ratio(c: np.ndarray, V: np.ndarray, positive: bool) -> np.ndarray:
-    """(..,) T of estimates c (H, k, ..) with covariances V (H, k, k): the largest of c' inv(V) c over the band; of a coefficient that
-    cannot be negative the largest number of standard deviations.
+    """(..,) T of estimates c (H, k, ..) with covariances V (H, k, k): the largest of c' inv(V) c over the band; for a coefficient that
+    cannot be negative, the largest number of standard deviations.
     """
     if positive:
         return np.max(c[:, 0] / np.sqrt(V[:, 0, 0]).reshape(-1, *(1,) * (c.ndim - 2)), axis=0)

@@ -67,7 +67,7 @@ class RobotProgram:
         return angles if self.coupling is None else angles @ self.coupling.T
 
     def written(self, q: np.ndarray, reached: Sequence[bool]) -> str:
-        """The text with joint angles q (P, n) rad; of a point that is not ``reached`` the programmed ones stay."""
+        """The text with joint angles q (P, n) rad; a point that is not ``reached`` keeps the programmed ones."""
         angles = q if self.coupling is None else q @ np.linalg.inv(self.coupling).T
         edits: list[tuple[int, int, str]] = []
         for point, row, ok in zip(self.points, angles, reached, strict=True):

@@ -146,7 +146,7 @@ def _matrices(folder: Path, names: re.Pattern, but_not: re.Pattern | None) -> It
 
 
 def _data_of(text: str) -> str:
-    """The numbers of an OpenCV file (data: [...]), of any other file all of them."""
+    """The numbers of an OpenCV file (data: [...]), all numbers of any other file."""
     found = re.search(r"data\s*\"?\s*:\s*\[(.*?)\]", text, re.DOTALL)
     return found[1] if found else text
 

@@ -103,7 +103,7 @@ EXTREMES = (layout.FOLLOWING, layout.PERIOD, layout.DELAY)
 
 
 def _extremes(values: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """(k, n) -> (len(first), n): of each group of rows the value farthest from zero, so that no spike is lost."""
+    """(k, n) -> (len(first), n): the value farthest from zero in each group of rows, so that no spike is lost."""
     high, low = np.maximum.reduceat(values, first, axis=0), np.minimum.reduceat(values, first, axis=0)
     return np.where(high >= -low, high, low)
 

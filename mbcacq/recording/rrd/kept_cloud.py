@@ -15,7 +15,7 @@ REST, FURTHER_REST = 1000, 100  # of what is on no ball: enough to see what stoo
 
 
 def kept_cloud(scan: Scan, artefact: Artefact, ball: np.ndarray, centre: np.ndarray, exposure: int) -> Scan:
-    """The scan with every point near the balls that were found, and an even choice of the others; of a pose's further exposures an even
+    """The scan with every point near the balls that were found, and an even choice of the others; a pose's further exposures have an even
     choice of both.
 
     Parameters

@@ -126,8 +126,8 @@ def _picture(client: Any, path: Path) -> bytes:
 
 
 def layout_first(sources: Sequence[Path | str], folder: Path) -> list[Path | str]:
-    """The sources, and in front of them a small file in ``folder`` with today's blueprint, its camera and its magnifications: of several
-    files of one recording the viewer takes the blueprint of the first. Sources that are no run of ours are left as they are."""
+    """The sources, and in front of them a small file in ``folder`` with today's blueprint, its camera and its magnifications. The viewer
+    takes the blueprint of the first of several files of one recording. Sources that are no run of ours are left as they are."""
     import rerun as rr
 
     from mbcacq.recording.datasets.cell_yaml import parse_cell

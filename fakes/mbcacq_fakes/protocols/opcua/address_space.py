@@ -89,7 +89,7 @@ async def _axes(arm: ArmNodes, folder: Node, obj: Any, var: Any, di: int) -> lis
 
 
 def served(angles_deg: Sequence[float], arm: ArmNodes) -> list[float]:
-    """The values of the rotary axes in the server's unit; of linear ones 0."""
+    """The values of the rotary axes in the server's unit; 0 for linear ones."""
     turned = iter(angles_deg)
     factor = 3.141592653589793 / 180.0 if arm.unit == "rad" else 1.0
     return [next(turned, 0.0) * factor if profile < 3 else 0.0 for profile in arm.profiles]
