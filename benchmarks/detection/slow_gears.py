@@ -66,7 +66,7 @@ def near(parameters: Any, joint: str, order: float) -> bool:
 
 
 def holds(limit: Any, order: float) -> bool:
-    """Whether a limit is stated for this order; of a version without bands it is stated for all."""
+    """Whether a limit is stated for this order; a version without bands states it for all."""
     band = getattr(limit, "holds_for", None)
     return band is None or band.low - 0.01 <= order <= band.high + 0.01
 

@@ -27,9 +27,9 @@ def command(data: Path, other: Path | None, report: Path | None, no_held_out: bo
     Horaud-Dornaika, Andreff, Daniilidis; Shah, Li), hand-eye only, the paper's method (as printed, and with more pairs of balls), distance
     constraint only, and maximum likelihood. A method that DATA does not determine is listed with the reason.
 
-    With OTHER, a second recording of the same arm: what changed from DATA to OTHER, parameter by parameter and effect by effect.
-    Both are run folders with a result, or a result.json. What each recording alone says is compared, without the prior that a
-    calibration has of the arm's links.
+    With OTHER, a second recording of the same arm: what changed from DATA to OTHER, parameter by parameter and effect by effect. Both are
+    run folders with a result, or a result.json. The estimates of each recording alone are compared, without the prior that a calibration
+    has of the arm's links.
 
     \b
     Examples:

@@ -38,8 +38,8 @@ def command(
 ) -> None:
     """Calibrate and verify RUNS: recordings, folders below which recordings lie, or CSV tables with columns recording, arm, time.
 
-    Writes fleet.parquet (a row for each recording), fleet.html (drift of each arm with control limits, arms of one type beside each
-    other, outliers) and recordings/ (each result). What is done there already is not repeated. A broken recording is a row with its
+    Writes fleet.parquet (a row for each recording), fleet.html (drift of each arm with control limits, arms of one type beside each other,
+    outliers) and recordings/ (each result). Recordings that are done there already are not repeated. A broken recording is a row with its
     reason. It needs the extra 'fleet': pip install 'mbcacq[fleet]'.
 
     \b

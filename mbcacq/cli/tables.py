@@ -275,7 +275,7 @@ def common_error(v: dict[str, Any]) -> list[str]:
     if common < MOSTLY_COMMON * np.sqrt(max(whole**2 - common**2, 0.0)):
         return []
     return [
-        f"Of the expected U = {uncertainty(K * whole)} mm, {uncertainty(K * common)} mm (k = 2) are common to all places: noise of this "
+        f"{uncertainty(K * common)} mm of the expected U = {uncertainty(K * whole)} mm (k = 2) are common to all places: noise of this "
         "calibration appears at each of them with one sign, as a stretch of the arm would, because the poses hardly see the arm's size. "
         "A length longer than the view seen end by end (phase length), or the artefact in different corners of the view, determines it."
     ]

@@ -14,8 +14,8 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows lacks some
 def signals_deferred() -> Iterator[None]:
     """The first of Ctrl-C, SIGTERM and SIGHUP that comes in the block is acted on at its end.
 
-    For what is made in a moment and would be left behind if it were interrupted, such as a block of shared memory that nobody holds yet.
-    Without effect in other threads than the main one, where no handler runs, and on signals that are ignored or end the process.
+    It protects things that are made in a moment and would be left behind by an interruption, such as a block of shared memory that nobody
+    holds yet. Without effect in other threads than the main one, where no handler runs, and on signals that are ignored or end the process.
     """
     came: list[int] = []
     before = {}

@@ -90,11 +90,11 @@ class CheckHistory:
     days: tuple[CheckedDay, ...] = ()
 
     def with_day(self, day: CheckedDay) -> CheckHistory:
-        """With one more check."""
+        """The history with one more check."""
         return replace(self, days=(*self.days, day))
 
     def judged(self, log_e: float, log_e_calibration: float) -> CheckHistory:
-        """With what was judged on the last day."""
+        """The history with the evidence of the last day."""
         return replace(self, days=(*self.days[:-1], replace(self.days[-1], log_e=log_e, log_e_calibration=log_e_calibration)))
 
     def write(self, path: Path) -> None:

@@ -36,12 +36,12 @@ class NoisePoint:
 
     @cached_property
     def noise(self) -> Noise:
-        """Without what is held."""
+        """The noise of the free components."""
         return unpack(self.theta)
 
     @cached_property
     def complete_noise(self) -> Noise:
-        """With what is held."""
+        """The noise of all components, those that are held among them."""
         held = np.ones(self.linear.joint.shape[2] - self.linear.obs.cell.robot.n)
         return replace(self.noise, joint=np.r_[self.noise.joint, held])
 

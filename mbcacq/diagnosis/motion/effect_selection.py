@@ -102,7 +102,7 @@ class EffectSelection:
             budget=self.budget,
         )
         alone = np.asarray(store.base, dtype=int)
-        # Where the search starts matters: from much more noise than there is, the noise of no effect would not settle in a few rounds.
+        # The start of the search matters: from much more noise than there is, the noise of no effect would not settle in a few rounds.
         start = GramPoint(problem, -np.log(model.weights(alone) * model.colour(alone)))
         there = Hypothesis(members, GramPoint(problem, -np.log(weights * colour)), 0.0)
         ranked = search.run(start, there)
