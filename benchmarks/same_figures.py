@@ -5,7 +5,7 @@
 
 ``record`` runs the commands below and keeps what they print, one file a command. ``compare`` takes the numbers out of two such folders, in
 their order, and names every command of which one differs. Times, dates, paths and process ids are left out of the comparison; words are
-too, so that a sentence may change but a figure may not. What went over the wire of a dry run is compared to one part in ten million. The
+too, so that a sentence may change but a figure may not. The traffic on the wire of a dry run is compared to one part in ten million. The
 arm's position at the exposure depends on the cycle in which it arrived, and that on the machine.
 """
 

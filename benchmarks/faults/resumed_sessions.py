@@ -1,7 +1,7 @@
 """Commands that record a session and can go on with it: ``collect`` and ``investigate``.
 
-After each strike the session is resumed, or begun anew where nothing can be resumed. What it holds then must be what the undisturbed one
-holds, bit for bit.
+After each strike the session is resumed, or begun anew where nothing can be resumed. Its content must then be that of the undisturbed one,
+bit for bit.
 """
 
 from __future__ import annotations

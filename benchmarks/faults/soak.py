@@ -100,7 +100,7 @@ def soak(given: argparse.Namespace) -> int:
     """Dry runs in a loop with random faults: does anything grow? Files, threads, processes, shared memory and memory, as a chart.
 
     One process makes all runs, as a program does that uses mbcacq as a library. Every second run is disturbed: a fault of the fake
-    controller or scanner, or an interruption. What every run measured is compared with the first. Linux.
+    controller or scanner, or an interruption. The measurements of every run are compared with those of the first. Linux.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     import numpy as np

@@ -97,8 +97,8 @@ def advice(given: argparse.Namespace) -> None:
     these poses show by an information of 8 to 40, about as much as a decision needs. If a look says ``cannot_tell``, the next poses are
     chosen as by ``mbcacq diagnose RUN --next next.yaml``. The plan is written, read, grown onto that of the recording and checked as
     ``mbcacq run next.yaml --extend RUN`` does, every motion of it too. Its poses are measured in the same cell and all is weighed again.
-    What is still open gets one more piece of advice. Rows go to runs/investigate-benchmark, so that a call goes on where another ended; the
-    last lines count them.
+    Cells that are still open get one more piece of advice. Rows go to runs/investigate-benchmark, so that a call goes on where another
+    ended; the last lines count them.
     """
     loaded = mbcacq.load_plan(given.plan)
     table = Table(f"advice-{given.plan.stem}-{given.seed}")

@@ -152,7 +152,7 @@ class SerialLink:
         return lines[-1] if lines else line
 
     def _wait_for_silence(self, until: float) -> bytes:
-        """What comes until nothing has come for longer than the time-out, and not before ``until`` (time.monotonic)."""
+        """Bytes that come until nothing has come for longer than the time-out, and not before ``until`` (time.monotonic)."""
         now, quiet_s, heard = time.monotonic(), _QUIET * self._options.timeout_s, b""
         end, silent_at = now + _LONGEST * self._options.timeout_s, max(now + quiet_s, until)
         while (now := time.monotonic()) < silent_at and not self._stopped.is_set():
@@ -177,7 +177,7 @@ class SerialLink:
         raise IdentityError(f"{self.name} answered '{line[:60]}' where '{identity.expect}' was expected; is this the right device?")
 
     def _heard(self) -> bytes:
-        """What has come and was not read. Raises DeviceTimeout where the line is lost, or another thread closes it meanwhile."""
+        """Bytes that have come and were not read. Raises DeviceTimeout where the line is lost, or another thread closes it meanwhile."""
         port = self._opened()
         try:
             return waiting_bytes(port)

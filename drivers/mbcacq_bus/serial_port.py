@@ -46,7 +46,7 @@ def open_port(device: str, url: str, baudrate: int, parity: str, stopbits: int, 
 
 
 def waiting_bytes(port: Any) -> bytes:
-    """What has come and was not read. Raises whatever pyserial raises where the port is lost or its far end has closed."""
+    """Bytes that have come and were not read. Raises whatever pyserial raises where the port is lost or its far end has closed."""
     heard = b""
     while waiting := port.in_waiting:
         heard += port.read(waiting)

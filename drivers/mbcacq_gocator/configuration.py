@@ -1,7 +1,7 @@
 """The sensor's live configuration, ``_live.cfg``: reading settings and changing the exposure.
 
-What is sent back carries values only. Attributes that the sensor adds for its clients (limits, options, effective
-values) are left out, as the vendor's client leaves them out; the sensor merges the values into its own file.
+The configuration that is sent back carries values only. Attributes that the sensor adds for its clients (limits, options, effective values)
+are left out, as the vendor's client leaves them out; the sensor merges the values into its own file.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Configuration:
         return _float(self._root.findtext(_DEVICE + "/Exposure"), None)
 
     def scan_settings(self) -> dict[str, str]:
-        """What decides which points a surface has and where they are, except the exposure; as the sensor writes it."""
+        """Settings that decide which points a surface has and where they are, except the exposure; as the sensor writes them."""
         setup = {name: self._root.findtext(f"Setup/{tag}", "").strip() for name, tag in _SCAN_SETTINGS.items()}
         parts = {"filters": self._root.find("Setup/Filters"), "active_area": self._root.find(_DEVICE + "/ActiveArea")}
         device = self._root.find(_DEVICE)

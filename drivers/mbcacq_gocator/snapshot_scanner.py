@@ -46,8 +46,8 @@ class SnapshotScanner(ContextDevice, ABC, Generic[S]):
 
     @abstractmethod
     def _restore(self) -> None:
-        """Put back what was changed, over the connection that stands, or a new one where it was cut. What cannot be put back is said, not
-        raised."""
+        """Put back what was changed, over the connection that stands, or a new one where it was cut. A setting that cannot be put back is
+        reported, not raised."""
 
     def connect(self) -> None:
         """Raises ConnectError, IdentityError, ConfigError (job, exposure, output, alignment), DeviceFault, DeviceTimeout, ProtocolError."""

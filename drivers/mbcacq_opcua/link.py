@@ -190,7 +190,7 @@ class OpcUaLink:
         return f"{self._name} at {self._options.address}:{self._options.port}"
 
     def _named(self, error: Exception) -> MbcacqError:
-        """What the library raised, as one of our errors; on broken bytes it may raise anything."""
+        """The library's error as one of ours; on broken bytes it may raise anything."""
         begun, why = self._ready.is_set(), str(error) or type(error).__name__
         if isinstance(error, ua.UaError) and not isinstance(error, ConnectionError):
             if begun:

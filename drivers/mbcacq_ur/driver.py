@@ -259,8 +259,8 @@ class UrRtdeRobot(ContextDevice):
             return {**doubles, **switched, "input_int_register_0": number, "input_int_register_1": kind, "input_int_register_2": self._life}
 
     def _judge(self, values: Values) -> None:
-        """Raises SafetyStop or DeviceFault once it was ready and something stopped it. What stops an arm that is only followed is up to
-        whoever moves it."""
+        """Raises SafetyStop or DeviceFault once it was ready and something stopped it. Whoever moves an arm that is only followed must stop
+        it."""
         if self._options.follow:
             return
         if self._ready and (stop := safety_stop(values)):

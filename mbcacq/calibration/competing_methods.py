@@ -32,7 +32,7 @@ BEYOND = 2.0  # standard errors by which a method must predict better: blocks li
 
 @dataclass(frozen=True)
 class HeldOutComparison(AsJson):
-    """What calibrations of one recording predict of its held-out blocks.
+    """Predictions of held-out blocks of one recording by its calibrations.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ def compared_on_held_out(
     own : str
         Name of the calibration that is published unless another predicts better.
     fits : mapping
-        Name -> calibration of some poses. What these raise of CalibrationError takes the calibration out of the comparison.
+        Name -> calibration of some poses. A CalibrationError that they raise takes the calibration out of the comparison.
 
     Returns
     -------

@@ -69,7 +69,7 @@ class Contradiction(AsJson):
     misdescribed: bool = False
 
     def sentence(self, cell: Cell) -> str:
-        """What contradicts, by how much, and why where that is known."""
+        """The contradiction with its size, and its cause where that is known."""
         said = []
         if self.scanner > OPTIONS.scanner * _doubt(cell.noise_mm):
             said.append(f"{self.scanner:.1f} times the scanner's {'stated' if cell.noise_mm is not None else 'usual'} noise")
@@ -96,7 +96,7 @@ def _joint_limit(cell: Cell) -> float:
 
 
 def contradiction(adjustment: Adjustment, options: CalibrationOptions) -> Contradiction | None:
-    """What a recording with a nominal arm contradicts; None where it is credible.
+    """The contradiction of a recording with a nominal arm; None where it is credible.
 
     Parameters
     ----------

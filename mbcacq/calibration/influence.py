@@ -1,7 +1,7 @@
 """Joint noise against the arm's data sheet, and the single pose that explains it where one does.
 
 One wrong pose of a small recording raises the estimated joint noise so far that no outlier test finds it. With the noise of the data sheet
-instead, leaving that pose out takes most of the misfit away, while leaving out any other does not. What each deletion changes follows from
+instead, leaving that pose out takes most of the misfit away, while leaving out any other does not. The change by each deletion follows from
 the linearised solution (Cook 1977; Belsley, Kuh, Welsch 1980).
 """
 
@@ -34,7 +34,8 @@ class InfluenceOptions:
 
 @dataclass(frozen=True)
 class Deletion:
-    """What leaving a pose out changes. chi2: (P,) decrease of chi square; rank: (P,) of degrees of freedom; shift: (P, h) of parameters."""
+    """The change by leaving a pose out. chi2: (P,) decrease of chi square; rank: (P,) of degrees of freedom; shift: (P, h) of
+    parameters."""
 
     chi2: np.ndarray
     rank: np.ndarray

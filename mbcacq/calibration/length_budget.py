@@ -1,6 +1,6 @@
 """Uncertainty of judging a length with the cell: certificate, temperature of the artefact, probing of spheres, repeatability of the arm.
 
-What is judged, the error of the calibrated cell, is no part of the uncertainty of judging it (ISO 14253-1): the covariance of the
+The judged quantity, the error of the calibrated cell, is no part of the uncertainty of judging it (ISO 14253-1): the covariance of the
 calibration does not enter here. Every term is a standard uncertainty along the length; they are independent, and add as squares.
 """
 
@@ -26,7 +26,7 @@ DATA_SHEET_SIGMAS = 3.0  # pose repeatability RP of ISO 9283 is the mean plus th
 
 @dataclass(frozen=True)
 class Temperature:
-    """What is known of an artefact's temperature while it was measured.
+    """The temperature of an artefact while it was measured, and its uncertainty.
 
     low_C, high_C: range; sensor_C: standard uncertainty of reading it there; source: 'measured', 'stated' or 'assumed'; what: the sensor
     or where the range comes from, in words.
@@ -145,7 +145,8 @@ def length_budget(obs: Observations, station: int, balls: tuple[int, int], ends:
 
 def repeated_variance(obs: Observations, found_mm2: float) -> float:
     """Variance (mm^2) of one end by the arm's repeatability: as the recording shows it, but no more than the data sheet's pose
-    repeatability, where it states one. What a model lacks may look like scatter of the joints, and must not widen what it is judged by.
+    repeatability, where it states one. Lacks of a model may look like scatter of the joints, and must not widen the uncertainty by which it
+    is judged.
     """
     if obs.cell.robot.repeatability_mm is None:
         return found_mm2
@@ -168,7 +169,7 @@ def largest_budget(obs: Observations, stations: Sequence[int], budgets: Sequence
 
 
 def temperature_sentence(budget: Mapping[str, Any]) -> str:
-    """What a budget takes the artefact's temperature to be, as a person reads it."""
+    """The artefact's temperature in a budget, as a person reads it."""
     t = budget["temperature"]
     low, high = f"{t['low_C']:.3g}", f"{t['high_C']:.3g}"
     span = f"{low} °C" if low == high else f"{low} to {high} °C"

@@ -130,7 +130,7 @@ def _arm_and_hand_eye(obs: Observations, options: CalibrationOptions, fitted: Ad
     result = _collected(options, fitted)
     refuse_unusable(result)
     fault = fault_while_recording(fitted) if options.discrepancy else ""
-    # What happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
+    # An event that happened once must not become a function of posture; terms that are given are somebody's account of the arm's errors.
     if options.discrepancy and not options.terms and not fault:
         result, fitted = _with_discrepancy(obs, options, fitted) or (result, fitted)
         if joint_factor(fitted.noise, obs.cell) > InfluenceOptions.noise_factor:

@@ -69,7 +69,7 @@ def normalised_error(fitted: CalibratedCell, cell: CalibratedCell, model: Effect
     rows = keep[obs.pose]
     some = obs.select(keep)
     terms = model.at(some) if model else ()
-    # What differs between recordings has another draw in the other one: a random effect, beside what was learnt.
+    # An effect that differs between recordings has another draw in the other one: a random effect, beside the learnt one.
     differing = differing_terms(model, some)
     options = CalibrationOptions(terms=(*terms, *differing), balls=False, phases=all_phases(some))
     layout = parameters.build(some, options)

@@ -104,7 +104,7 @@ class ObservationFit:
     iterations : int
         Number of iterations of the solver.
     undetermined : tuple of Undetermined
-        What the poses leave open, and was held.
+        Parameters that the poses leave open, and that were held.
     rejected : tuple of Rejected
         Outliers.
     correlated : tuple

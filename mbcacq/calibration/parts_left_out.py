@@ -36,7 +36,8 @@ class CentreResiduals:
 
 
 def differing_terms(model: EffectModel, obs: Observations) -> tuple[Term, ...]:
-    """What differs between recordings, or was not learnt where a recording is, as random effects beside what was learnt."""
+    """Effects that differ between recordings, or were not learnt at the postures of a recording, as random effects beside the learnt
+    ones."""
     return tuple(replace(t, names=tuple(f"other {name}" for name in t.names)) for t in model.left_out_at(obs))
 
 
@@ -47,8 +48,8 @@ def parts_left_out(
 
     Arm and effects stay as they were learnt. Base, tool and stations are fitted to four of five parts. The second time, random effects are
     fitted with them at the sizes that were learnt. They are the effects that differ between recordings (drift, traces of movements), and
-    unmodelled effects beyond the range in which they were learnt. The fifth part is predicted. What the second prediction leaves is what
-    was learnt wrongly, and noise.
+    unmodelled effects beyond the range in which they were learnt. The fifth part is predicted. The second prediction leaves wrongly learnt
+    effects, and noise.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def parts_left_out(
 def _left_out(
     obs: Observations, options: CalibrationOptions, state: CellState, noise: Noise, used: np.ndarray, parts: Sequence[np.ndarray]
 ) -> CentreResiduals:
-    """What is left at the centres used (M,), each part (M,) predicted by a fit to the others."""
+    """Residuals at the centres used (M,), each part (M,) predicted by a fit to the others."""
     lineariser = Lineariser(obs, build(obs, options), options)
     start = Estimate(state, tuple(np.zeros(t.size) for t in options.terms))
     residual, whitened = (np.zeros((obs.n_centres, 3)) for _ in range(2))

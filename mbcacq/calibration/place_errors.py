@@ -75,7 +75,7 @@ class ArmImprovement(AsJson):
 
     @property
     def text(self) -> str:
-        """What came out, as a sentence."""
+        """The result, as a sentence."""
         before, after, noise = (fixed(mm) for mm in (self.before.rms_mm, self.after.rms_mm, self.noise_mm))
         return (
             f"The arm misses its places by {before} mm rms with its controller's model, by {after} mm with corrected targets "
@@ -86,7 +86,7 @@ class ArmImprovement(AsJson):
 def arm_improvement(
     observations: Observations, nominal: np.ndarray, corrected: np.ndarray, noise_mm: np.ndarray, took_part: np.ndarray | None
 ) -> ArmImprovement | None:
-    """What the targets of a recording with corrected targets changed.
+    """The change by the targets of a recording with corrected targets.
 
     nominal, corrected: (P, n) rad, the joint angles that each pose was planned by and those that the arm was sent to. noise_mm: (P,) 3D
     standard deviation of one measured point. took_part: (P,) bool, whether the place took part in the calibration; None: not known. Places

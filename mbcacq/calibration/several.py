@@ -142,7 +142,7 @@ def day_to_day(whole: CalibratedCell, model: EffectModel) -> list[DayToDay]:
 
 
 def deviations(whole: CalibratedCell, between: dict[str, float]) -> list[Term]:
-    """What each recording adds to the common value of coefficients that differ by a standard deviation ``between``, by name."""
+    """The difference of each recording from the common value of coefficients that differ by a standard deviation ``between``, by name."""
     return [
         replace(_of_each_recording(whole.fit.observations, t, j, between[name]), name=f"{name} of each recording")
         for t in whole.fit.options.terms

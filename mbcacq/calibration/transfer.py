@@ -1,7 +1,7 @@
 """A calibrated arm, with its effects, tried on a recording that it was not fitted to: another day, another placement of base and tool.
 
-The arm and its effects stay as they were learnt. What belongs to the other recording alone (base, tool, stations) is fitted to it, or
-nothing at all where its places are known.
+The arm and its effects stay as they were learnt. Base, tool and stations belong to the other recording alone and are fitted to it. Nothing
+at all is fitted where its places are known.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class PartsLeftOut:
 
 @dataclass(frozen=True)
 class EffectGain:
-    """What one effect does on the other recording.
+    """The gain of one effect on the other recording.
 
     Attributes
     ----------

@@ -99,7 +99,7 @@ def with_discrepancy(obs: Observations, options: CalibrationOptions, alone: Adju
     built = [replace(t.term(here, learnt), sigma=t.sigma) for t in best.terms]
     chosen = replace(options, terms=(*options.terms, *built))
     final = with_random_links(adjust(obs, chosen, replace(alone, noise=best.noise), links_follow=True))
-    # What the order of the poses explains belongs to this recording: it is in the uncertainties, and says nothing of other poses.
+    # Errors that the order of the poses explains belong to this recording. They are in the uncertainties, and say nothing of other poses.
     of_the_arm = tuple(t for t in best.terms if t.variant != discrepancy.WANDER)
     model = EffectModel(obs.cell.robot, of_the_arm, learnt, obs.cell.measurement)
     return WithDiscrepancy(final, chosen, model, best.evidence - nothing.evidence, wander_of(best.terms, here.n))
@@ -116,7 +116,7 @@ def _some_of(alone: Adjustment) -> LinearProblem:
 
 
 def _more_probable(one: _Groups, other: _Groups, least: float = LEAST_GAIN) -> _Groups:
-    """What the evidence prefers of two explanations; the first unless it does so clearly."""
+    """The explanation of two that the evidence prefers; the first one unless the preference is clear."""
     return other if other.evidence > one.evidence + least else one
 
 

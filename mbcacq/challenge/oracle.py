@@ -95,7 +95,7 @@ def carriers(coupling: EffectCoupling, effect: dict[str, Any]) -> dict[Where, fl
 
 
 def elastic(setup: DiagnosisProblem, effect: dict[str, Any]) -> list[Member]:
-    """What an injected effect alone shows through (a wrong payload through elastic joints): it is no part of what the effect adds."""
+    """Effects through which alone an injected one shows (a wrong payload through elastic joints): they are no part of its own gain."""
     coupling = declaration(effect["name"]).coupling
     if coupling is None:
         return []

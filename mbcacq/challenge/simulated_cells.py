@@ -26,7 +26,7 @@ def observe(
     noise_seed: int | None = None,
     planned: Sequence[PlannedPose] | None = None,
 ) -> tuple[Observations, dict[str, Any]]:
-    """What the run would record, as observations, and the truth. injected, climate, noise_seed: as ``hidden`` and the like of a plan's
+    """The recording of the run, as observations, and the truth. injected, climate, noise_seed: as ``hidden`` and the like of a plan's
     ``fake``. planned: the poses by which injected effects choose where and when they act, where the same cell was measured before.
     """
     from mbcacq.workflow.acquire import solver_cell

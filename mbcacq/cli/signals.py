@@ -21,9 +21,9 @@ AGAIN_S = 0.05  # until it is tried again where an exception would have been los
 class FirstSignal:
     """Handler of which the first signal counts: KeyboardInterrupt at SIGINT, Aborted at others, in the main thread.
 
-    Later ones must not disturb the closing, in which the arm comes to rest and the recording is completed; all of it is bounded in time.
-    What is raised may get lost: an extension that is being imported makes another error of it, a finaliser drops it. It is therefore
-    raised after an import, and once more where it was dropped. what: subject of the sentence of Aborted.
+    Later ones must not disturb the closing, in which the arm comes to rest and the recording is completed; all of it is bounded in time. A
+    raised error may get lost: an extension that is being imported makes another error of it, a finaliser drops it. It is therefore raised
+    after an import, and once more where it was dropped. what: subject of the sentence of Aborted.
     """
 
     def __init__(self, what: str) -> None:
@@ -90,7 +90,7 @@ class _Unraisable:
 
 
 def interrupt_once() -> None:
-    """Raise KeyboardInterrupt at the first Ctrl-C only. What is started in the background stays deaf to it."""
+    """Raise KeyboardInterrupt at the first Ctrl-C only. Programs that are started in the background stay deaf to it."""
     FirstSignal("the command").handle([signal.SIGINT])
 
 

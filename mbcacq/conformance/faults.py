@@ -111,7 +111,7 @@ class Channel:
             return out
 
     def flush(self, sender: str, connection: object = None) -> bytes:
-        """What waits for a next message that has not come."""
+        """The bytes that wait for a next message that has not come."""
         with self._lock:
             held = self._held.pop((sender, connection), b"")
             if held:

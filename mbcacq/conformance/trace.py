@@ -132,7 +132,8 @@ class Replay:
         return data
 
     def _datagram(self, link: socket.socket, line: TraceLine) -> bytes:
-        """What is not answered is sent again: nobody may have listened yet. A second answer to what was sent twice is passed over."""
+        """A message without an answer is sent again: nobody may have listened yet. A second answer to what was sent twice is passed
+        over."""
         unanswered, taken = self._unanswered[line.link], self._taken[line.link]
         deadline, wait_s = time.monotonic() + self._timeout_s, _AGAIN_S
         while not self._closing.is_set() and time.monotonic() < deadline:

@@ -75,7 +75,7 @@ def _spliced(loaded: LoadedPlan, steps: list[dict[str, Any]]) -> str | None:
     out = lines[: starts[0]]
     for i in range(len(plan.steps)):
         if i in old:
-            # What is written right above a step is about that step, and goes with it.
+            # A comment right above a step is about that step, and goes with it.
             while out and out[-1].lstrip().startswith("#"):
                 out.pop()
         if i == (old[0] if old else 0):

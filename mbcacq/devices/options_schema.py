@@ -14,7 +14,7 @@ SECTIONS = {"robots": "robot", "scanners": "scanner", "positioners": "positioner
 def driver_options(kind: str) -> dict[str, dict[str, Any]]:
     """JSON Schema of the options of each installed driver of a kind that names them by ``options_model``, by the driver's name.
 
-    What the program itself hands over from the robot file is not required of a plan.
+    A plan need not have the options that the program itself hands over from the robot file.
     """
     found = {}
     for point in sorted(entry_points(group=f"mbcacq.{kind}"), key=lambda point: point.name):

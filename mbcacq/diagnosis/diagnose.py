@@ -109,7 +109,7 @@ def _diagnose(
             full = fit_model(problem)
         pool = WorkerPool() if full.empty else pool  # nothing is claimed, there is nothing to validate
         again = begin_again(full.geometry_only.linear, bool(full.random))
-    # What is validated and concluded does not depend on the refit, which takes seconds: another process makes it meanwhile.
+    # Validation and conclusion do not depend on the refit, which takes seconds: another process makes it meanwhile.
     model = kept_model(full)
     refitted = pool.beside(refit, model) if refit is not None and model else None
     validation = validated(full, again, progress)

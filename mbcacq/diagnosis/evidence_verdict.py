@@ -70,7 +70,7 @@ def labels_of(reported: Hypothesis, name: str, where: str) -> list[str]:
 
 
 def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tuple[tuple[SizedEffect, SizedEffect], ...]]:
-    """What the reported set cannot be told from, effect by effect, and the same pairs with their coefficients."""
+    """Effects that cannot be told apart from those of the reported set, one by one, and the same pairs with their coefficients."""
     reported = reported_hypothesis(fit)
     entries, pairs = [], []
     for other in alternatives_to(fit, reported):

@@ -127,7 +127,7 @@ class GivenEvidence:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Findings:
-    """What every diagnosis says.
+    """The part that every diagnosis has.
 
     verdict: ``none``, ``explained``, ``partly_explained``, ``unexplained`` or ``cannot_tell``. mismatch: largest share first. advice: what
     to measure next. plot_data: from which pictures are drawn; it is no part of the JSON object, so None after ``from_json``.

@@ -1,4 +1,4 @@
-"""What one pass over a recording has found."""
+"""The model that one pass over a recording has found."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class LocatedMismatch:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFit:
-    """What one pass has found.
+    """The model that one pass has found.
 
     Attributes
     ----------

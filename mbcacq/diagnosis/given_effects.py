@@ -39,7 +39,7 @@ LEAST_INFORMATION = 1e-6  # of the poses on a coefficient, next to what is given
 
 @dataclass(frozen=True)
 class StatedParameters:
-    """What something else than the poses states of an effect: its parameters in the words of the poses, value and std by name."""
+    """A statement about an effect from something else than the poses: its parameters in the words of the poses, value and std by name."""
 
     name: str
     where: tuple[str, ...]

@@ -93,7 +93,7 @@ def noise_variations(full: ModelFit) -> list[Variation]:
     instrument = varying_most(linear.obs, within, INSTRUMENT, float(np.sqrt(np.mean(noise.point**2))))
     scale = instrument.scale if instrument else np.ones(linear.obs.n_poses)
     out += [instrument] if instrument else []
-    # What is left of the rigid motions counts only in so far as the instrument's own variation does not say already.
+    # The rest of the rigid motions counts only in so far as the instrument's own variation does not say already.
     moved = SquaresOfPoses(np.maximum(total - within.square, 0.0) / scale**2, rigid)
     rest = varying_most(linear.obs, moved, ALL, float(np.sqrt(np.mean(noise.point**2))))
     return [*out, rest] if rest else out

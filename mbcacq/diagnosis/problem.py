@@ -92,9 +92,9 @@ class DiagnosisProblem:
 def prepare(recordings: Observations | Sequence[Observations], options: CalibrationOptions | None = None) -> DiagnosisProblem:
     """The recording adjusted as calibration does it: the same poses, outliers, noise and geometry.
 
-    Several recordings of one arm are one problem: arm and effects are shared, base, tool, stations, artefacts and noise are not. What the
-    poses leave undetermined is held. Raises CalibrationError where a recording contradicts its cell, ConfigError where the recordings are
-    not of one arm.
+    Several recordings of one arm are one problem: arm and effects are shared, base, tool, stations, artefacts and noise are not. Parameters
+    that the poses leave undetermined are held. Raises CalibrationError where a recording contradicts its cell, ConfigError where the
+    recordings are not of one arm.
     """
     options = replace(options or CalibrationOptions(), refuse=False)
     if isinstance(recordings, Observations):

@@ -32,8 +32,8 @@ from mbcacq.effects.in_words import odds_in_words
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedFit:
-    """What is reported of a fit. before: score on the data fitted with geometry alone, which leaves residual (M, R). pairs: that are not
-    separable, with their coefficients.
+    """The reported results of a fit. before: score on the data fitted with geometry alone, which leaves residual (M, R). pairs: that are
+    not separable, with their coefficients.
     """
 
     full: ModelFit

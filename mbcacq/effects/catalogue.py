@@ -132,7 +132,7 @@ def _of_another_package(point: EntryPoint) -> ModuleType:
 
 
 def declaration(name: str) -> Declaration:
-    """What is particular about an effect, by its name; nothing for one that is not in the catalogue."""
+    """The particulars of an effect, by its name; none for one that is not in the catalogue."""
     return getattr(effects().get(name), "DECLARED", NOTHING_PARTICULAR)
 
 

@@ -5,7 +5,7 @@ mounted the other way round, in the other direction. Angles that one joint never
 
 Joints are compared by their evidence in the normal equations of the recording. Each order of a joint's own error is a random effect. The
 Bayes factor, for every offset and direction, compares two models of that error: the pattern plus a small deviation, and an error of its
-own. What other joints, the geometry and gravity could explain instead is integrated out.
+own. Explanations by other joints, the geometry and gravity are integrated out.
 """
 
 from __future__ import annotations

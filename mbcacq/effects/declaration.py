@@ -122,7 +122,7 @@ class Challenge:
 
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
-    """What is particular about an effect.
+    """The particulars of an effect.
 
     Attributes
     ----------

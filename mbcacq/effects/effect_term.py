@@ -92,7 +92,7 @@ class Anchor:
 
 @dataclass(frozen=True)
 class LearntRecording(EveryKey):
-    """What is needed to know the recording again that effects were learnt from.
+    """Features by which the recording from which effects were learnt is recognised.
 
     anchors: some of its poses. poses: numbers of all poses in the order of time. time_origin_s: time of
     the first; duration_s: from the first to the last.
@@ -219,8 +219,8 @@ class EffectTerm(EveryKey):
 
     @property
     def bound_to_recording(self) -> bool:
-        """Whether it depends on time, on the order of the poses or on a station: elsewhere it is as it was at the end. What a movement
-        leaves behind depends on the speed and the pause of that recording: elsewhere it is none.
+        """Whether it depends on time, on the order of the poses or on a station: elsewhere it is as it was at the end. The trace of a
+        movement depends on the speed and the pause of that recording: elsewhere there is none.
         """
         return bool(self.covariates & set(OF_RECORDING)) or any(name.startswith(MOVEMENT) for name in self.covariates)
 
@@ -237,8 +237,8 @@ class EffectTerm(EveryKey):
 
     @property
     def fades(self) -> bool:
-        """Whether it shrinks to nothing outside of where it was learnt: a smooth function says nothing of what lies beyond its data. What
-        gives way to a load is no such function, and is held at the end of its range.
+        """Whether it shrinks to nothing outside of where it was learnt: a smooth function says nothing of what lies beyond its data. A part
+        that gives way to a load is no such function, and is held at the end of its range.
 
         The discrepancy of a calibration has both. A joint's own error by periods a turn (``order k``) and the softening of a wind-up are
         known in the range of the data alone, and fade. Its other groups (variant ``SMOOTH``) go on, with the uncertainty of their
@@ -264,7 +264,7 @@ class EffectTerm(EveryKey):
         return term(self.key, self.parts_at(here, learnt), self.names, self.units, self.sigma)
 
     def beyond_learnt(self, here: Covariates, learnt: LearntRecording) -> Term | None:
-        """What an unmodelled effect may be beyond where it was learnt, of which its prior is all that is known; None where no pose is."""
+        """An unmodelled effect beyond the range in which it was learnt, with its prior alone; None where no pose is."""
         if not self.fades or not np.all(np.isfinite(self.sigma)):
             return None
         left = [np.sqrt(np.maximum(1.0 - self._within(here, own) ** 2, 0.0)) for own in self.parts]

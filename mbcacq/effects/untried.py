@@ -1,8 +1,8 @@
 """What the catalogue leaves out for a recording although the cell may have it: a name among the few that were tried may be wrong.
 
-An error of a gear is claimed to be periodic only where the joint travels far enough, and weight is known only where masses are. What is
-left out for such a reason acts all the same. It stands as a smooth function at its location, so that no effect that was tried is named
-with confidence where such a function does as well.
+An error of a gear is claimed to be periodic only where the joint travels far enough, and weight is known only where masses are. An effect
+that is left out for such a reason acts all the same. It stands as a smooth function at its location, so that no effect that was tried is
+named with confidence where such a function does as well.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ class UntriedEffect:
 
 
 def untried(context: Context, candidates: Sequence[Candidate]) -> list[UntriedEffect]:
-    """What ``candidates`` of a recording lack at the joints: orders of gears that the travel does not cover, weight of unknown masses."""
+    """Effects that ``candidates`` of a recording lack at the joints: orders of gears that the travel does not cover, weight of unknown
+    masses."""
     slow = [found for c in candidates if c.periodic and (found := _slow_orders(context, c)) is not None]
     return slow if context.masses_known else [*slow, *_weights(context)]
 

@@ -2,7 +2,7 @@
 
 CSV: a header with label (or ball, id), x, y, z, d (or diameter), optional U, sigma, k, T, alpha. Units stand in the headings (``x (cm)``,
 ``U_um``, ``alpha (1/K)``) or in a comment (``# units: cm``) and are honoured; without any they are mm, deg C, 1e-6/K. YAML: the same names
-as keys, balls listed under ``balls`` or ``spheres``; or an artefact file of ours. What is not used is listed.
+as keys, balls listed under ``balls`` or ``spheres``; or an artefact file of ours. Unused columns and lines are listed.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ TARGET_FRAME = "target_frame"
 
 @dataclass(frozen=True, kw_only=True)
 class Targets:
-    """What is wanted beyond CSV and JSON.
+    """Options beyond CSV and JSON.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class ExportedResult:
     targets
         What is wanted.
     observations
-        What was calibrated, None for a result alone.
+        The calibrated cell, None for a result alone.
     """
 
     result: Mapping[str, Any]

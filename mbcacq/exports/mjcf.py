@@ -1,7 +1,7 @@
 """The calibrated arm for MuJoCo: bodies with hinges, and the effects that springs, masses and constraints between hinges can express.
 
 A compliance is a second hinge about the joint's axis, held by a spring, so that weight winds it up; a pedestal that tilts stands on three
-of them. What is proportional to a joint angle is a hinge that a constraint ties to that angle.
+of them. An effect that is proportional to a joint angle is a hinge that a constraint ties to that angle.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def drifts(rows: Sequence[FleetRow]) -> list[Drift]:
     trends = [found for arm, own in by_arm.items() if (found := trend(arm, own)) is not None]
     if not trends:
         return []
-    # What arms change from day to day beyond their stated uncertainty widens all limits.
+    # Changes of arms from day to day beyond their stated uncertainty widen all limits.
     squares = [float(np.median((t.change / t.sigma) ** 2)) for t in trends]
     scale = float(np.sqrt(max(np.median(squares) / MEDIAN_SQUARE, 1.0)))
     out = []

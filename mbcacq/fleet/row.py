@@ -20,7 +20,7 @@ Figure = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 
 @dataclass(kw_only=True)
 class FleetRow:
-    """What the table says of a recording; it is filled step by step, and what did not come about is None.
+    """The row of a recording in the table. It is filled step by step, and missing results are None.
 
     Attributes
     ----------

@@ -4,10 +4,9 @@ An arm is its axes at zero: the flange moves by the product of the rotations abo
 Wen, "IK-Geo: unified robot inverse kinematics using subproblem decomposition", 2025. The invariants of each rotation give one angle after
 the other, each by a cos x + b sin x = c (subproblems after Paden and Kahan):
 
-1. The point P where axes 5 and 6 meet keeps its height along the parallel axes, whatever these do: q1.
-2. So does the direction of axis 6, but for q5.
-3. The direction of axis 6 then gives q2 + q3 + q4, and the rest of the rotation q6.
-4. What is left is a plane arm of two links: q3, then q2 and q4.
+1. The point P where axes 5 and 6 meet keeps its height along the parallel axes, whatever these do: q1. 2. So does the direction of axis 6,
+but for q5. 3. The direction of axis 6 then gives q2 + q3 + q4, and the rest of the rotation q6. 4. The rest is a plane arm of two links:
+q3, then q2 and q4.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ def read_day_to_day(fleet: Path | str, robot: str) -> UsualChanges:
     """Standard deviations from the table of a fleet that has several recordings of arms of a type. robot: name of the type.
 
     As in the fleet's control charts, they are such that the median moving range is as expected: one arm that drifts, or a few bad
-    recordings, do not widen them. What the table does not tell stays as usual. Raises ConfigError where no arm of the type was recorded
-    often enough.
+    recordings, do not widen them. Values that the table does not state stay as usual. Raises ConfigError where no arm of the type was
+    recorded often enough.
     """
     kind = next((k for k in arm_types(read_table(Path(fleet))) if k.robot == robot), None)
     rows = [] if kind is None else list(kind.rows)

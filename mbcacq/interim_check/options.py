@@ -13,7 +13,7 @@ Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 @dataclass(frozen=True, kw_only=True)
 class UsualChanges:
-    """What a cell changes from one day to the next without a cause that anybody would look for: standard deviations.
+    """Standard deviations of the changes of a cell from one day to the next, without a cause that anybody would look for.
 
     joint: rad, of each joint's zero; mount_mm, mount_rad: of the scanner on the flange, per axis; station_mm, station_rad: of an artefact
     that stays where it stands. source: where these figures are from.

@@ -267,7 +267,7 @@ def _ranked(changes: tuple[PossibleChange, ...], log: np.ndarray, estimates: Est
 
 
 def noticed(evidence: Evidence, level: int, T: int) -> tuple[tuple[str, str, float, str], ...]:
-    """What change of a joint's zero, of the mount or an artefact, one coefficient at a time, is noticed within a week with 90 %."""
+    """The change of a joint's zero, of the mount or an artefact, one coefficient at a time, that is noticed within a week with 90 %."""
     process, lv = evidence.process, evidence.process.levels[level]
     days, week = max(T, 7), 7
     n = days * week / (days + week)

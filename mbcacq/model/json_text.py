@@ -1,7 +1,7 @@
 """JSON texts as data and typed objects, and what is wrong with one said in words.
 
 The types of a dataclass say how it stands in a file: ``fields_as_json`` writes it and ``from_fields`` reads it by them, and pydantic makes
-the JSON Schema of them. What stands otherwise in JSON than in Python says so in its annotation.
+the JSON Schema of them. The annotation of a field says if it stands otherwise in JSON than in Python.
 """
 
 from __future__ import annotations

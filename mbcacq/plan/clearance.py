@@ -152,7 +152,7 @@ class Clearance:
             yield replace(pair, most=farthest / 2)
 
     def _against(self, body: Body) -> Iterator[Pair]:
-        """What stands still, against all that moves. What touches link 1 at every angle is what the arm is bolted to."""
+        """Standing bodies against all moving ones. A body that touches link 1 at every angle carries the arm."""
         for part in self._arm:
             if part.link == 1:
                 yield from self._examined(body, part)

@@ -91,7 +91,8 @@ def _robot(file: YamlFile, plan: Plan) -> cell.RobotModel:
 
 
 def _check_motion_limits(source: YamlFile, spec: RobotSpec) -> None:
-    """What moves has joint and speed limits on every axis; accelerations and jerks, which may follow from speeds, on every axis or none."""
+    """A moving arm has joint and speed limits on every axis; accelerations and jerks, which may follow from speeds, on every axis or
+    none."""
     stated = {name for link in spec.links for name in ("acceleration_deg_s2", "jerk_deg_s3") if getattr(link, name) is not None}
     for index, link in enumerate(spec.links):
         if "limits_deg" not in link.model_fields_set:

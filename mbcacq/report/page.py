@@ -156,7 +156,7 @@ def _embedded(figures: Mapping[str, Figure]) -> dict[str, Any]:
 
 
 def _div(name: str, figure: Figure) -> Any:
-    """The figure as data next to its place: page.js draws it. What could end a script element is written as an escape."""
+    """The figure as data next to its place: page.js draws it. Text that could end a script element is written as an escape."""
     from markupsafe import Markup
 
     data = _script_safe(figure.to_json())

@@ -110,8 +110,8 @@ def beyond_expected_sentence(spacing: Spacing | None) -> str:
 
 
 def uncertainty_budget(verification: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
-    """(source, standard uncertainty, what it is) of a verified length, the last two rows combined and expanded. What is judged, the error
-    of the cell, is no part of the uncertainty of judging it."""
+    """(source, standard uncertainty, what it is) of a verified length, the last two rows combined and expanded. The judged quantity, the
+    error of the cell, is no part of the uncertainty of judging it."""
     budget = (verification or {}).get("budget")
     if not budget:
         return []

@@ -1,8 +1,8 @@
 """The blocks of a MuJoCo model that recordings ask for, fitted to them in MuJoCo's own runs, and their error on held-out parts.
 
-Blocks that a diagnosis named are fitted first, each channel weighted by its standard deviation. The others are scored against the
-residual that is left, all at once and linearised; one is taken while its gain on held-out segments exceeds what its coordinates cost.
-What is not significant in the end goes back to the model as it was.
+Blocks that a diagnosis named are fitted first, each channel weighted by its standard deviation. The others are scored against the residual
+that is left, all at once and linearised; one is taken while its gain on held-out segments exceeds what its coordinates cost. Parameters
+that are not significant in the end go back to the model as it was.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class RollOutFit(ModelResidual):
         for block, x in zip(self.blocks, self.x, strict=True):
             own = slice(end, end := end + block.size)
             C = covariance[own, own]
-            # What was absent is compared with none: a gear's compliance with zero.
+            # An absent part is compared with none: a gear's compliance with zero.
             known = x[:1] if block.absent else x - block.start
             wald = float(known @ np.linalg.solve(C[: len(known), : len(known)], known))
             out.append(FittedBlock(block, x, C, float(chdtrc(len(known), wald)), block.key in self.named))

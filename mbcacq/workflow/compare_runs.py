@@ -257,7 +257,7 @@ def _effects(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Change
 
 
 def _figures(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Change]:
-    """What describes the recordings themselves; no row of it is judged."""
+    """Rows that describe the recordings themselves; none of them is judged."""
     rows = []
     for name, keys in (
         ("residual, 3D rms", ("fit", "rms_mm")),

@@ -318,7 +318,7 @@ class DiagnosisResult:
         Parameters
         ----------
         text
-            What ``to_json`` wrote, of this or an earlier version.
+            Text that ``to_json`` wrote, of this or an earlier version.
 
         Returns
         -------

@@ -16,7 +16,7 @@ from mbcacq.plan import LoadedPlan, PlannedPose
 
 @dataclass(frozen=True)
 class MeasuredBefore:
-    """What was measured in a fake cell before it is started again. time_s: the robot's clock at the last pose, None before the first one;
+    """The earlier measurements in a fake cell that is started again. time_s: the robot's clock at the last pose, None before the first one;
     poses: how many.
     """
 

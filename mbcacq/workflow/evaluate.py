@@ -87,8 +87,8 @@ class RunResult:
 def evaluate(run: Path, limit_mm: float | None = None, progress: Callable[[str], None] = lambda text: None) -> RunResult:
     """Calibrate what a run recorded, verify it on the poses kept apart, write result.json, report.html and the residuals into its folder.
 
-    What is calibrated follows from the plan's phases and stations (``options_for``). limit_mm: the plan's limit of the sphere spacing
-    error. progress: gets a sentence a step.
+    The plan's phases and stations decide the parameters that are calibrated (``options_for``). limit_mm: the plan's limit of the sphere
+    spacing error. progress: gets a sentence a step.
     """
     from mbcacq.recording.rrd.reader import opened_once
 

@@ -12,7 +12,7 @@ class FramingError(ValueError):
 
 
 class Cutter:
-    """``feed`` bytes as they come, get whole telegrams with this root. What lies between telegrams is thrown away."""
+    """``feed`` bytes as they come, get whole telegrams with this root. Bytes between telegrams are thrown away."""
 
     def __init__(self, root: str) -> None:
         name = re.escape(root.encode())

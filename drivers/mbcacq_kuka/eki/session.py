@@ -84,8 +84,8 @@ class EkiSession:
 
     def await_link(self) -> None:
         """Wait until the controller is heard again, over a connection taken up again where the last one has ended: nobody knows whether a
-        move that was sent into an ended one was begun. What is heard may have waited in a connection that has ended since. Raises what
-        ended the session.
+        move that was sent into an ended one was begun. A telegram may have waited in a connection that has ended since. Raises what ended
+        the session.
         """
         asked = time.monotonic()
         self._await(

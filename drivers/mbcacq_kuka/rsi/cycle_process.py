@@ -1,4 +1,4 @@
-"""The cycle process as the driver sees it: started, commanded, read, ended. What it holds is one RSI session."""
+"""The cycle process as the driver sees it: started, commanded, read, ended. It holds one RSI session."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Backward elimination of poses: from all of them the one is left out that is missed least, again and again.
 
-Growing one by one would never open a station: the first pose there is spent on finding the artefact. What is left at any moment is nested
-in what was left before, so one pass gives the best few of every number.
+Growing one by one would never open a station: the first pose there is spent on finding the artefact. The rest at any moment is nested in
+the rest before, so one pass gives the best few of every number.
 
 With all of a set measured, effects have beyond the geometry the normal matrix E'E - E'Z N^-1 Z'E, N = I + Z'Z. Without pose i it is smaller
 by e_i' (I - H_i)^-1 e_i, where e_i = E_i - Z_i N^-1 Z'E and H_i = Z_i N^-1 Z_i'.
@@ -23,7 +23,8 @@ LEAST_LEFT = 1e-9  # of the information of a pose that the others have as well: 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredInformation:
-    """What is known already. N (G, G) information of the geometry with its prior, B (G, K) = Z'E and products (K, K) = E'E."""
+    """The information that is known already. N (G, G) information of the geometry with its prior, B (G, K) = Z'E and products (K, K) =
+    E'E."""
 
     N: np.ndarray
     B: np.ndarray

@@ -1,7 +1,7 @@
 """The cell investigates itself: measure, weigh all explanations, choose the next visit of a station, until it knows.
 
-What measures is handed in: a runner, a fake cell without protocols, somebody's own program. Decisions that were made before are replayed
-and not made anew, so an interrupted investigation goes on as it would have.
+The measuring side is handed in: a runner, a fake cell without protocols, somebody's own program. Decisions that were made before are
+replayed and not made anew, so an interrupted investigation goes on as it would have.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Decision:
 
     @property
     def sentence(self) -> str:
-        """What came out and what is next, in one line."""
+        """The result and the next step, in one line."""
         named = "; ".join(f"{name} ({odds:.2g})" if k else name for k, (name, odds) in enumerate(self.sets[:4]))
         going_on = ", ".join(f"{len(s['poses_deg'])} poses at station {s['station']}" for s in self.steps)
         then = f"next: {going_on}" if self.steps else self.end

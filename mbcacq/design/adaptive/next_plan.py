@@ -82,7 +82,7 @@ def set_in_words(labels: Sequence[str]) -> str:
 
 
 def pair_in_words(pair: OpenPair) -> str:
-    """What is not told apart, and whether anything within reach does; if nothing, what else would."""
+    """Sets that cannot be told apart yet, and whether anything within reach separates them; if nothing, what else would."""
     open_ = f"{set_in_words(pair.a)} and {set_in_words(pair.b)} are not told apart ({odds_in_words(pair.odds)})"
     if not pair.futile:
         return open_

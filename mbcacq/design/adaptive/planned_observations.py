@@ -16,8 +16,8 @@ OWN = ("pose_id", "station", "q", "phase", "time_s", "direction", "movement")  #
 
 
 def continued(obs: Observations, state: CellState, poses: Sequence[PlannedPose], pace_s: float = 0.0) -> Observations:
-    """The recording with the planned poses after its own. What is recorded with a pose and not planned (temperatures, torques) is as at the
-    measured pose of the nearest posture.
+    """The recording with the planned poses after its own. Quantities that are recorded with a pose and not planned (temperatures, torques)
+    are as at the measured pose of the nearest posture.
 
     state: of the cell, with a place for every station. pace_s: time from one planned pose to the next; 0 takes all for one moment.
     """

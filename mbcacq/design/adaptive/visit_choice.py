@@ -206,8 +206,8 @@ class VisitChoice:
         ), index
 
     def _of_one_station(self, before: MeasuredInformation, here: np.ndarray) -> tuple[MeasuredInformation, InformationBlocks]:
-        """What is known, and poses (indices) of one station, in the parameters that these poses depend on: a few times fewer than all. What
-        rounding leaves of it ranks stations; poses are left out in all parameters.
+        """What is known, and poses (indices) of one station, in the parameters that these poses depend on: a few times fewer than all. Its
+        rounded form ranks stations; poses are left out in all parameters.
         """
         ahead, g = self._ahead.select(here), self._g
         places = np.flatnonzero(np.any(ahead.Z[:, :, g:] != 0.0, axis=(0, 1)))

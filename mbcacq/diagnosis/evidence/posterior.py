@@ -95,7 +95,7 @@ def undecided(fit: RankedSets, reported: Hypothesis) -> list[Hypothesis]:
 
 
 def not_separable(reported: Hypothesis, other: Hypothesis, correlation: float) -> NotSeparable:
-    """What only one of both sets has each. correlation: of what that explains."""
+    """The effects that only one of both sets has. correlation: of what that explains."""
     ours, theirs = reported.labels - other.labels, other.labels - reported.labels
     odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
     return NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), correlation, odds)

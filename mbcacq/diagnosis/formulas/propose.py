@@ -35,7 +35,7 @@ from mbcacq.estimation.variance_components import pack
 
 @dataclass(frozen=True)
 class Setting:
-    """What formulas are sought in and scored on, every unmodelled effect taken out.
+    """The data in which formulas are sought and on which they are scored, every unmodelled effect taken out.
 
     linear, point: the recording, and its noise with everything found in place. others: the parametric effects. random: the unmodelled
     ones (none where these stand at all locations).
@@ -93,7 +93,7 @@ def holds_up(proposal: Proposal, formula: Sequence[PredictiveScore], smooth: Seq
 
 
 def refused(proposal: Proposal) -> str:
-    """What was found and is not offered, and why."""
+    """Formulas that were found and are not offered, with the reasons."""
     return (
         f"a formula was sought and none is proposed: the most probable one ({proposal.formula}) predicts data left out with χ²/dof "
         f"{proposal.held_out_chi2_dof:.2f}, the smooth model with {proposal.smooth_chi2_dof:.2f}, and came again in {proposal.found_in} of "

@@ -159,7 +159,7 @@ def _channel(table: HeldOutTable, j: int, refused_after: float) -> ChannelFit:
 
 
 def checked_channels(fit: MotionFit, before: np.ndarray, after: np.ndarray) -> list[CheckedChannel]:
-    """What a fit leaves of another recording, joint by joint; before, after: mean squares (J,) without and with its effects."""
+    """Residuals of a fit in another recording, joint by joint; before, after: mean squares (J,) without and with its effects."""
     each = ((_axis(fit, j), _error(fit, j, before[j], after[j])) for j in range(len(fit.group.joints)))
     return [CheckedChannel(fit.group.name, at, _unit(fit), error) for at, error in each]
 
@@ -176,7 +176,7 @@ def _error(fit: MotionFit, j: int, before: float, after: float) -> ErrorBeforeAf
 
 
 def _advice_on_sets(pairs: tuple[NotSeparable, ...]) -> list[Advice]:
-    """What to record where the evidence does not exclude another set."""
+    """Advice on recordings, if the evidence does not exclude another set."""
     if not pairs:
         return []
     names = "; ".join(" and ".join(pair.effects) for pair in pairs)

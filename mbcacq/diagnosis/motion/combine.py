@@ -1,12 +1,11 @@
-"""A run has both: poses at standstill and the motion between them. What both found of one effect is compared, in one vocabulary.
+"""A run has both: poses at standstill and the motion between them. The findings of both about one effect are compared, in one vocabulary.
 
 1. The parameters of the motion are put into the words of the poses (``Declaration.in_terms_of_poses``): a balancer's torque, say, becomes
    the angle by which it winds A2 up.
-2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other.
-3. Where one of them cannot tell two effects apart, and the other names one of these, that one is named.
-4. What the motion is sure of is given to the poses as their prior (``given_effects``), and these are searched again: what shows only
-   through it, or beside it, is found then.
-5. The evidences of both multiply (``joint_sets``): what neither shows or decides alone may be shown and decided by both.
+2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other. 3.
+Where one of them cannot tell two effects apart, and the other names one of these, that one is named. 4. Effects of which the motion is sure
+are given to the poses as their prior (``given_effects``), and these are searched again. Effects that show only through or beside them are
+found then. 5. The evidences of both multiply (``joint_sets``): both together may show and decide what neither does alone.
 """
 
 from __future__ import annotations
@@ -123,7 +122,7 @@ class BothInFile(EveryKey):
 
 @dataclass(frozen=True, eq=False)
 class PosesAndMotion:
-    """What was found in the poses of a run and in the motion between them. given: the evidence of the poses with what the motion is sure of
+    """The findings in the poses of a run and in the motion between them. given: the evidence of the poses with what the motion is sure of
     as their prior, where they were searched so.
     """
 
@@ -208,7 +207,7 @@ class PosesAndMotion:
 
     @property
     def given_by_motion(self) -> list[StatedParameters]:
-        """What the motion is sure of, in the words of the poses: the effects that are in every set that its evidence does not exclude."""
+        """Effects of which the motion is sure, in the words of the poses: those in every set that its evidence does not exclude."""
         sure: set[str] = set()
         for one in self.motion.evidence:
             likely = [s for s in one.evidence.sets if s.log_odds > np.log(OPTIONS.undecided)]

@@ -93,7 +93,7 @@ def _other_payload(found: MotionDiagnosis, robot: RobotModel) -> list[str]:
 
 
 def check_trajectories(learnt: Sequence[Trajectory], others: Sequence[tuple[str, Trajectory]]) -> tuple[MotionCheck, ...]:
-    """What the effects that are selected and fitted in some recordings leave of others of the same robot.
+    """Residuals in other recordings of the same robot, of effects that are selected and fitted in some.
 
     Parameters
     ----------

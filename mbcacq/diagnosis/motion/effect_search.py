@@ -40,7 +40,8 @@ def sized(member: Member, prior: np.ndarray, information: np.ndarray) -> Member:
 
 @dataclass(frozen=True)
 class MotionPrior(SetPrior):
-    """Prior probabilities of sets. What every arm has (friction, elastic joints, drives that lag) is half as likely to show as not."""
+    """Prior probabilities of sets. Effects that every arm has (friction, elastic joints, drives that lag) are half as likely to show as
+    not."""
 
     def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         return float(np.log(ODDS_OF_COMMON)) if is_common(candidate) else super().log_probability(candidate, present)

@@ -112,8 +112,7 @@ class EffectSelection:
     def _grown(self, best: Hypothesis) -> Hypothesis:
         """The set with the further effect that makes it more probable by most, each with the colour of the residual that it would leave.
 
-        What an effect leaves in the residual of a joint counts as coloured noise there, and would hide the effect as long as it is not
-        tried.
+        The residual of an effect at a joint counts as coloured noise there, and would hide the effect as long as it is not tried.
         """
         search, found, most = self._search, best, 0.0
         if len(best.members) >= search.most_effects:

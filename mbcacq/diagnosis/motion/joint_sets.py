@@ -5,7 +5,8 @@
 2. The evidences of independent rows multiply. A shared effect has one prior probability and one coefficient, so that its second prior is
    taken off, and its evidence is that of one coefficient behind both (``log_shared``). The evidence of poses to which the effect was
    given as their prior (``given_effects``) has that already.
-3. What neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it; and what neither
+3. A question that neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it; and what
+neither
    shows alone may be shown by both.
 """
 

@@ -68,7 +68,7 @@ class _Posterior:
 
 
 def load_alternatives(model: MotionModel, pool: CandidatePool) -> list[NotSeparable]:
-    """What else may load the arm: the recordings do not exclude it in favour of the loads that were selected, or of the masses alone."""
+    """Other loads of the arm: the recordings do not exclude them in favour of the loads that were selected, or of the masses alone."""
     if not _asked(model):
         return []
     posterior = _Posterior.of(model, model.chosen())

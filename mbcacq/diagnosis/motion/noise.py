@@ -1,10 +1,9 @@
 """Noise of a channel, and the uncertainty of coefficients that are fitted in coloured noise.
 
-Three estimates of what the noise does to the normal equations. White: from the size of the residual alone. Spectral: from the
-residual's autocovariance within a second, which few data determine poorly. Segments (sandwich): however residuals are correlated within
-half a second, and with a variance that changes along the recording; with few segments to a coefficient it comes out too small. The
-largest of the three is taken. What is known of a coefficient beforehand has a standard deviation of its own: the prior's spread is part
-of all three.
+Three estimates of what the noise does to the normal equations. White: from the size of the residual alone. Spectral: from the residual's
+autocovariance within a second, which few data determine poorly. Segments (sandwich): however residuals are correlated within half a second,
+and with a variance that changes along the recording; with few segments to a coefficient it comes out too small. The largest of the three is
+taken. Prior knowledge of a coefficient has a standard deviation of its own: the prior's spread is part of all three.
 """
 
 from __future__ import annotations

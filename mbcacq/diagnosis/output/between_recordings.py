@@ -1,4 +1,4 @@
-"""What of an effect is common to several recordings of one arm, and what differs from day to day.
+"""The part of an effect that is common to several recordings of one arm, and the part that differs from day to day.
 
 Every effect is fitted to each recording by itself, with the geometry of all. The values are a random effect with a common value and a
 variance between recordings, by restricted maximum likelihood (as in meta-analysis: Hardy, Thompson 1996).

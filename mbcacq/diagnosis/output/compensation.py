@@ -1,4 +1,4 @@
-"""What an effect that hides in a recording does elsewhere: with it goes what hid it.
+"""The error elsewhere of an effect that hides in a recording, with the change of geometry that hides it.
 
 An effect as large as its limit would show in the recording, were it alone. It hides where geometry, and the other effects that it is
 confused with, compensate it there: they then have the values that do so, and act elsewhere as well.

@@ -237,8 +237,8 @@ def exclusion_limits(full: ModelFit, candidates: Sequence[Candidate], there: Els
     """The limits as they are reported: those that these poses test come first, then those with the largest error in the workspace, and each
     reading but once.
 
-    What the geometry absorbs and no length shows is not listed, nor a change in time that the places of the stations absorb: it acts on
-    nothing that will be measured.
+    An effect that the geometry absorbs and no length shows is not listed, nor is a change in time that the places of the stations absorb:
+    it acts on nothing that will be measured.
     """
     problem, effects, few = conditioned_on_everything(full), full.model.members, of_fewest_coefficients(candidates)
     linear = full.geometry_only.linear

@@ -1,7 +1,7 @@
 """For which values of its hyper-parameter a limit of an effect holds: bands of orders, all moments but those that cannot be seen.
 
-What a recording determines differs a hundredfold between the orders of a gear, and between moments within a station and those at which the
-station changes. One limit for all of them would say nothing of most, and one for a value in the middle is false for the others.
+The information of a recording differs a hundredfold between the orders of a gear, and between moments within a station and those at which
+the station changes. One limit for all of them would say nothing of most, and one for a value in the middle is false for the others.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 That nothing was found means something only where something could have been. Each effect is taken by itself here, with the found effects and
 the geometry free. Its hyper-parameter has the value at which it is determined as at the median. The effect would then be found, though
-perhaps with alternatives that cannot be told apart. What is reported as limits is ``exclusion_limits``.
+perhaps with alternatives that cannot be told apart. ``exclusion_limits`` computes the reported limits.
 """
 
 from __future__ import annotations

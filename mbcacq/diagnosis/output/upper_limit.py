@@ -1,11 +1,11 @@
 """Upper limit, with 95 % confidence, of a size whose direction, and whose hyper-parameter within a band, may be any.
 
-What is tested is one statement for the whole family: "there is an effect of size A, with the direction of its coefficients and the value of
-its hyper-parameter drawn at random". The statistic T is the largest likelihood ratio over the band, and A is excluded where so small a T,
-or a smaller one, has a probability of at most 5 % (Neyman's construction). That probability is the product of two. For the value that is
-there, it is the mean over values and directions of the noncentral chi2 distribution. For all others of the band, which noise alone moves,
-it is that of the largest of n - 1 independent ones. So 95 % of the errors drawn from the family are below their limit: neither fewer, as at
-the value that is determined best, nor all, as with the largest of the limits of each.
+One statement for the whole family is tested: "there is an effect of size A, with the direction of its coefficients and the value of its
+hyper-parameter drawn at random". The statistic T is the largest likelihood ratio over the band, and A is excluded where so small a T, or a
+smaller one, has a probability of at most 5 % (Neyman's construction). That probability is the product of two. For the value that is there,
+it is the mean over values and directions of the noncentral chi2 distribution. For all others of the band, which noise alone moves, it is
+that of the largest of n - 1 independent ones. So 95 % of the errors drawn from the family are below their limit: neither fewer, as at the
+value that is determined best, nor all, as with the largest of the limits of each.
 
 A limit that noise has made smaller than 84 % of recordings without any effect would have it counts as one of these (power-constrained
 limits: Cowan, Cranmer, Gross, Vitells 2011, arXiv:1105.3166). Nothing is then excluded that the recording could not show.

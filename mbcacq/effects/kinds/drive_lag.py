@@ -2,8 +2,8 @@
 
 A dead time L before a lag T: q = q_set(t - L) / (T s + 1). The total delay, L + T, is the slope of the mismatch over the speed; with T it
 gives L. A T of seconds describes a speed loop with a weak position loop around it. An excess of its feed-forward (of a speed, of an
-acceleration) adds up for about T before it is corrected, and the actual angle may even lead. What else disturbs such a loop (Coulomb
-friction fed forward, a load) refines it.
+acceleration) adds up for about T before it is corrected, and the actual angle may even lead. Other disturbances of such a loop (Coulomb
+friction fed forward, a load) refine it.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ def _balancing_report(upright: float) -> Report:
 def as_wind_up(found: Parameters, every: Parameters) -> Parameters:
     """The torques of the balancer as the angles by which they wind A2 up; without its compliance only the angle of the upright link.
 
-    What the drive need not carry lifts the link: the angles are negative where the torques are positive.
+    The part that the drive need not carry lifts the link: the angles are negative where the torques are positive.
     """
     out = {"A2.zero_deg": found["A2.zero_deg"]} if "A2.zero_deg" in found else {}
     soft = every.get("A2.compliance_rad_per_Nm")

@@ -14,7 +14,7 @@ DECLARED = Declaration(needs=("direction",), challenge=Challenge(number=18))
 def candidates(context: Context) -> list[Candidate]:
     """For each loaded joint that came from both sides: rad/(N m), negative where the joint stays behind its motion.
 
-    What does not depend on the load is ``backlash`` by the direction.
+    The part that does not depend on the load is ``backlash`` by the direction.
     """
     direction, torque = context.obs.direction, context.gravity_torque
     if direction is None:

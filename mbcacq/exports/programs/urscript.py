@@ -93,7 +93,7 @@ class _UrStatements:
                 self._part(part, number, at)
 
     def _part(self, part: Any, number: int, at: int) -> None:
-        """A piece of a statement. What is handed to a motion is a target, all else is not."""
+        """A piece of a statement. An argument of a motion is a target, all else is not."""
         stack = [part]
         while stack:
             here = stack.pop()

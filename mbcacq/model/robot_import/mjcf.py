@@ -37,8 +37,8 @@ SMALLEST_MASS = 1e-6  # kg, of a body whose shapes are not there, for MuJoCo com
 
 @dataclass(frozen=True)
 class _Model:
-    """What MuJoCo compiled. massless: numbers of bodies whose masses are unknown; bare: of those without any shape in the file. remarks:
-    about what was left out."""
+    """The model that MuJoCo compiled. massless: numbers of bodies whose masses are unknown; bare: of those without any shape in the file.
+    remarks: about what was left out."""
 
     mujoco: Any
     model: Any

@@ -1,7 +1,7 @@
 """A chart in a 2D view of the viewer, for what is no curve over time: bars with whiskers, points over a variable, limit lines.
 
-Drawn in points of a sheet of SHEET_WIDTH, x to the right and y downwards, as the viewer's 2D views count them. What the axes are is said
-by the name of the view: text in a picture is of one size however small the view is.
+Drawn in points of a sheet of SHEET_WIDTH, x to the right and y downwards, as the viewer's 2D views count them. The name of the view says
+what the axes are: text in a picture is of one size however small the view is.
 """
 
 from __future__ import annotations

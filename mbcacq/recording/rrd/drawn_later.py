@@ -1,6 +1,6 @@
 """What is only drawn, written some poses together: each row that stands in a chunk of its own costs 2 kB, its values some bytes.
 
-What is measured is written at once, and passes by this.
+Measurements are written at once, and pass by this.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def new_stream(application: str, recording_id: str | None = None, **options: Any
 
 @contextmanager
 def into_file(stream: rr.RecordingStream, path: Path) -> Iterator[None]:
-    """What is logged in the block is in the file at its end, and the stream is closed.
+    """Everything logged in the block is in the file at its end, and the stream is closed.
 
     It is kept in memory until then: the library's own writer waits for ever where the disk takes not even the first bytes of a file.
     Raises OSError where the file cannot be written, ConfigError where its name cannot be read by the library.

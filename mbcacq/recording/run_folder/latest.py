@@ -13,8 +13,8 @@ RUNS, LATEST = "runs", "latest"
 
 
 def mark_latest(folder: Path) -> None:
-    """Let ``latest`` name this folder of a run, if it stands in a folder 'runs'. What else has that name stays; so does a run whose
-    mark cannot be written."""
+    """Let ``latest`` name this folder of a run, if it stands in a folder 'runs'. Anything else of that name stays; so does a run whose mark
+    cannot be written."""
     folder = folder.absolute()
     mark = folder.parent / LATEST
     if folder.parent.name != RUNS or folder == mark or mark.is_dir() and not mark.is_symlink():

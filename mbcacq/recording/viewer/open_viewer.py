@@ -206,7 +206,7 @@ def _headless(size: tuple[int, int]) -> Iterator[Any]:
 
 @contextmanager
 def _client(size: tuple[int, int], environment: dict[str, str]) -> Iterator[Any]:
-    """A client of a viewer without a screen, which ends with the block. What the viewer raises becomes a RecordingError."""
+    """A client of a viewer without a screen, which ends with the block. Errors of the viewer become a RecordingError."""
     from rerun.experimental import ViewerClient
 
     port = rerun_program.free_port()

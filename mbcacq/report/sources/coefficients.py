@@ -15,7 +15,7 @@ COEFFICIENT = re.compile(r"(?P<effect>[^:]+):(?P<where>[^:]*):(?P<rest>.*?)(?:\[
 
 def names_in_words(names: Sequence[str]) -> list[str]:
     """Each of the names of parameters, those of effects in words: 'scanner_warmup:scanner:time:time_constant_s=177.9[0]' becomes 'scanner
-    warmup at scanner, time constant 178 s (1)'. What it depends on is added where two would be called the same."""
+    warmup at scanner, time constant 178 s (1)'. The covariate is added where two would be called the same."""
     short = [_in_words(name, False) for name in names]
     often = Counter(short)
     return [_in_words(name, True) if often[said] > 1 else said for name, said in zip(names, short, strict=True)]

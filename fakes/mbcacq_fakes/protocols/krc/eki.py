@@ -1,8 +1,8 @@
 """A fake EKI server with the schema and the states of KUKA's external-control SDK: one client, requests in, status and events out.
 
-Each connection begins INITIALIZED, without a control mode and with the cycle of 12 ms. CHANGE chooses the control mode and makes the
-server INACTIVE, START starts the RSI program of the chosen mode and cycle (what START itself says of them counts for nothing) and
-makes it ACTIVE. What a state does not allow is answered INVALID.
+Each connection begins INITIALIZED, without a control mode and with the cycle of 12 ms. CHANGE chooses the control mode and makes the server
+INACTIVE, START starts the RSI program of the chosen mode and cycle (what START itself says of them counts for nothing) and makes it ACTIVE.
+A command that a state does not allow is answered INVALID.
 """
 
 from __future__ import annotations
