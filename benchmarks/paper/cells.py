@@ -131,8 +131,8 @@ def catalogue() -> list[Effect]:
 
 
 def plans(aims_mm: Sequence[float] = (0.0, 1.0, 3.0, 10.0)) -> dict[str, tuple[Any, list[Any]]]:
-    """The plan of this tree is 'tree'. The plan of the paper has tilts of 20 deg and the artefact in the middle of the view, but for an aim
-    that scatters by so many mm along each axis of the scanner: 'aim 3'. 'heights': aim 3, the eight places above one another."""
+    """The plan of this tree is 'tree'. The plan of the paper has tilts of 20 deg and the artefact in the middle of the view. Its aim
+    scatters by so many mm along each axis of the scanner: 'aim 3'. 'heights': aim 3, the eight places above one another."""
     out = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, (half, first) in ((n, (size / 2, b)) for n, (size, b) in BARS.items()):

@@ -85,8 +85,8 @@ def compliance(given: argparse.Namespace) -> None:
     """The compliance of the UR10's joints in two campaigns, and how much of a difference is the model's.
 
     Each campaign is linearised at its geometry, with the noise that is left beside all groups. The compliances are fitted with the
-    geometry, and then with further errors: each joint's own, those that its movement from the pose before leaves behind, and links and base
-    that tilt under the weight behind them. Standard deviations are scaled by the misfit.
+    geometry, and then with further errors. These are each joint's own, those that its movement from the pose before leaves behind, and
+    links and base that tilt under the weight behind them. Standard deviations are scaled by the misfit.
     """
     each = [compliances(mbcacq.load_observations(given.data / f"ur10-tracker-{name}"), given.poses) for name in "ac"]
     heads = [f"{what}, series {name}" for name in "AC" for what in (*(f"A{i}" for i in JOINTS), "misfit")]

@@ -125,11 +125,11 @@ def robot_options(loaded: LoadedPlan, driver: str | None = None) -> dict[str, An
     """The options that the robot's driver (default: the plan's) gets: limits_deg (n, 2), speed_deg_s (n,) where known, and the plan's own,
     which win over them.
 
-    What else of the model the driver needs it names in ``plan_facts``: 'kinematics', rows (sign, theta_deg, d_mm, a_mm, alpha_deg,
-    beta_deg); 'dynamics', acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not state them;
-    'controller_joints', controller_matrix (n, n) and controller_offset_deg (n,) of ``controller_joints.matrix``, where the plan has them;
-    'follow', follow: True where the plan says so, and the driver then never moves the arm. Raises ConfigError where the plan asks the
-    driver to follow and it cannot, or to move and it only follows (``only_follows``).
+    The driver names further facts of the model that it needs in ``plan_facts``. 'kinematics' gives rows (sign, theta_deg, d_mm, a_mm,
+    alpha_deg, beta_deg). 'dynamics' gives acceleration_deg_s2 and jerk_deg_s3 (6,), which follow from the speeds where the model does not
+    state them. 'controller_joints' gives controller_matrix (n, n) and controller_offset_deg (n,) of ``controller_joints.matrix``, where the
+    plan has them. 'follow' gives follow: True where the plan says so; the driver then never moves the arm. Raises ConfigError where the
+    plan asks the driver to follow and it cannot, or to move and it only follows (``only_follows``).
     """
     robot, use = loaded.cell.robot, loaded.plan.robot
     facts: dict[str, Any] = {"limits_deg": np.degrees(robot.limits).tolist()}

@@ -39,8 +39,8 @@ class Misplaced(DeviceFault):
 
 @dataclass
 class GatedExposures:
-    """Takes the exposures of the poses of a run and judges them by the field of view, by the prediction from the station's earlier poses
-    and the nominal arm, and by the other exposures of the pose."""
+    """Takes the exposures of the poses of a run and judges them. The criteria are the field of view, the prediction from the station's
+    earlier poses and the nominal arm, and the other exposures of the pose."""
 
     loaded: LoadedPlan
     bus: EventBus

@@ -155,7 +155,7 @@ def rejected_poses(adjustment: Adjustment) -> list[int]:
 def refuse_contradiction(found: Contradiction, obs: Observations, options: CalibrationOptions) -> None:
     """Raise CalibrationError where no result could be of use, if the options refuse anything.
 
-    Poses of the flange may be off by more than an arm repeats, unless that is a matter of how they are described.
+    Poses of the flange may be off by more than an arm repeats, unless a wrong description of them is the cause.
     """
     absolute = obs.cell.robot.of_flange_poses and not found.misdescribed
     joint = found.joint / (OPTIONS.absolute if absolute else 1.0)

@@ -19,8 +19,19 @@ from mbcacq.plan.schema import Look
 
 @dataclass(frozen=True)
 class Design:
-    """text: YAML of the new plan; chosen: its views by station and ball (None: all); tried: how many candidates there were; repairs: a
-    sentence about each thing of the given plan that could not be reached and was changed."""
+    """A plan that an optimal design has chosen.
+
+    Attributes
+    ----------
+    text : str
+        YAML of the new plan.
+    chosen : Chosen
+        Its views by station and ball (None: all).
+    tried : int
+        How many candidates there were.
+    repairs : tuple[str, ...]
+        A sentence about each thing of the given plan that could not be reached and was changed.
+    """
 
     text: str
     chosen: Chosen

@@ -79,10 +79,10 @@ def random_effects_everywhere(
     problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis, noise: Noise, known: bool = False
 ) -> tuple[tuple[RandomEffect, ...], Noise, tuple[LocatedMismatch, ...]]:
     """The random effects at all locations that the data ask for beyond the parametric ones, the noise that they leave, and their locations,
-    that of most evidence first. found: of the thinned recording. There are none, unless that is known, where their evidence does not
-    outweigh their prior, in which each group is one more effect.
+    that of most evidence first. found: the set of effects of the thinned recording.
 
-    Sizes and noise are found in a thinned recording, to a few per cent; coefficients take all of it.
+    There are no random effects if their evidence does not exceed their prior odds, in which each group is one more effect; ``known`` skips
+    this test. Sizes and noise are found in a thinned recording, to a few per cent; coefficients take all of it.
     """
     there, linear = EffectSet(found.catalogued), relinearized(small.linear, replace(found, members=found.catalogued))
     whole, chosen = problem.linear.obs, np.isin(problem.linear.obs.pose_id, small.linear.obs.pose_id)

@@ -19,12 +19,12 @@ NO_TIME_CONSTANT = 1e-2  # sampling intervals; below, a filter passes its input
 class MotionSignals:
     """One trajectory at equidistant times. Arrays (T, n), rad, rad/s, rad/s^2, N m on the joint side; None where not recorded.
 
-    q is the motor-side angle the controller reports, smooth, qd and qdd the same and its rates by a zero-phase filter; q_set the
-    command with its rates qd_set, qdd_set, qddd_set; q_joint the joint-side encoder (NaN columns where a joint has none); torque the
-    drive's torque at the joint, load the part of it that passes the gear (without friction); rigid the torque of the rigid-body
-    simulation, gravity its static part, rigid_set the same torque along the command. direction: (T, n) -1..1, direction of rotation
-    of the last motion. payload: (T, n, 10) torque by unit inertial parameters (``geometry.dynamics.INERTIAL``) of what rides on the
-    flange. load_uncertainty: (n,) relative standard deviation of the load. robot: the arm as it is described.
+    q is the motor-side angle the controller reports; smooth, qd and qdd are the same and its rates by a zero-phase filter. q_set is the
+    command with its rates qd_set, qdd_set, qddd_set. q_joint is the joint-side encoder (NaN columns where a joint has none). torque is the
+    drive's torque at the joint, and load the part of it that passes the gear (without friction). rigid is the torque of the rigid-body
+    simulation, gravity its static part, and rigid_set the same torque along the command. direction: (T, n) -1..1, direction of rotation of
+    the last motion. payload: (T, n, 10) torque by unit inertial parameters (``geometry.dynamics.INERTIAL``) of what rides on the flange.
+    load_uncertainty: (n,) relative standard deviation of the load. robot: the arm as it is described.
     """
 
     step_s: float

@@ -19,9 +19,9 @@ ROUNDING = np.radians(1e-3)  # a controller prints that much more than its limit
 
 @dataclass(frozen=True, kw_only=True)
 class ScanPlacement:
-    """T_base_scanner (4, 4) mm. The sigmas are (3,) mm along the base axes at the middle of the scan, k = 1: of the calibrated
-    parameters, of the joints' repeatability, and both together; worst_mm: the largest 3D one over the scan. The base is where the
-    held parameters (theta_1, d_1) put it; noise of the scanner's single points is not in it.
+    """T_base_scanner (4, 4) mm. The sigmas are (3,) mm along the base axes at the middle of the scan, k = 1. There is one of the calibrated
+    parameters, one of the joints' repeatability, and one of both together; worst_mm: the largest 3D one over the scan. The base is where
+    the held parameters (theta_1, d_1) put it; noise of the scanner's single points is not in it.
     """
 
     T_base_scanner: np.ndarray

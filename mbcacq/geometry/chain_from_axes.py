@@ -20,8 +20,8 @@ NEAR_ZERO = 1e-12
 class ChainInFrames:
     """A chain, and where its own base and flange lie in the frames it was made from.
 
-    MD-H rows have their base's z along axis 1 and their flange's origin on the last axis: T_given_base (4, 4) is the chain's base in the
-    given base frame, T_flange_given (4, 4) the given flange in the chain's. Both are the identity for most arms.
+    MD-H rows have their base's z along axis 1 and their flange's origin on the last axis. T_given_base (4, 4) is the chain's base in the
+    given base frame, and T_flange_given (4, 4) the given flange in the chain's. Both are the identity for most arms.
     """
 
     chain: Chain

@@ -1,9 +1,9 @@
 """Content of a report as plain values, between the result file and the page. Lengths mm, angles deg; None or empty is left out.
 
-``Content``: figures are those of the verification (name, value, uncertainty, limit, verdict); headlines the numbers of the first screen
-(label, value with unit, what it is compared with); budget the sources of uncertainty (source, standard uncertainty, remark); identity
-what was measured with (label, text); hand_eye_alone: the arm was taken as nominal; caveats the sentences that stand above everything
-(simulated, never verified).
+Some fields of ``Content`` hold rows. ``figures`` are those of the verification (name, value, uncertainty, limit, verdict). ``headlines``
+are the numbers of the first screen (label, value with unit, value to compare with). ``budget`` has the sources of uncertainty (source,
+standard uncertainty, remark). ``identity`` names the measuring devices (label, text). ``hand_eye_alone`` says that the arm was taken as
+nominal. ``caveats`` are the sentences that stand above everything (simulated, never verified).
 """
 
 from __future__ import annotations
@@ -211,9 +211,21 @@ class Coverage:
 
 @dataclass(frozen=True, kw_only=True)
 class EffectContent:
-    """One effect of a diagnosis. parameters: (name, value, expanded uncertainty, unit) as texts; harmonics: of a periodic effect, the heads
-    of a table and a row a harmonic; alternatives: sentences; trend: why no figure of it is shown; notes:
-    what its parameters leave open."""
+    """One effect of a diagnosis.
+
+    Attributes
+    ----------
+    parameters : list[tuple[str, str, str, str]]
+        (name, value, expanded uncertainty, unit) as texts.
+    harmonics : tuple[list[str], list[list[str]]] or None
+        Harmonics of a periodic effect, the heads of a table and a row a harmonic.
+    alternatives : list[str]
+        Sentences.
+    trend : str
+        Why no figure of it is shown.
+    notes : list[str]
+        What its parameters leave open.
+    """
 
     title: str
     depends_on: str
@@ -266,15 +278,30 @@ class MotionKind:
 class DiagnosisContent:
     """A diagnosis of poses or of a motion in words and units.
 
-    mismatch: (location, kind of channel or '', covariate, share of the excess over noise); small: number of further ones of small share.
-    trials: on other recordings.
-
-    A diagnosis of poses has validation: (data, 3D rms before, after) with a row for the data fitted and one for the held-out data;
-    noise_floor: what is expected from noise alone; evidence_map: (locations, covariates, strengths (a, c), NaN where nothing was tested);
-    curves, covariates, centres: as in the file of pictures.
-
-    A diagnosis of a motion has kinds: of channels; split: how data were held out; recordings: names; contradictions, both: what it and the
-    poses of the same run say differently, and together (heading, lines).
+    Attributes
+    ----------
+    mismatch
+        (location, kind of channel or '', covariate, share of the excess over noise).
+    small
+        Number of further mismatches of small share.
+    trials
+        Trials on other recordings.
+    validation
+        (data, 3D rms before, after) with a row for the data fitted and one for the held-out data. Poses only.
+    noise_floor
+        Figures as expected from noise alone. Poses only.
+    evidence_map
+        (locations, covariates, strengths (a, c), NaN where nothing was tested). Poses only.
+    curves, covariates, centres
+        As in the file of pictures. Poses only.
+    kinds
+        Kinds of channels. Motion only.
+    split
+        How data were held out. Motion only.
+    recordings
+        Names of the recordings. Motion only.
+    contradictions, both
+        Statements in which the motion and the poses of the same run differ, and those that both make together (heading, lines).
     """
 
     level: str
@@ -300,9 +327,23 @@ class DiagnosisContent:
 
 @dataclass(frozen=True, kw_only=True)
 class FleetChart:
-    """One figure of the N recordings of a type of arm. arm: (N,) index; value, std, deviation from the arm's centre line, limit of that:
-    (N,) in ``unit``; outside: (N,) bool; usual, permitted: median of the arms and the permitted distance from it, NaN where there are too
-    few; unusual: (A,) bool."""
+    """One figure of the N recordings of a type of arm.
+
+    Attributes
+    ----------
+    arm
+        (N,) index of the arm.
+    value, std
+        (N,) in ``unit``.
+    deviation, limit
+        (N,) deviation from the arm's centre line, and its limit, in ``unit``.
+    outside
+        (N,) bool.
+    usual, permitted
+        Median of the arms and the permitted distance from it, NaN where there are too few.
+    unusual
+        (A,) bool.
+    """
 
     title: str
     unit: str
@@ -372,8 +413,18 @@ class ChangeRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ChangesContent:
-    """Two recordings compared. names: of the recordings; charts: (title, name) of the figures, whose rows ``rows`` has by that name;
-    spacings: the verification of each recording that has one, by its name; table: (beyond chance, quantity, before, after, change, unit).
+    """Two recordings compared.
+
+    Attributes
+    ----------
+    names : tuple[str, str]
+        Names of the recordings.
+    charts : list[tuple[str, str]]
+        (title, name) of the figures, whose rows ``rows`` has by that name.
+    spacings : list[tuple[str, Spacing]]
+        The verification of each recording that has one, by its name.
+    table : list[tuple[bool, str, str, str, str, str]]
+        (beyond chance, quantity, before, after, change, unit).
     """
 
     title: str

@@ -180,7 +180,7 @@ def check_recordings(arm: MujocoArm, trajectories: Sequence[Trajectory]) -> None
 def torque_along(
     arm: MujocoArm, spec: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, step_s: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Torque (T, n) N m that the drives of a model exert in MuJoCo along a motion of the motor-side angles q, qd, qdd (T, n), and the
+    """Torque (T, n) N m that the drives of a model exert in MuJoCo along a motion of the motor-side angles q, qd, qdd (T, n). Also the
     wind-up (T, n) rad of the gears, each at its equilibrium. Contacts and joint limits take no part. step_s: sampling interval; None for
     postures that are no motion."""
     engine = mujoco_engine()

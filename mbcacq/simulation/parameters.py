@@ -181,8 +181,8 @@ def servo_gains(arm: MujocoArm, joint: str) -> Block:
 def inertia(arm: MujocoArm, body: str, start: np.ndarray | None = None, sigma: float = 0.3) -> Block:
     """Mass, centre and inertia of a body: ten coordinates of its pseudo-inertia, which stays one that a body can have.
 
-    The coordinates are those of a triangular matrix E in J = L E E^T L^T, with J = L L^T the pseudo-inertia (4, 4) at the start and
-    log E_ii on the diagonal (Rucker and Wensing, Smooth parameterization of rigid-body inertia, 2022). start: (4, 4) pseudo-inertia from
+    The coordinates are those of a triangular matrix E in J = L E E^T L^T, with J = L L^T the pseudo-inertia (4, 4) at the start and log
+    E_ii on the diagonal. See Rucker and Wensing, Smooth parameterization of rigid-body inertia, 2022. start: (4, 4) pseudo-inertia from
     which the search sets out; where it is None, the model's.
     """
     nominal = pseudo_inertia(arm.spec, body)

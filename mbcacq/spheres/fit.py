@@ -69,7 +69,7 @@ def sphere_fits(
 ) -> list[SphereFit | None]:
     """Fit from starts within about a tenth of the radius. clouds: (n, 3) float64 mm each. None where too few points remain.
 
-    view: (3,) unit vector towards the scanner, None to take it from the caps; points measured at more than ``max_incidence`` rad are
+    view: (3,) unit vector towards the scanner, None to take it from the caps. Points measured at more than ``max_incidence`` rad are
     omitted by their direction from the centre, which the noise along the normal cannot change.
     """
     work = _Work(clouds)

@@ -60,8 +60,8 @@ def angles(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def adjust(points: np.ndarray, certified: np.ndarray, ridge: float | None = None) -> tuple[np.ndarray, LCurve, np.ndarray]:
     """Corrected points (P, B, 3) of measured ones, B >= 3 balls with certified centres (B, 3). Also returns the L-curve that gave the ridge
-    parameter, one for all poses (a given ``ridge`` is taken instead), and (P, 3 B, 3 B) the part of small errors of the points that the
-    adjustment leaves."""
+    parameter, one for all poses (a given ``ridge`` is taken instead). The last value, (P, 3 B, 3 B), is the part of small errors of the
+    points that the adjustment leaves."""
     corners = triples(points.shape[1])
     measured, B = angles(points, corners)
     wanted, _ = angles(certified[None], corners)

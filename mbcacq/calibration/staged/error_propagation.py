@@ -23,8 +23,15 @@ from mbcacq.model.observations import Observations
 
 @dataclass(frozen=True)
 class Measured:
-    """The noise of the centres used. shape: (3,) mm, its sigma along the scanner's axes; smoother: per pose, what became of the noise of
-    its centres (3 B, 3 B), in the order of the centres, or None: they were not adjusted."""
+    """The noise of the centres used.
+
+    Attributes
+    ----------
+    shape : ndarray
+        (3,) mm, its sigma along the scanner's axes.
+    smoother : tuple[ndarray, ...] or None
+        Per pose, what became of the noise of its centres (3 B, 3 B), in the order of the centres, or None: they were not adjusted.
+    """
 
     shape: np.ndarray
     smoother: tuple[np.ndarray, ...] | None = None

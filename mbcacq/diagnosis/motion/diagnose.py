@@ -52,10 +52,10 @@ def diagnose_trajectories(
 ) -> MotionDiagnosis:
     """Diagnose one or several recordings of one robot. Raises ConfigError where they do not fit together.
 
-    The held-out errors of the result's channels are of held-out parts (a trajectory, or a block of the only one), not used in selecting
-    or fitting anything; without ``cross_validation``, in a third of the time, of parts that took part in selecting.
-    minutes: when they are over the search ends, the verdict is ``cannot_tell``, and what was compared by then is reported (None: it takes
-    the time that it needs).
+    The held-out errors of the result's channels are of held-out parts (a trajectory, or a block of the only one), not used in selecting or
+    fitting anything. Without ``cross_validation``, in a third of the time, they are of parts that took part in selecting. minutes: when
+    they are over the search ends, the verdict is ``cannot_tell``, and what was compared by then is reported (None: it takes the time that
+    it needs).
     """
     budget = TimeBudget.of_minutes(minutes)
     recordings = _Recordings(trajectories, budget=budget)

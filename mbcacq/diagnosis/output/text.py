@@ -55,7 +55,7 @@ def words(d: Diagnosis, calibrated: bool = False) -> str:
 
 
 def first_sentence(d: Findings, floor: NoiseFloor | None = None) -> str:
-    """The verdict, with how near to the noise the model comes where that is known; of one that cannot tell, what of."""
+    """The verdict, with the distance of the model from the noise if it is known. A verdict ``cannot_tell`` names the effects."""
     sentence = VERDICTS[d.verdict]
     if d.verdict == "cannot_tell" and d.not_separable:
         sentence = NOT_TOLD_APART

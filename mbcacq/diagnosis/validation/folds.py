@@ -94,8 +94,8 @@ def evaluated_fold(
 
 
 def split(linear: LinearProblem, folds: int) -> tuple[np.ndarray, str]:
-    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two, unless that leaves nothing of one of
-    several recordings or there is one station: then each recording is cut into blocks of its order of measurement.
+    """(P,) fold of each pose, and what was left out. Stations go whole, also where there are two. If there is one station, or if that
+    leaves nothing of one of several recordings, each recording is cut into blocks of its order of measurement.
     """
     obs = linear.obs
     stations = np.unique(obs.station)

@@ -1,5 +1,5 @@
-"""Lost motion: a gearbox that is soft about zero torque and stiff beyond, as data sheets give it by K1, K2 and the torque T1 between them,
-or by K1, K2, K3 with the torques T1 and T2.
+"""Lost motion: a gearbox that is soft about zero torque and stiff beyond. Data sheets give it by K1, K2 and the torque T1 between them, or
+by K1, K2, K3 with the torques T1 and T2.
 
 A wind-up with the slope 1/K1 up to the torque T1 and 1/K2 beyond has two parts. The linear one, tau / K2, is ``joint_compliance``. The
 other one grows up to T1 and stays: h clip(tau / T1, -1, 1), with h = T1 (1/K1 - 1/K2). The lost motion is 2 h, the angle between the two
