@@ -78,7 +78,13 @@ class EveryKey:
     later: ClassVar[tuple[str, ...]] = ()
 
     def unwritten(self) -> Sequence[str]:
-        """The fields that a file does not hold."""
+        """The fields that a file does not hold.
+
+        Returns
+        -------
+        sequence of str
+            Names of the fields with their default value, out of ``left_out``.
+        """
         mine: Any = self  # a base of dataclasses alone
         return [f.name for f in fields(mine) if f.name in self.left_out and getattr(self, f.name) == f.default]
 
@@ -104,7 +110,13 @@ class AsJson:
     """Base of a dataclass whose fields are the keys of its JSON content; ``from_fields`` reads it."""
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON content."""
+        """The content of a JSON file.
+
+        Returns
+        -------
+        dict
+            Every field by its name, as JSON has it.
+        """
         return fields_as_json(self)
 
 

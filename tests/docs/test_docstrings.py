@@ -22,7 +22,8 @@ def exported() -> Iterator[tuple[str, Callable]]:
             yield name, thing
             continue
         fields = {f.name for f in dataclasses.fields(thing)} if dataclasses.is_dataclass(thing) else set()
-        for method, value in vars(thing).items():
+        methods = {k: v for base in reversed(thing.__mro__) if base.__module__.startswith("mbcacq") for k, v in vars(base).items()}
+        for method, value in methods.items():
             function = value.__func__ if isinstance(value, classmethod | staticmethod) else value
             if inspect.isfunction(function) and not method.startswith("_") and method not in fields:
                 yield f"{name}.{method}", function
