@@ -130,8 +130,8 @@ gravity. The diagnosis may say four things. The effect is *named* (or an unmodel
 that is not excluded. The *limit* stated for its order *holds*. Its order was *not tested* by these poses. False are a *limit* below the
 truth and *another name* at the same joint with the truth excluded; asked: not more than 5 %.
 
-Eight of the 24 cells 1 to 8 of each plan were false while a limit was that of a median order and a balancer was as probable on a light arm
-as on a heavy one. Two were limits below the truth, and six had a balancer in the place of the gear."""
+In an earlier program eight of the 24 cells 1 to 8 of each plan were false. A limit was that of a median order then, and a balancer was
+as probable on a light arm as on a heavy one. Two were limits below the truth, and six had a balancer in the place of the gear."""
 
 
 def slow_gears(given: argparse.Namespace) -> None:
