@@ -118,7 +118,7 @@ class BandScan:
         self.problem, self.candidate, t = problem, candidate, candidate.typical
         self.values: tuple[float | None, ...] = own[0].values
         if len(own) > 1:
-            self.values = tuple(np.unique([value for band in own for value in band.values]).tolist())
+            self.values = tuple(sorted({value for band in own for value in band.values if value is not None}))
         if candidate.components:
             S, b = problem.normal_matrices(candidate, np.array(self.values, dtype=float))
         else:
