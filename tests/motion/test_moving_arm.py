@@ -7,6 +7,7 @@ import yaml
 pytest.importorskip("mujoco")
 
 from mbcacq_fakes.dynamics.bodies import Bodies
+from mbcacq_fakes.dynamics.online import MovingArm, description
 from mbcacq_fakes.dynamics.recorded import recorded
 from motion_challenge import score_motion
 
@@ -85,6 +86,38 @@ def test_torque_constant_of_a_current_follows_from_the_weight_of_the_arm(kr10):
 def test_an_unknown_effect_is_refused(kr10):
     with pytest.raises(ConfigError, match="'rust'"):
         recorded(kr10, [{"name": "rust"}], 1)
+
+
+def test_an_option_that_a_fault_does_not_have_is_refused(kr10):
+    rusty = {"name": "friction", "where": "A2", "rust": 1.0}
+    for refuses in (lambda: recorded(kr10, [rusty], 1), lambda: description(kr10, [rusty], 1)):
+        with pytest.raises(ConfigError, match="friction of a moving arm knows no option 'rust'"):
+            refuses()
+
+
+def torque_at_rest(robot, faults, q):
+    """(n,) N m, the mean over a second of what the drives give to hold an arm at q."""
+    arm = MovingArm(np.degrees(q).tolist(), 0.004, 0.02, description(robot, faults, 1))
+    held = []
+    for _ in range(250):
+        arm.step(tuple(np.degrees(q)))
+        held.append(arm.torque)
+    return np.mean(held, axis=0)
+
+
+def test_a_tool_and_a_balancer_of_a_moving_arm_weigh_what_they_are_said_to(kr10):
+    q = np.radians([10.0, -60.0, 80.0, 30.0, 40.0, 0.0])
+    frames, (mass, com) = kr10.chain.frames(q[None]), (kr10.payload_mass, kr10.payload_com)
+    further, its_com = 4.0, np.array([50.0, -20.0, 100.0])
+    both = (mass * com + further * its_com) / (mass + further)
+    pull = gravity_torque(kr10.chain, frames, kr10.mass, kr10.com, mass + further, both, kr10.gravity)[0]
+    faults = [{"name": "payload", "mass_kg": further, "com_mm": its_com.tolist()}]
+    np.testing.assert_allclose(torque_at_rest(kr10, faults, q), -pull, atol=0.1)
+    # Levers 1 and 0.2 about an axis by which the link has turned a quarter: a spring of length sqrt(1.04), unstretched at 0.5.
+    spring = [1.0, 0.2, 300.0, 0.5, float(q[1])]
+    lifts = 300.0 * 0.2 * (1 - 0.5 / np.sqrt(1.04))
+    balanced = torque_at_rest(kr10, [*faults, {"name": "gravity_compensator", "spring": spring}], q)
+    np.testing.assert_allclose(balanced, -pull - [0.0, lifts, 0.0, 0.0, 0.0, 0.0], atol=0.1)
 
 
 def test_the_moves_of_a_run_are_cut_out_from_rest_to_rest(kr10):

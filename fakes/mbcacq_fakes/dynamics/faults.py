@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -61,11 +61,27 @@ class FaultScale:
         return float(self.strength * typical * self.rng.uniform(1 - spread, 1 + spread))
 
 
+def inject_faults(drives: Drives, faults: Sequence[Mapping[str, Any]], size: FaultScale) -> list[dict[str, Any]]:
+    """Write faults ``{name, where?, strength?, ...}`` into the drives and return what they are. Raises ConfigError."""
+    return [
+        inject_fault(
+            drives,
+            fault["name"],
+            fault.get("where"),
+            replace(size, strength=fault.get("strength", 1.0)),
+            {k: v for k, v in fault.items() if k not in ("name", "where", "strength")},
+        )
+        for fault in faults
+    ]
+
+
 def inject_fault(drives: Drives, name: str, where: str | None, size: FaultScale, given: Mapping[str, Any]) -> dict[str, Any]:
     """Write one fault into the drives and return what it is: name, where, parameters as in the contract. Raises ConfigError."""
     if name not in FAULTS:
         raise ConfigError(f"a moving arm knows no fault '{name}' (known: {', '.join(FAULTS)})")
-    joints, act = FAULTS[name]
+    joints, act, options = FAULTS[name]
+    if unknown := sorted(set(given) - set(options)):
+        raise ConfigError(f"{name} of a moving arm knows no option '{unknown[0]}' (known: {', '.join(options)})")
     if where is None and joints:
         where = f"A{int(size.rng.choice(joints)) + 1}"
     parameters, locations = act(drives, where, size, given)
@@ -158,20 +174,21 @@ def _payload(drives: Drives, where, size: FaultScale, given):
 def _compensator(drives: Drives, where, size: FaultScale, given):
     # A tension spring between a point of the base and one of the arm; pulled beyond its free length everywhere.
     a, b, free, offset = 0.35, 0.12, 0.2, size.rng.uniform(-0.3, 0.3)
-    drives.spring = (a, b, size.about(0.6 * size.torque[1]) / (a * b), free, offset)
+    drawn = (a, b, size.about(0.6 * size.torque[1]) / (a * b), free, offset)
+    drives.spring = tuple(map(float, given.get("spring", drawn)))
     return {}, ["A2"]
 
 
 FAULTS = {
-    "channel_latency": ((), _latency),
-    "drive_lag": (range(6), _lag),
-    "friction": (range(6), _friction),
-    "joint_compliance": (range(6), _compliance),
-    "backlash": ((0, 1, 2, 3, 4), _backlash),
-    "gear_transmission_error": (range(6), _transmission_error),
-    "torque_ripple": (range(6), _torque_harmonic),
-    "joint_scale": (range(6), _scale),
-    "wrist_coupling": ((), _coupling),
-    "payload": ((), _payload),
-    "gravity_compensator": ((), _compensator),
+    "channel_latency": ((), _latency, ("latency_s",)),
+    "drive_lag": (range(6), _lag, ("latency_s", "time_constant_s")),
+    "friction": (range(6), _friction, ("kind", "coulomb_Nm", "viscous_Nms_per_rad", "load_dependent")),
+    "joint_compliance": (range(6), _compliance, ("compliance_rad_per_Nm",)),
+    "backlash": ((0, 1, 2, 3, 4), _backlash, ("width_deg",)),
+    "gear_transmission_error": (range(6), _transmission_error, ("order", "amplitude_deg")),
+    "torque_ripple": (range(6), _torque_harmonic, ("order", "amplitude_Nm")),
+    "joint_scale": (range(6), _scale, ("ratio",)),
+    "wrist_coupling": ((), _coupling, ("joints", "ratio")),
+    "payload": ((), _payload, ("mass_kg", "com_mm")),
+    "gravity_compensator": ((), _compensator, ("spring",)),
 }

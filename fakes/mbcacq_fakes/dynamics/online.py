@@ -9,15 +9,20 @@ import numpy as np
 
 from mbcacq_fakes.dynamics.arm import Links
 from mbcacq_fakes.dynamics.bodies import Bodies
-from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_fault
+from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_faults
 from mbcacq_fakes.dynamics.ideal_arm import IdealArm
-from mbcacq_fakes.dynamics.recorded import typical_torque
+from mbcacq_fakes.dynamics.recorded import together, typical_torque
 
+SPEED = np.radians(60.0)  # of the joints in a typical motion
 PERCENT_AT = 4.0  # a drive at 100 % of its current gives so many times the torque of a typical motion
 
 
 def description(robot: Any, faults: Sequence[Mapping[str, Any]], seed: int) -> dict[str, Any]:
-    """What the controller's process needs to move a robot (an mbcacq RobotModel, duck-typed), as JSON."""
+    """What the controller's process needs to move a robot (an mbcacq RobotModel, duck-typed), as JSON. Raises ConfigError for a fault that
+    no moving arm has.
+    """
+    typical = typical_torque(robot, SPEED * np.ones(robot.n))
+    inject_faults(Drives(robot.n), faults, _size(typical, np.random.default_rng(seed)))
     return {
         "sign": robot.chain.sign.tolist(),
         "rows": robot.chain.rows.tolist(),
@@ -25,10 +30,14 @@ def description(robot: Any, faults: Sequence[Mapping[str, Any]], seed: int) -> d
         "com": robot.com.tolist(),
         "payload": [float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float).tolist()],
         "gravity": robot.gravity.tolist(),
-        "typical": typical_torque(robot, np.radians(60.0) * np.ones(robot.n)).tolist(),
+        "typical": typical.tolist(),
         "faults": [dict(f) for f in faults],
         "seed": seed,
     }
+
+
+def _size(typical: np.ndarray, rng: np.random.Generator) -> FaultScale:
+    return FaultScale(typical, SPEED * np.ones(len(typical)), 1.0, rng)
 
 
 class MovingArm(IdealArm):
@@ -39,10 +48,8 @@ class MovingArm(IdealArm):
         rng = np.random.default_rng([int(described["seed"]), 23])
         self._typical = np.array(described["typical"])
         drives = Drives(len(start), declared=(described["payload"][0], np.array(described["payload"][1])))
-        size = FaultScale(self._typical, np.radians(60.0) * np.ones(len(start)), 1.0, rng)
-        for fault in described["faults"]:
-            inject_fault(drives, fault["name"], fault.get("where"), size, {k: v for k, v in fault.items() if k not in ("name", "where")})
-        payload = (described["payload"][0] + drives.payload[0], np.array(described["payload"][1]))
+        inject_faults(drives, described["faults"], _size(self._typical, rng))
+        payload = together(drives.declared, drives.payload)
         bodies = Bodies(
             np.array(described["sign"]),
             np.array(described["rows"]),

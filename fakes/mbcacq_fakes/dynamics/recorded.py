@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from mbcacq_fakes.dynamics.arm import Links
 from mbcacq_fakes.dynamics.bodies import Bodies
-from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_fault
+from mbcacq_fakes.dynamics.faults import Drives, FaultScale, inject_faults
 
 CYCLE_S = 0.004
 FINER = 8  # steps of a drive's lag in one of the arm's
@@ -64,17 +64,8 @@ def recorded(
     described = (float(robot.payload_mass), np.asarray(robot.payload_com, dtype=float))
     drives = Drives(robot.n, declared=described)
     typical = FaultScale(typical_torque(robot, speed_share * speed), speed_share * speed, 1.0, rng)
-    truth = [
-        inject_fault(
-            drives,
-            f["name"],
-            f.get("where"),
-            FaultScale(typical.torque, typical.speed, f.get("strength", 1.0), rng),
-            {k: v for k, v in f.items() if k not in ("name", "where", "strength")},
-        )
-        for f in injected
-    ]
-    bodies = Bodies(robot.chain.sign, robot.chain.rows, mass, com, _together(described, drives.payload), robot.gravity)
+    truth = inject_faults(drives, injected, typical)
+    bodies = Bodies(robot.chain.sign, robot.chain.rows, mass, com, together(described, drives.payload), robot.gravity)
     if planned is None:
         time, command = fourier(robot, seconds, speed_share * speed, np.random.default_rng([seed, 18, motion]))
     else:
@@ -156,7 +147,8 @@ def _read(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return CubicSpline(time, values)(at)
 
 
-def _together(one: tuple[float, np.ndarray], other: tuple[float, np.ndarray]) -> tuple[float, np.ndarray]:
+def together(one: tuple[float, np.ndarray], other: tuple[float, np.ndarray]) -> tuple[float, np.ndarray]:
+    """Mass (kg) and centre of gravity (3,) of two bodies that move as one."""
     mass = one[0] + other[0]
     return (mass, (one[0] * one[1] + other[0] * other[1]) / mass) if mass > 0 else one
 
