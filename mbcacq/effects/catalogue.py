@@ -148,10 +148,21 @@ def candidates(context: Context) -> tuple[list[Candidate], dict[str, str]]:
         if not hasattr(module, "candidates"):
             continue
         try:
-            out += module.candidates(context)
+            found = module.candidates(context)
+            _require_covariates(found, context)
         except Missing as reason:
             dropped[name] = str(reason)
+            continue
+        out += found
     return out, dropped
+
+
+def _require_covariates(found: Sequence[Candidate], context: Context) -> None:
+    """Raises Missing where the recording lacks a covariate of which one of the candidates is a function."""
+    for candidate in found:
+        first = None if candidate.hyper is None else float(candidate.hyper.values[0])
+        for name in {name for part in candidate.parts(first) for name in part.covariates}:
+            context.value(name)
 
 
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:

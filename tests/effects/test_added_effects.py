@@ -6,7 +6,7 @@ import pytest
 
 from mbcacq.effects import catalogue
 from mbcacq.effects.effect import Candidate, plain_effect, plain_report
-from mbcacq.effects.functions import DescribedPart, sine
+from mbcacq.effects.functions import DescribedPart, linear, sine
 from mbcacq.errors import ConfigError
 
 
@@ -24,6 +24,17 @@ def test_a_function_is_an_effect_of_its_name_while_it_is_asked_for():
         assert (found.name, found.where, found.k) == ("hose_pull", ("A1",), 1)
         assert catalogue.declaration("hose_pull") == catalogue.NOTHING_PARTICULAR
     assert "hose_pull" not in catalogue.effects()
+
+
+def sunlit(context):
+    return [plain_effect("sunlit", ["A1"], "sun_C", [DescribedPart("joint", 0, 0, (linear("sun_C"),))], {"A1.turned_rad_per_K": 1e-5})]
+
+
+def test_an_effect_of_what_is_not_recorded_is_dropped_with_the_reason(context):
+    with catalogue.with_added([sunlit]):
+        found, dropped = catalogue.candidates(context)
+    assert dropped["sunlit"] == "no sun_C recorded"
+    assert "sunlit" not in {candidate.name for candidate in found}
 
 
 def test_a_module_and_its_file_are_effects_too(tmp_path):
