@@ -2,10 +2,11 @@
 
 1. The parameters of the motion are put into the words of the poses (``Declaration.in_terms_of_poses``): a balancer's torque, say, becomes
    the angle by which it winds A2 up.
-2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other. 3.
-Where one of them cannot tell two effects apart, and the other names one of these, that one is named. 4. Effects of which the motion is sure
-are given to the poses as their prior (``given_effects``), and these are searched again. Effects that show only through or beside them are
-found then. 5. The evidences of both multiply (``joint_sets``): both together may show and decide what neither does alone.
+2. Every parameter that both state is compared. Values that differ by more than three combined standard deviations contradict each other.
+3. Where one of them cannot tell two effects apart, and the other, or the evidence of both, names one of these, that one is named.
+4. Effects of which the motion is sure are given to the poses as their prior (``given_effects``), and these are searched again. Effects that
+   show only through or beside them are found then.
+5. The evidences of both multiply (``joint_sets``): both together may show and decide what neither does alone.
 """
 
 from __future__ import annotations
@@ -19,9 +20,19 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.findings import CURE, READABLE, ComparedEffect, EvidenceSummary, GivenEvidence, Verdict
+from mbcacq.diagnosis.findings import CURE, READABLE, TOGETHER, ComparedEffect, EvidenceSummary, GivenEvidence, NotSeparable, Verdict
 from mbcacq.diagnosis.given_effects import StatedParameters
-from mbcacq.diagnosis.motion.joint_sets import EvidenceSets, JointEvidence, StatedEffect, apart, joint_evidence, not_excluded, paired
+from mbcacq.diagnosis.motion.joint_sets import (
+    EvidenceSets,
+    JointEvidence,
+    StatedEffect,
+    apart,
+    joint_evidence,
+    log_odds_of,
+    not_excluded,
+    paired,
+)
+from mbcacq.diagnosis.motion.load_hypotheses import ARM
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.motion.result import MotionDiagnosis
 from mbcacq.diagnosis.motion.text import motion_text
@@ -42,6 +53,7 @@ VERDICT_OF_BOTH = {
     "cannot_tell": "these data do not decide between the possible causes.",
 }
 MOST_TOGETHER = 6  # joint sets that are reported
+RARE = 1e-6  # odds below which an alternative counts as that rare: its logarithm stays finite
 FARTHEST = 38.0  # standard deviations: beyond, the probability of a normal distribution is no floating point number
 
 
@@ -87,16 +99,20 @@ class ParameterAgreement:
 
 @dataclass(frozen=True)
 class DecidedPair:
-    """Effects that one diagnosis cannot tell apart, of which the other names one. by: 'poses' or 'motion', which names it."""
+    """Effects that one diagnosis cannot tell apart, of which one is named. by: 'poses' or 'motion', where the other one names it by itself;
+    'both', where the evidence of both does.
+    """
 
     effects: tuple[str, ...]
     named: str
     by: str
 
     def __str__(self) -> str:
-        other = "motion" if self.by == "poses" else "poses"
-        name = "name" if self.by == "poses" else "names"
-        return f"the {other} cannot separate {' and '.join(self.effects)}: the {self.by} {name} {self.named}"
+        pair = " and ".join(self.effects)
+        if self.by == "both":
+            return f"one of them cannot separate {pair}: both together name {self.named}"
+        other, name = ("motion", "name") if self.by == "poses" else ("poses", "names")
+        return f"the {other} cannot separate {pair}: the {self.by} {name} {self.named}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +175,9 @@ class PosesAndMotion:
         if any(not a.agrees for a in self.agreement):
             return "cannot_tell"
         if "cannot_tell" in each and not (both.decided and (both.significant or not both.sets[0].effects)):
+            return "cannot_tell"
+        loads = [pair for pair in self.motion.not_separable if ARM in pair.effects]
+        if self.motion.verdict == "cannot_tell" and any(self._named(pair) is None for pair in loads):
             return "cannot_tell"
         named = bool(both.reported) or bool(each & {"explained", "partly_explained"})
         if each & {"unexplained", "partly_explained"}:
@@ -230,17 +249,46 @@ class PosesAndMotion:
 
     @cached_property
     def decided(self) -> list[DecidedPair]:
-        """Pairs that one diagnosis cannot tell apart and of which the other names exactly one."""
-        in_poses = labels_of((e.name, e.where) for e in self.poses.effects)
-        in_motion = labels_of((e.name, e.where) for e in self.motion.named_effects)
-        pairs = [(p.effects, in_motion, "motion") for p in self.poses.not_separable]
-        pairs += [(p.effects, in_poses, "poses") for p in self.motion.not_separable]
-        found = [(effects, [e for e in effects if e in names], by) for effects, names, by in pairs]
-        return [DecidedPair(effects, named[0], by) for effects, named, by in found if len(named) == 1]
+        """Pairs that one diagnosis cannot tell apart and of which the other, or both together, name exactly one."""
+        pairs = (*self.poses.not_separable, *self.motion.not_separable)
+        return [found for pair in pairs if (found := self._named(pair)) is not None]
 
-    @cached_property
+    def _named(self, pair: NotSeparable) -> DecidedPair | None:
+        """What is named of effects that one diagnosis cannot tell apart; None where that is not exactly one."""
+        diagnosis, by = (self.poses, "poses") if pair in self.motion.not_separable else (self.motion, "motion")
+        found = diagnosis.effects if by == "poses" else self.motion.named_effects
+        named = [effect for effect in pair.effects if effect in labels_of((e.name, e.where) for e in found)]
+        if not named:
+            named, by = self._load_by_both(pair) if ARM in pair.effects else self._side_by_both(pair), "both"
+        return DecidedPair(pair.effects, named[0], by) if len(named) == 1 else None
+
+    def _side_by_both(self, pair: NotSeparable) -> list[str]:
+        """The sides of a pair that are in the joint set, where that is the only one."""
+        if not self.together.decided:
+            return []
+        return [side for side in pair.effects if set(side.split(TOGETHER)) <= set(self.together.reported)]
+
+    def _load_by_both(self, pair: NotSeparable) -> list[str]:
+        """The load, or the masses of the arm that stand for it in the motion: what is twenty times as probable with what the poses add."""
+        first, second = pair.effects
+        load, odds = (second, 1.0) if first == ARM else (first, -1.0)
+        moving = [sets_of(one.evidence, self.every) for one in self.motion.evidence]
+        own = sum(log_odds_of(load, zip(one.effects, one.log_odds, strict=True)) for one in moving if load in one.known)
+        both = log_odds_of(load, ((one.effects, one.log_odds) for one in self._joint.sets))
+        log = odds * float(np.log(max(pair.odds or 0.0, RARE))) + both - own
+        least = -float(np.log(OPTIONS.undecided))
+        if log > least and load in self.together.reported:
+            return [load]
+        return [ARM] if log < -least else []
+
+    @property
     def together(self) -> JointEvidence:
         """The evidence of poses and motion as one problem, by their most probable sets; no set where one of them has no evidence."""
+        return replace(self._joint, sets=self._joint.sets[:MOST_TOGETHER])
+
+    @cached_property
+    def _joint(self) -> JointEvidence:
+        """The same with all sets."""
         if self.poses.evidence is None or not self.motion.evidence:
             return JointEvidence((), -np.inf)
         moving = [sets_of(one.evidence, self.every) for one in self.motion.evidence]
@@ -249,7 +297,7 @@ class PosesAndMotion:
             of_poses = replace(sets_of(self.given.evidence), given=frozenset(self.given.given))
             beside = joint_evidence([of_poses, *moving])
             found = replace(found, sets=beside.sets or found.sets)
-        return replace(found, sets=found.sets[:MOST_TOGETHER])
+        return found
 
     def in_words(self, text: str) -> str:
         """text: the diagnosis of the poses in words."""

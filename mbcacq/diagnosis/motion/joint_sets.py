@@ -8,11 +8,13 @@
 3. A question that neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it; and what
 neither
    shows alone may be shown by both.
+4. That the masses of the links may stand for a load (``load_hypotheses``) is a question beside the sets. What the other evidences add to
+   the odds of the load decides it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 
@@ -122,6 +124,18 @@ def joint_evidence(evidences: Sequence[EvidenceSets]) -> JointEvidence:
     log_e = float(np.logaddexp.reduce(some)) - found.get(frozenset(), np.inf) if some else -np.inf
     log_e -= sum(one.log_mass for one in evidences)
     return JointEvidence(tuple(JointSet(tuple(sorted(labels)), log - best) for labels, log in ranked), log_e)
+
+
+def log_odds_of(label: str, sets: Iterable[tuple[Collection[str], float]]) -> float:
+    """Natural logarithm of the odds of an effect: all sets with it against all without, each given by its labels and log odds.
+
+    Sets that are less probable than the best by more than ``OPTIONS.reach`` are not kept, so larger odds are not known.
+    """
+    logs: dict[bool, list[float]] = {True: [-np.inf], False: [-np.inf]}
+    for labels, log in sets:
+        logs[label in labels].append(log)
+    with_it, without = (float(np.logaddexp.reduce(logs[there])) for there in (True, False))
+    return float(np.clip(with_it - without, -OPTIONS.reach, OPTIONS.reach))
 
 
 def log_of_one(stated: Sequence[StatedEffect]) -> float:
