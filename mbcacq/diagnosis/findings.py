@@ -5,7 +5,7 @@ Every class here is plain data: it pickles, and its fields are the keys of the J
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from typing import Annotated, Any, ClassVar, Self
@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Field, WithJsonSchema
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.effects.effect import ParameterEstimate, parameter_in_words
+from mbcacq.effects.effect import ParameterEstimate, label_of, parameter_in_words
 from mbcacq.model.json_text import Number, fields_as_json, from_document
 from mbcacq.quantities import percent
 
@@ -113,6 +113,15 @@ class EvidenceSummary:
     def significant(self) -> bool:
         """Whether there is an effect."""
         return self.log_e_value > self.least_log_e_value
+
+    def part_of(self, labels: Collection[str]) -> ComparedSet | None:
+        """The most probable set with those of some effects (``name:where``) that were compared here, and no other; else the most probable
+        one without any other; None where there is none.
+        """
+        each = [(one, {label_of(e.name, e.where) for e in one.effects}) for one in self.sets]
+        here = set().union(*(known for _, known in each)) & set(labels)
+        found = [one for one, known in each if known == here] or [one for one, known in each if known <= here]
+        return next(iter(found), None)
 
 
 @dataclass(frozen=True)

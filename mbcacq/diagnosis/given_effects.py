@@ -60,11 +60,11 @@ class PosesGiven:
     hypotheses: tuple[Hypothesis, ...]
 
     def model(self, labels: Collection[str]) -> EffectModel | None:
-        """The effects of the most probable set that has no other effects than these labels; those that were given are held. None where
-        there is no such set, or where it has an effect that is not written down.
+        """The effects of the set that has those of these labels which the poses were searched for; those that were given are held. None
+        where there is no such set, or where it has an effect that is not written down.
         """
-        sets = zip(self.evidence.evidence.sets, self.hypotheses, strict=True)
-        best = next((h for one, h in sets if {label_of(e.name, e.where) for e in one.effects} <= set(labels)), None)
+        part, sets = self.evidence.evidence.part_of(labels), self.evidence.evidence.sets
+        best = next((h for one, h in zip(sets, self.hypotheses, strict=True) if one is part), None)
         if best is None or not all(can_be_kept(m.candidate, m.hyper) for m in best.members):
             return None
         obs = self.problem.linear.obs

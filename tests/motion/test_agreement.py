@@ -2,14 +2,15 @@
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.findings import NotSeparable
+from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, EvidenceSummary, GivenEvidence, NotSeparable
 from mbcacq.diagnosis.motion.combine import PosesAndMotion
-from mbcacq.diagnosis.motion.result import MotionDiagnosis
+from mbcacq.diagnosis.motion.result import ChannelEvidence, MotionDiagnosis
 from mbcacq.diagnosis.result import Diagnosis, FitFigures, FitSummary, HeldOutFigures
 from mbcacq.effects.effect import ParameterEstimate, number
 from mbcacq.errors import ConfigError
@@ -179,3 +180,64 @@ def test_what_one_cannot_tell_apart_is_named_by_the_other():
         ("payload:mount", "poses"),
         ("joint_compliance:A2", "motion"),
     }
+
+
+TOOL_PRIOR = {"mass_kg": number(20.0, 17.0)}
+
+
+def compared(log_odds, *effects):
+    """A set of effects: name, locations, parameters."""
+    each = (ComparedEffect(n, w, p, prior=TOOL_PRIOR if "mass_kg" in p else {}, log_prior=-5.0) for n, w, p in effects)
+    return ComparedSet(tuple(each), log_odds)
+
+
+def evidence(*sets):
+    return EvidenceSummary(40, 50.0, 4.6, (*sets, ComparedSet((), -900.0)))
+
+
+def tool(mass, std):
+    return in_poses("payload", ["mount"], mass_kg=(mass, std))
+
+
+def soft(at, value, std):
+    return in_poses("joint_compliance", [at], **{f"{at}__compliance_rad_per_Nm": (value, std)})
+
+
+def load_in_question(odds, *sets):
+    """A motion that cannot tell a load from the masses of the links, which its sets take as described to 10 %."""
+    content = motion() | {"verdict": "cannot_tell"}
+    content["not_separable"] = [{"effects": ["arm", "payload:mount"], "correlation": 0.98, "odds": odds}]
+    return replace(MotionDiagnosis.from_json(content), evidence=(ChannelEvidence("tau", evidence(*sets)),))
+
+
+BALANCER = in_poses("gravity_compensator", ["A2"], A2__preload_Nm=(1800.0, 200.0))
+OF_MOTION = (compared(0.0, BALANCER), compared(-2.3, BALANCER, tool(32.0, 4.0)))
+
+
+def test_a_load_that_masses_of_links_may_stand_for_is_open_until_the_poses_show_it():
+    stiff = soft("A3", 1e-6, 1e-7)
+    weak = replace(of_poses(), verdict="cannot_tell", evidence=evidence(compared(0.0, stiff), compared(-6.0, stiff, tool(25.0, 9.0))))
+    strong = replace(weak, evidence=evidence(compared(0.0, stiff, tool(33.0, 3.0)), compared(-9.0, soft("A3", 1.2e-6, 1e-7))))
+    asked = both(weak, load_in_question(1.0, *OF_MOTION))
+    assert asked.together.decided
+    assert asked.verdict == "cannot_tell"
+    assert asked.decided == []
+    answered = both(strong, load_in_question(1.0, *OF_MOTION))
+    assert answered.verdict == "explained"
+    (pair,) = answered.decided
+    assert (pair.effects, pair.named, pair.by) == (("arm", "payload:mount"), "payload:mount", "both")
+    assert str(pair) == "one of them cannot separate arm and payload:mount: both together name payload:mount"
+
+
+def test_poses_and_motion_are_compared_with_the_effects_that_both_together_name():
+    """A tool that is heavier than declared makes a joint look softer, unless it is in the set: the poses alone leave it out."""
+    of_motion = load_in_question(1.0, compared(0.0, BALANCER, tool(36.0, 3.0)), compared(-7.0, BALANCER))
+    known = soft("A3", 1e-6, 1e-9)
+    found = EffectFound(name=known[0], where=known[1], parameters=known[2], p_value=0.0, held_out_gain=1.0)
+    of_motion = replace(of_motion, effects=(found,))
+    without = compared(0.0, soft("A3", 1.2e-6, 4e-8))
+    beside = compared(-1.2, soft("A3", 1.01e-6, 9e-8), tool(38.0, 4.0))
+    given = GivenEvidence(("joint_compliance:A3",), evidence(without, beside))
+    one_problem = PosesAndMotion(replace(of_poses(), evidence=evidence(without, beside)), of_motion, given)
+    assert "payload:mount" in one_problem.together.sets[0].effects
+    assert [(a.name, a.poses.value, a.agrees) for a in one_problem.agreement] == [("joint_compliance", 1.01e-6, True)]

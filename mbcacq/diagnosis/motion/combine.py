@@ -220,9 +220,8 @@ class PosesAndMotion:
         """
         if self.given is None or not self.together.sets:
             return self.poses.effects
-        best = set(self.together.sets[0].effects)
-        sets = (one.effects for one in self.given.evidence.sets)
-        return next((effects for effects in sets if {label_of(e.name, e.where) for e in effects} <= best), self.poses.effects)
+        one = self.given.evidence.part_of(self.together.sets[0].effects)
+        return self.poses.effects if one is None else one.effects
 
     @property
     def given_by_motion(self) -> list[StatedParameters]:
