@@ -147,7 +147,9 @@ def log_of_one(stated: Sequence[StatedEffect]) -> float:
     for other in stated[1:]:
         total -= other.log_prior
         for key, mine, theirs in paired(stated[0].parameters, other.parameters):
-            total += float(np.sum(log_shared(key, mine, theirs, prior_of(stated[0], key, len(mine.components[0])))))
+            components = len(mine.components[0])
+            priors = [one for one in (prior_of(evidence, key, components) for evidence in (stated[0], other)) if one is not None]
+            total += float(np.sum(log_shared(key, mine, theirs, priors)))
     return total
 
 
@@ -158,20 +160,28 @@ def prior_of(stated: StatedEffect, key: str, components: int) -> ParameterEstima
     return prior if len(values) == len(stds) == components and np.isfinite(stds).all() else None
 
 
-def log_shared(key: str, mine: ParameterEstimate, theirs: ParameterEstimate, prior: ParameterEstimate | None) -> np.ndarray:
+def log_shared(key: str, mine: ParameterEstimate, theirs: ParameterEstimate, priors: Sequence[ParameterEstimate]) -> np.ndarray:
     """(k,) log evidence of one parameter behind two independent recordings, over the product of those of a parameter for each.
 
-    With normal posteriors p1, p2 and the prior p0 that is the logarithm of the integral of p1 p2 / p0. Without a prior, half the squared
-    distance in combined standard deviations is taken off, which understates it.
+    priors: of the first and the second recording, which may take the effect to be of another size; or the only one that is known, for both.
+    With normal posteriors p1, p2 and priors q1, q2 the evidence with the prior q is the integral of q p1 p2 / (q1 q2), where q is q1 or q2,
+    equally probable. Without a prior, half the squared distance in combined standard deviations is taken off, which understates it.
     """
+    difference = apart(key, mine, theirs)
+    if not priors:
+        return -0.5 * difference**2 / np.maximum(np.square(mine.components[1]) + np.square(theirs.components[1]), 1e-300)
+    first, second = priors[0], priors[-1]
+    return np.logaddexp(_log_shared(key, mine, theirs, second), _log_shared(key, theirs, mine, first)) - np.log(2.0)
+
+
+def _log_shared(key: str, mine: ParameterEstimate, theirs: ParameterEstimate, prior: ParameterEstimate) -> np.ndarray:
+    """(k,) logarithm of the integral of the posteriors p1 p2 over the prior of the second."""
     (value, std), (_, other) = np.array(mine.components), np.array(theirs.components)
     difference, first, second = apart(key, mine, theirs), std**2, other**2
-    if prior is None:
-        return -0.5 * difference**2 / np.maximum(first + second, 1e-300)
     absent, spread = np.array(prior.components)
     about = np.where(np.isfinite(absent) & (name_of(key) != PHASE), value - absent, 0.0)
     spread = np.minimum(spread, UNIFORM_DEG) if name_of(key) == PHASE else spread
-    before = np.maximum(spread**2, np.maximum(first, second))  # a posterior is not wider than its prior
+    before = np.maximum(spread**2, second)  # a posterior is not wider than its prior
     precision = 1 / first + 1 / second - 1 / before
     mean = (about / first + (about - difference) / second) / precision
     exponent = about**2 / first + (about - difference) ** 2 / second - precision * mean**2
