@@ -28,10 +28,15 @@ CHECKED_ELSEWHERE = {"orientation_bias": "test_orientation_bias.py"}
 OTHER_THINGS = {"payload", "friction"}
 
 
+def rows_of(page: str, name: str) -> list[str]:
+    """The rows of the tables of a page that are of an effect."""
+    lines = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line.startswith("|") and f"`{name}`" in line.split("|")[1]]
+
+
 @pytest.mark.parametrize("name", IN_POSES)
 def test_an_effect_in_poses_is_complete(name):
-    page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
-    rows = [line for line in page.splitlines() if line.startswith("|") and f"`{name}`" in line.split("|")[1]]
+    rows = rows_of("effects", name)
     checked = name in {case.name for case in CASES} or name in CHECKED_ELSEWHERE
     injected = name in (*INJECTED, *CHECKED_ELSEWHERE)
     drawn = name in catalogued() or name in NO_CHALLENGE
@@ -40,6 +45,8 @@ def test_an_effect_in_poses_is_complete(name):
         f"docs/effects.md has no row for {name}: add one to the table of the catalogue": not rows,
         f"nothing checks {name} without code of the tool: add its physics in plain numpy and a Case to tests/effects/cases.py": not checked,
         f"no fake injects {name}: add {fakes}/{name}.py, written without a look at the effect, and its name to CATALOGUED of {fakes}/__init__.py": not injected,
+        f"docs/fakes.md has no row for {name}: say how its fake simulates it, and its options": name in INJECTED
+        and not rows_of("fakes", name),
         f"no challenge draws {name}: declare DECLARED = Declaration(challenge=Challenge(number={len(catalogued()) + 1})) in its file": not drawn,
     }
     assert not any(lacking.values()), "\n".join(sentence for sentence, lacks in lacking.items() if lacks)
