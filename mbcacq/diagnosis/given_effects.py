@@ -19,7 +19,7 @@ from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.untried_rivals import with_untried_rivals
 from mbcacq.diagnosis.findings import ComparedEffect, ComparedSet, GivenEvidence
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.evidence_summary import shown, summarized
+from mbcacq.diagnosis.output.evidence_summary import shown, summarized, widened
 from mbcacq.diagnosis.output.kept_model import term_of
 from mbcacq.diagnosis.problem import DiagnosisProblem, GivenEffect, is_long, prepare, thinned
 from mbcacq.diagnosis.search.effect_columns import candidate_parts
@@ -125,7 +125,7 @@ def with_those_given(one: ComparedSet, given: Sequence[GivenEffect], hypothesis:
     With the prior N(0, 1) and the posterior N(m, v) of a coefficient in its prior's standard deviations, the poses alone state
     N(m / (1 - v), v / (1 - v)).
     """
-    mean, covariance = geometry_of(hypothesis)
+    mean, covariance = geometry_of(widened(hypothesis))
     m, v = mean[-len(given) :], np.minimum(np.diag(covariance)[-len(given) :], 1 - LEAST_INFORMATION)
     effects = []
     for g, centre, spread in zip(given, m / (1 - v), v / (1 - v), strict=True):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
 from mbcacq.diagnosis.evidence.coefficients import coefficients
+from mbcacq.diagnosis.evidence.coupled_effects import couplings_of
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis, undecided
@@ -43,7 +45,8 @@ def summary_of(
     it that stand for what was not tried.
     """
     best = sets.hypotheses[0].log_posterior
-    compared = tuple(ComparedSet(effects_of(sets, h, solved(h), untried(h)), float(h.log_posterior - best)) for h in shown(sets))
+    each = [widened(h) for h in shown(sets)]
+    compared = tuple(ComparedSet(effects_of(sets, h, solved(h), untried(h)), float(h.log_posterior - best)) for h in each)
     return EvidenceSummary(poses, sets.log_e_value, sets.least, compared, sentences)
 
 
@@ -51,6 +54,18 @@ def shown(sets: RankedSets) -> list[Hypothesis]:
     """The sets that are near the most probable one, and the empty one."""
     best = sets.hypotheses[0].log_posterior
     return [h for h in sets.hypotheses if h.log_posterior > best - OPTIONS.reach or not h.members]
+
+
+def widened(hypothesis: Hypothesis) -> Hypothesis:
+    """The set with its coupled effects at their largest sizes, for which their uncertainty was computed (``coupled_effects``).
+
+    Their most probable sizes differ from one recording to the next, and the values of a narrow prior would pass for what was measured.
+    """
+    coupled = {c.name for c in couplings_of(hypothesis.members)}
+    if not coupled:
+        return hypothesis
+    members = tuple(replace(m, size=max(m.sizes)) if m.candidate.name in coupled else m for m in hypothesis.members)
+    return replace(hypothesis, members=members)
 
 
 def effects_of(sets: RankedSets, hypothesis: Hypothesis, solved: EffectSet, untried: set[str]) -> tuple[ComparedEffect, ...]:
