@@ -4,7 +4,7 @@
     OMP_NUM_THREADS=1 python benchmarks/motion.py excitation --write
     python benchmarks/motion.py figures ../shared/data/kr300-trajectory-a ../shared/data/kr300-trajectory-b --out docs/data
     OMP_NUM_THREADS=1 python benchmarks/motion.py concealed --write
-    OMP_NUM_THREADS=1 python benchmarks/motion.py concealed --tools 12 --seeds 1
+    OMP_NUM_THREADS=1 python benchmarks/motion.py concealed --tools 12 --short 0
     python benchmarks/motion.py mujoco --write
 
 Each command says more with --help.
@@ -221,7 +221,11 @@ def figures(given: argparse.Namespace) -> None:
 if __name__ == "__main__":
     SCORE = [option("--challenges", type=int, default=100), option("--first", type=int, default=1000, help="seed of the first challenge")]
     NO_PEER = option("--no-peer", action="store_true", help="leave mujoco.sysid out")
-    CELLS = [option("--tools", type=float, nargs="+", default=[0.0, 12.0, 25.0]), option("--seeds", type=int, default=2)]
+    CELLS = [
+        option("--tools", type=float, nargs="*", default=[0.0, 12.0, 25.0], help="further kilograms of the dry runs"),
+        option("--seeds", type=int, default=1, help="dry runs for each tool"),
+        option("--short", type=int, default=12, help="short runs of each kind"),
+    ]
     bench.main(
         __doc__,
         {

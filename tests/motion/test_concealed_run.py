@@ -1,0 +1,54 @@
+"""A short run that conceals a tool, a balancer, backlash and elastic joints: what neither its poses nor its motion tell, both do."""
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("mujoco")
+
+from concealed_run import DECLARED_COM_MM, DECLARED_KG, chosen_poses, faults, observed_poses, recorded_moves, tool
+
+import mbcacq
+from mbcacq.diagnosis.diagnose import diagnose
+from mbcacq.diagnosis.given_effects import evidence_given
+from mbcacq.diagnosis.motion.combine import PosesAndMotion
+from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
+from mbcacq.effects.effect import label_of
+from mbcacq.plan import expand, load
+
+FURTHER_KG, SEED, POSES = 15.0, 3, 36
+CONCEALED = {"payload:mount", "gravity_compensator:A2", "backlash:A4", "joint_compliance:A2", "joint_compliance:A3"}
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    mbcacq.new_plan("kr210_r2700_2", "gocator-3210", "mbc-8", folder / "plan.yaml", mbcacq.NewPlanOptions(poses=68))
+    plan = yaml.safe_load((folder / "plan.yaml").read_text(encoding="utf-8"))
+    plan["robot"]["payload"] = {"mass_kg": DECLARED_KG, "com_mm": DECLARED_COM_MM.tolist()}
+    (folder / "plan.yaml").write_text(yaml.safe_dump(plan), encoding="utf-8")
+    loaded = load(folder / "plan.yaml")
+    poses, narrow = chosen_poses(list(expand(loaded)), SEED, POSES, ("p1", "p4"))
+    at_rest, moving = faults(loaded.cell.robot, FURTHER_KG)
+    observed = observed_poses(loaded, poses, at_rest, SEED)
+    alone = diagnose(observed, folds=2)
+    motion = diagnose_trajectories(recorded_moves(loaded, narrow, moving, SEED), cross_validation=False)
+    given = evidence_given(observed, PosesAndMotion(alone, motion).given_by_motion)
+    assert given is not None
+    return PosesAndMotion(alone, motion, given.evidence)
+
+
+def test_poses_and_motion_cannot_tell_by_themselves(found):
+    assert (found.poses.verdict, found.motion.verdict) == ("cannot_tell", "cannot_tell")
+    named = [{label_of(e.name, [at]) for e in one.effects for at in e.where} for one in (found.poses, found.motion)]
+    assert not any(CONCEALED <= names for names in named)
+
+
+def test_both_together_name_all_that_is_concealed_with_its_size(found):
+    assert found.verdict in ("explained", "partly_explained")
+    assert set(found.together.sets[0].effects) >= CONCEALED
+    stated = {e.name: e.parameters for e in found.beside_motion if "A3" not in e.where}
+    mass = stated["payload"]["mass_kg"]
+    assert abs(mass.value - tool(FURTHER_KG)[0]) < 3 * mass.std < FURTHER_KG
+    assert np.isclose(stated["backlash"]["A4.width_deg"].value, 0.006, atol=3 * stated["backlash"]["A4.width_deg"].std)
+    assert found.contradictions == []
