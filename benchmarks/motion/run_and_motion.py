@@ -174,9 +174,9 @@ def counted(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return [
         *table(["by", *WAYS, "farthest value, σ"], lines),
         "",
-        f"In {len(neither)} of {len(rows)} runs neither can tell by itself; "
-        f"in {sum(judged(r, 2) == 'right' for r in neither)} of these both together name all five effects, and no other but as a trend. Together the tool is named in {len(named)} runs, in {within} within its U. "
-        f"The joint set has a further effect in {further} runs.",
+        f"In {len(neither)} of {len(rows)} runs neither can tell by itself. "
+        f"In {sum(judged(r, 2) == 'right' for r in neither)} of these both together name all five effects, and no other but as a trend. "
+        f"Together the tool is named in {len(named)} runs, in {within} within its U. The joint set has a further effect in {further} runs.",
     ]
 
 
@@ -229,7 +229,7 @@ def page(rows: list[dict[str, Any]]) -> str:
 
 PAGE = f"""# Poses and motion of one run
 
-Made by `python benchmarks/motion.py concealed --write`. Runs of a KR 210 (`mbcacq plan new --robot {ARM} --poses
+Made by `python benchmarks/motion.py concealed --tools --short 8 --write`. Runs of a KR 210 (`mbcacq plan new --robot {ARM} --poses
 {POSES}`) conceal elastic joints (A2 {1e6 * SOFT["A2"]:g}, A3 {1e6 * SOFT["A3"]:g} µrad/(N m)), a balancer at A2 that carries
 {100 * BALANCER_SHARE:g} % of the largest gravity torque, backlash of A4 ({WIDTH_DEG:g} deg), friction of all joints and a tool that is
 heavier than declared, both in the poses and in the torques and joint-side angles that the controller sends. Values with U (k = 2), of what
@@ -237,19 +237,19 @@ each diagnosis names."""
 
 SHORT = f"""## Short runs
 
-Runs of {FEW[0]} or {FEW[1]} poses, drawn from those of the plan, of which the motion between the poses at two stations is recorded: it
+Runs of {FEW[0]} or {FEW[1]} poses, drawn from those of the plan, of which the motion between the poses at two stations is recorded. It
 is slow, and A2 turns 53 deg. The tool is {SHORT_KG:g} kg heavier than declared ({tool(SHORT_KG)[0]:g} kg). The fakes compute the runs,
 without protocols and pictures.
 
 'Right': all five effects are named and no other; 'part': some of them; 'wrong': another effect is among them, and not as a trend (friction
 and delays do not count). The last column has the value that is farthest from the concealed one, in its standard deviations."""
 
-NOTES = """The poses alone leave the balancer out and give A2 its part: their value is less than half of the concealed one, and its U does not
-cover that, also where the verdict is `explained`. What decides is the prior: on a heavy arm a balancer is taken to be as rare as any other
-effect.
+NOTES = """The poses alone leave the balancer out and give A2 its part. Their value is less than half of the concealed one, and its U does
+not cover that, also where the verdict is `explained`. The prior decides: on a heavy arm a balancer is taken to be
+as rare as any other effect.
 
-The further effects are `joint_scale` and `gear_transmission_error` at A2. The torque that passes the gear is known to some N m only, and
-the joint-side channel takes the structure of that error for an effect."""
+The further effects are `joint_scale` and `gear_transmission_error` at A2. The likely cause is the torque that passes the gear. It is known
+to some N m, and the joint-side channel takes the structure of its error for an effect."""
 
 CONTRADICTION = f"""## A contradiction
 
