@@ -194,4 +194,4 @@ class CellEstimate:
             In mm, k = 1.
         """
         row = self.distance_columns(qa, a, qb, b)[1]
-        return np.sqrt(np.einsum("pg,gh,ph->p", row, self.covariance, row))
+        return np.sqrt(np.sum(row @ self.covariance * row, axis=1))

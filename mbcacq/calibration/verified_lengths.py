@@ -42,7 +42,7 @@ def verified_lengths(cell: CellEstimate, before: CellState, observations: Observ
     u, row = cell.distance_columns(qa, a, qb, b)
     ends = [_end_variance(cell, u, q, xyz, count) for q, xyz, count in ((qa, a, na), (qb, b, nb))]
     measuring = sum((seen + moved) / count for seen, moved, count in ends)
-    expected = np.sqrt(np.einsum("pg,gh,ph->p", row, cell.covariance, row) + measuring)
+    expected = np.sqrt(np.sum(row @ cell.covariance * row, axis=1) + measuring)
     budgets = [
         length_budget(obs, p.station, p.balls, [EndVariance(*(float(value[i]) for value in end)) for end in ends])
         for i, p in enumerate(pairs)

@@ -189,7 +189,7 @@ def response_curve(linear: LinearProblem, residual: np.ndarray, effect: DrawnEff
     and the residual of each pose (or centre) by itself.
     """
     amount, keep, pose = part.basis @ effect.coefficients, linear.keep, linear.obs.pose
-    std = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", part.basis, effect.covariance, part.basis), 0.0))
+    std = np.sqrt(np.maximum(np.sum(part.basis @ effect.covariance * part.basis, axis=1), 0.0))
     unit = linear.unit(part.place, part.index, part.component)
     top, bottom = np.sum(unit * residual, axis=1) * keep, np.sum(unit * unit, axis=1) * keep
     if part.place in PER_POSE:
