@@ -9,14 +9,14 @@ from mbcacq.estimation.normal_equations import inverse_of_lower
 
 
 def log_set_bayes_factor(
-    A: np.ndarray, a: np.ndarray, slices: list[slice], sizes: list[np.ndarray], positive: list[bool], begin: list[float] | None = None
+    A: np.ndarray, a: np.ndarray, slices: list[slice], sizes: list[np.ndarray], positive: list[bool]
 ) -> tuple[float, list[float]]:
     """Log Bayes factor of a set of effects together, and the most probable size of each.
 
-    A (k, k), a (k,): of all coefficients in typical sizes; slices: of each effect; begin: a size of each that may be the most probable.
-    The average over the sizes of all is taken about the most probable ones, one effect at a time.
+    A (k, k), a (k,): of all coefficients in typical sizes; slices: of each effect. The average over the sizes of all is taken about the
+    most probable ones, one effect at a time.
     """
-    chosen = np.array([float(np.median(s)) for s in sizes] if begin is None else begin)
+    chosen = np.array([float(np.median(s)) for s in sizes])
     effects = [_OneEffect(A, a, slices, j, positive) for j in range(len(slices))]
     spread, best = np.zeros(len(slices)), np.full(len(slices), -np.inf)
     asked: list[list[float] | None] = [None] * len(slices)  # sizes of the others with which an effect was evaluated last

@@ -127,8 +127,7 @@ def with_sizes(members: Sequence[Member], A: np.ndarray, a: np.ndarray) -> tuple
     if not members:
         return (), 0.0
     positive = [m.candidate.positive and m.candidate.k == 1 for m in members]
-    possible, begin = [np.array(m.sizes) for m in members], [m.size for m in members]
-    total, sizes = log_set_bayes_factor(A, a, list(slices_of(members)), possible, positive, begin)
+    total, sizes = log_set_bayes_factor(A, a, list(slices_of(members)), [np.array(m.sizes) for m in members], positive)
     return tuple(replace(m, size=s) for m, s in zip(members, sizes, strict=True)), total + sum(m.log_mass for m in members)
 
 
