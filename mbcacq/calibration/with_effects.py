@@ -25,7 +25,7 @@ from mbcacq.estimation.options import CalibrationOptions, Noise
 from mbcacq.estimation.outliers import Weights
 from mbcacq.estimation.parameters import Estimate, ParameterLayout, build
 from mbcacq.estimation.phases import select_phases
-from mbcacq.estimation.random_effect_sizes import sizes_by_marginal_likelihood
+from mbcacq.estimation.random_effect_sizes import Ending, sizes_by_marginal_likelihood
 from mbcacq.estimation.solution import Solution, system
 from mbcacq.estimation.solver import most_probable_noise
 from mbcacq.estimation.terms import Term
@@ -42,7 +42,7 @@ class GroupSizeOptions:
     most_poses: int = 600  # by which sizes and noise are found, to a few per cent; coefficients take all that are learnt from
     most_learnt: int = 3000  # poses of one recording: more repeat its own drift, and the arm so learnt is worse elsewhere (transfer.md)
     noise_steps: int = 1  # of the noise in each; two lead to the same within the noise's uncertainty
-    rounds: int = 60  # of the fixed point in each
+    ending: Ending = Ending(60, least_rise=0.1)  # of the fixed point in each; noise and coefficients are found anew by thousands of poses
     least_before_last: float = 0.1  # of a group's prior size: smaller ones do not come back once the noise has fallen
     smallest: float = 1e-4  # of a group's prior size: it is dropped below
     largest: float = 10.0  # times a group's prior size: no group is believed to be larger
@@ -350,7 +350,7 @@ def group_scales(
     b = sigma * right[first:] - taken[:, :-1].T @ taken[:, -1]
     fixed = np.array([given_size(g) for g in several])
     begin = np.where(fixed, 1.0, start)
-    return sizes_by_marginal_likelihood(S, b, slices, begin, (smallest, OPTIONS.largest), OPTIONS.rounds, fixed)
+    return sizes_by_marginal_likelihood(S, b, slices, begin, (smallest, OPTIONS.largest), OPTIONS.ending, fixed)
 
 
 def given_size(t: EffectTerm) -> bool:

@@ -7,6 +7,7 @@ their posterior covariance / size^2) (MacKay 1992, Bayesian interpolation): the 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,10 +16,18 @@ from mbcacq.estimation.normal_equations import Normal, Prior, inverse_of_lower
 CONVERGED = 0.05  # change of a logarithm of a variance
 # Rise of the log marginal likelihood in a round after which the sizes stay: it decides nothing, while groups that shrink to nothing do so
 # for forty rounds more, in which no other moves.
-LEAST_RISE = 0.1
+LEAST_RISE = 0.01
 # Coefficients of other specimens that a usual size stands for: the size is then uncertain by half of itself before anything was measured.
 OTHERS = 3.0
 LEAST_DETERMINED = 1e-4  # coefficients of a group that the data determine: fewer are none
+
+
+@dataclass(frozen=True)
+class Ending:
+    """When sizes stay: after so many rounds, or after one that raises the log marginal likelihood by less than ``least_rise``."""
+
+    rounds: int
+    least_rise: float = LEAST_RISE
 
 
 def sizes_by_marginal_likelihood(
@@ -27,7 +36,7 @@ def sizes_by_marginal_likelihood(
     slices: Sequence[slice],
     start: np.ndarray,
     limits: tuple[float | np.ndarray, float],
-    rounds: int,
+    ending: Ending,
     fixed: np.ndarray | None = None,
     expected: np.ndarray | None = None,
 ) -> np.ndarray:
@@ -47,7 +56,7 @@ def sizes_by_marginal_likelihood(
     alive = np.flatnonzero(variance > 0)
     normal, right, count = _equations_of(S, b, slices, alive)
     reached = -np.inf
-    for _ in range(rounds):
+    for _ in range(ending.rounds):
         if not len(alive):
             break
         before, first = variance[alive], np.cumsum(count) - count
@@ -59,7 +68,7 @@ def sizes_by_marginal_likelihood(
         after = np.where(determined > LEAST_DETERMINED, np.minimum(asked, most**2), 0.0)
         after = np.where(kept[alive], before, np.where(after > floor[alive], after, 0.0))
         variance[alive] = after
-        if 0 <= rise < LEAST_RISE or np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
+        if 0 <= rise < ending.least_rise or np.all(np.abs(np.log(after[after > 0] / before[after > 0])) < CONVERGED):
             break
         if not after.all():
             alive = alive[after > 0]
@@ -89,7 +98,7 @@ def sizes_of_groups(
     """
     S, b, slices = _conditioned(normal, prior, groups)
     usual = np.array([(expected or {}).get(name, 0.0) / prior.sigma[index[0]] for name, index in groups.items()])
-    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), rounds, expected=usual)
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), (1e-9, limits[1]), Ending(rounds), expected=usual)
     return {name: max(float(size), limits[0]) for name, size in zip(groups, found, strict=True)}
 
 
@@ -99,7 +108,7 @@ def gain_of_groups(
     """Log marginal likelihood that groups add, under fixed noise, at the sizes that maximise it; and these, in their present size, zero of
     groups smaller than the first of the limits."""
     S, b, slices = _conditioned(normal, prior, groups)
-    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), limits, rounds)
+    found = sizes_by_marginal_likelihood(S, b, slices, np.ones(len(slices)), limits, Ending(rounds))
     size = np.concatenate([np.full(p.stop - p.start, s) for p, s in zip(slices, found, strict=True)])
     alive, by_name = size > 0, dict(zip(groups, found.tolist(), strict=True))
     if not alive.any():

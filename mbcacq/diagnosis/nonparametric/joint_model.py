@@ -111,7 +111,7 @@ class JointModel:
         """
         known = self.index(range(len(self.effects)), ())
         limits = GROUPS.smallest, GROUPS.largest
-        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, GROUPS.rounds)
+        return sizes_by_marginal_likelihood(*self.beyond(known), slices_of(self.random), start, limits, GROUPS.ending)
 
 
 def effect_columns(linear: LinearProblem, model: EffectSet) -> tuple[np.ndarray, np.ndarray]:
