@@ -23,7 +23,7 @@ def freed_memory_kept() -> Iterator[None]:
     """For as long as the context lasts; afterwards the system gets back what is free.
 
     An array of more than 32 MiB is otherwise asked from the system anew each time and emptied by it page by page. In a diagnosis of 12,000
-    poses that was a seventh of the time. Only the GNU C library can be told so; elsewhere nothing happens.
+    poses that was a seventh of the time. Only the GNU C library can be set so; elsewhere nothing happens.
     """
     _set(KEPT)
     try:

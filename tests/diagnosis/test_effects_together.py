@@ -6,7 +6,7 @@ import simulated
 
 from mbcacq.diagnosis.evidence.hypothesis import SetPrior, estimated
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
-from mbcacq.diagnosis.evidence.pose_search import TOGETHER, PoseSearch
+from mbcacq.diagnosis.evidence.pose_search import SHARE_OF_ODDS, PoseSearch
 from mbcacq.diagnosis.evidence.unmodelled import UnmodelledEffects
 from mbcacq.diagnosis.problem import prepare
 from mbcacq.estimation.options import CalibrationOptions
@@ -43,7 +43,7 @@ def test_orders_of_two_gears_enter_together(plan):
 def test_another_name_of_the_same_thing_does_not_enter_with_it(plan):
     """An elastic base turns the arm nearly as an elastic joint A2 does."""
     found, possible = entering(simulated.observe(plan, 162, [("base_compliance", ("base",), [1e-6], None)]))
-    rivals = {m.label for log, m in possible if log > TOGETHER * possible[0][0] and m.candidate.where != ("base",)}
+    rivals = {m.label for log, m in possible if log > SHARE_OF_ODDS * possible[0][0] and m.candidate.where != ("base",)}
     assert "joint_compliance:A2" in rivals
     assert [m.label for m in found] == ["base_compliance:base"]
 
@@ -54,12 +54,9 @@ def test_nothing_enters_where_nothing_is_probable(plan):
     assert found == ()
 
 
-def test_no_more_effects_enter_than_a_set_may_have(plan):
+def test_no_more_effects_enter_than_a_set_may_have(plan, monkeypatch):
     orders = [("gear_transmission_error", (f"A{i}",), list(2.5e-4 * np.array([np.cos(i), np.sin(i)])), 11.0 + i) for i in (1, 3, 4)]
-    obs, most = simulated.observe(plan, 164, orders), PoseSearch.most_effects
-    try:
-        PoseSearch.most_effects = 2
-        assert len(entering(obs)[0]) == 2
-    finally:
-        PoseSearch.most_effects = most
+    obs = simulated.observe(plan, 164, orders)
     assert len(entering(obs)[0]) == 3
+    monkeypatch.setattr(PoseSearch, "most_effects", 2)
+    assert len(entering(obs)[0]) == 2

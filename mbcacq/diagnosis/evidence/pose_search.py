@@ -28,7 +28,7 @@ from mbcacq.effects.effect_term import UNKNOWN
 
 # Effects enter a staged search together where each has this share of the log odds of the best one, and of its own beside those before it:
 # what is at another location hardly changes them, and what is the same thing as another loses them.
-TOGETHER = 0.5
+SHARE_OF_ODDS = 0.5
 
 
 @dataclass(kw_only=True)
@@ -56,6 +56,7 @@ class PoseSearch(EvidenceSearch):
         return self.climbed(best, self.candidates)
 
     def grown(self, beam: Sequence[Hypothesis], candidates: list[Candidate]) -> list[Hypothesis]:
+        """As the search of a short recording; a staged one follows one set, which effects enter together."""
         if not self.staged:
             return super().grown(beam, candidates)
         (best,) = beam
@@ -74,7 +75,7 @@ class PoseSearch(EvidenceSearch):
         entering: tuple[Member, ...] = ()
         for log, member in further:
             room = len(best.members) + len(entering) < self.most_effects
-            if log <= max(TOGETHER * further[0][0], 0.0) or not room:
+            if log <= max(SHARE_OF_ODDS * further[0][0], 0.0) or not room:
                 break
             if any(set(m.candidate.where) & set(member.candidate.where) for m in entering):
                 continue
@@ -82,7 +83,7 @@ class PoseSearch(EvidenceSearch):
                 beside = best.point.conditioned((*best.members, *entering))
                 present = [m.candidate for m in (*best.members, *entering)]
                 again, member = self.weighted(evidence_of_candidate(beside, member.candidate), present)
-                if again < TOGETHER * log:
+                if again < SHARE_OF_ODDS * log:
                     continue
             entering = (*entering, member)
         return entering

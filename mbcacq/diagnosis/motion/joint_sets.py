@@ -5,9 +5,8 @@
 2. The evidences of independent rows multiply. A shared effect has one prior probability and one coefficient, so that its second prior is
    taken off, and its evidence is that of one coefficient behind both (``log_shared``). The evidence of poses to which the effect was
    given as their prior (``given_effects``) has that already.
-3. A question that neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it; and what
-neither
-   shows alone may be shown by both.
+3. A question that neither decides alone, because another set is not excluded there, is decided where the joint sets exclude it. Both may
+   show what neither shows alone.
 4. That the masses of the links may stand for a load (``load_hypotheses``) is a question beside the sets. What the other evidences add to
    the odds of the load decides it.
 """
