@@ -18,7 +18,7 @@ from mbcacq.calibration.known_length import with_length_uncertainty
 from mbcacq.calibration.nominal_arm import with_nominal_arm
 from mbcacq.calibration.sufficiency import refuse_insufficient, refuse_poor, refuse_runaway, refuse_unknown_arm
 from mbcacq.calibration.with_discrepancy import with_discrepancy
-from mbcacq.calibration.with_effects import refitted
+from mbcacq.calibration.with_effects import refitted, refitted_effects
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.errors import CalibrationError, ContradictionError
 from mbcacq.estimation.adjustment import Adjustment, adjust_recording
@@ -55,6 +55,11 @@ def calibrate_with_effects(
 ) -> CalibratedCell:
     """The cell with effects; see ``mbcacq.calibration.with_effects.refitted``."""
     return replace(refitted(observations, options, model, calibrate, hold=hold), calibrate_again=calibrate_with_effects)
+
+
+def effects_fitted_with_the_cell(observations: Observations, options: CalibrationOptions, model: EffectModel) -> EffectModel | None:
+    """The effects alone of ``calibrate_with_effects``; see ``mbcacq.calibration.with_effects.refitted_effects``."""
+    return refitted_effects(observations, options, model, calibrate)
 
 
 def _with_copies_said(result: CalibratedCell, observations: Observations) -> CalibratedCell:

@@ -63,26 +63,44 @@ def refitted(
     another arm, and what ``fit`` raises.
     """
     options = options or CalibrationOptions()
+    obs = _learnt_from(observations, options, model, hold)
+    with one_thread():
+        return fitted_with_effects(obs, options, model, hold, fit)
+
+
+def refitted_effects(observations: Observations, options: CalibrationOptions, model: EffectModel, fit: Fit) -> EffectModel | None:
+    """The effects of the cell that ``refitted`` returns, in less time: the geometry alone is not fitted for comparison."""
+    obs = _learnt_from(observations, options, model, hold=False)
+    with one_thread():
+        return _fitted(obs, options, model, hold=False, fit=fit).effects
+
+
+def _learnt_from(observations: Observations, options: CalibrationOptions, model: EffectModel, hold: bool) -> Observations:
+    """The poses that effects are learnt from. Raises ConfigError as ``refitted``."""
     if options.method != "ml":
         raise ConfigError("effects are fitted by --method ml; the staged method knows geometry alone")
     refuse_effects_of_other_arm(observations, model)
     obs = select_phases(observations, options)
     if obs.n_poses > OPTIONS.most_learnt and not hold and any(t.name == UNKNOWN for t in model.terms):
         obs = obs.select(some_poses(obs, OPTIONS.most_learnt))
-    with one_thread():
-        return fitted_with_effects(obs, options, model, hold, fit)
+    return obs
 
 
 def fitted_with_effects(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> CalibratedCell:
-    """The observations calibrated with effects by ``fit``, which calibrates them under any options. The effects are the account of what
-    the arm does beyond its geometry: no discrepancy is sought beside them."""
+    """The observations calibrated with effects by ``fit``, which calibrates them under any options, beside the geometry alone."""
+    alone = fit(obs, replace(options, discrepancy=False, refuse=False, random_links=False))
+    return _beside(alone, _fitted(obs, options, model, hold, fit))
+
+
+def _fitted(obs: Observations, options: CalibrationOptions, model: EffectModel, hold: bool, fit: Fit) -> CalibratedCell:
+    """The observations calibrated with effects. These are the account of what the arm does beyond its geometry: no discrepancy is sought
+    beside them."""
     options = replace(options, discrepancy=False)
-    alone = fit(obs, replace(options, refuse=False, random_links=False))
     held = model if hold else model.select(lambda t: t.held)
     free = model.select(lambda t: not (hold or t.held))
     options = replace(options, displaced=(*options.displaced, *zip(held.at(obs), held.coefficients, strict=True)))
     fitted = _fitted_beside_held(obs, options, free, fit) if free else fit(obs, options)
-    return _beside(alone, replace(fitted, effects=replace(model, terms=(*held.terms, *(fitted.effects.terms if fitted.effects else ())))))
+    return replace(fitted, effects=replace(model, terms=(*held.terms, *(fitted.effects.terms if fitted.effects else ()))))
 
 
 def _fitted_beside_held(obs: Observations, options: CalibrationOptions, model: EffectModel, fit: Fit) -> CalibratedCell:

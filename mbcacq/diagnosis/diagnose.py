@@ -11,19 +11,21 @@ from mbcacq.calibration.sufficiency import options_for
 from mbcacq.description import with_likely_cause
 from mbcacq.diagnosis.formulas.propose import propose
 from mbcacq.diagnosis.memory import freed_memory_kept
-from mbcacq.diagnosis.model_fit import fit_model
+from mbcacq.diagnosis.model_fit import fit_everywhere, fit_model, search_in_part
 from mbcacq.diagnosis.noise_dependence import noise_variations, with_noise_scale
 from mbcacq.diagnosis.options import OPTIONS
-from mbcacq.diagnosis.output.kept_model import kept_model
+from mbcacq.diagnosis.output.kept_model import kept_model, with_groups_everywhere
 from mbcacq.diagnosis.output.notes import noise_in_words
 from mbcacq.diagnosis.problem import is_long, prepare, thinned
 from mbcacq.diagnosis.result import Diagnosis
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.time_budget import TimeBudget
 from mbcacq.diagnosis.validation.cross_validation import validated
 from mbcacq.diagnosis.validation.folds import RepeatedSearch
 from mbcacq.diagnosis.verdict import conclude, judge
 from mbcacq.diagnosis.workers import WorkerPool
 from mbcacq.effects.effect_model import EffectModel
+from mbcacq.effects.functions import DescribedPart
 from mbcacq.errors import CalibrationError, ConfigError, ContradictionError
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.one_thread import one_thread
@@ -99,7 +101,11 @@ def _diagnose(
 
     if is_long(obs):  # its search takes seconds, in which other processes repeat it without each part
         again, variations = begin_again(problem.linear, True), []
-        full = fit_model(problem)
+        part = search_in_part(problem)
+        refitting = Refitting(refit, pool)
+        # What is left nearly always asks for groups at all locations.
+        refitting.begin(with_groups_everywhere(obs, EffectSet.unsolved(part.members)))
+        full = fit_everywhere(problem, part)
     else:
         full = fit_model(problem)
         variations = noise_variations(full)
@@ -109,9 +115,8 @@ def _diagnose(
             full = fit_model(problem)
         pool = WorkerPool() if full.empty else pool  # nothing is claimed, there is nothing to validate
         again = begin_again(full.geometry_only.linear, bool(full.random))
-    # Validation and conclusion do not depend on the refit, which takes seconds: another process makes it meanwhile.
-    model = kept_model(full)
-    refitted = pool.beside(refit, model) if refit is not None and model else None
+        refitting = Refitting(refit, pool)
+    refitting.begin(kept_model(full))
     validation = validated(full, again, progress)
     variations = noise_variations(full) if is_long(obs) else variations
     problem = replace(problem, budget=budget)
@@ -122,8 +127,36 @@ def _diagnose(
         result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))
     dependences = tuple(one.entry for one in variations)
     result = replace(result, notes=(*noise_in_words(dependences, not is_long(obs)), *result.notes, *notes), noise_depends_on=dependences)
-    if refitted is None:
+    if not refitting.begun:
         return result
     progress("fitting the cell with its effects")
-    model, further = refitted()
+    model, further = refitting.answer()
     return replace(result, model=model, notes=(*result.notes, *further))
+
+
+class Refitting:
+    """The refit of the effects that are kept, which takes seconds. Validation and conclusion do not depend on it: another process makes it
+    meanwhile.
+    """
+
+    def __init__(self, refit: Refit | None, pool: WorkerPool):
+        self._refit, self._pool = refit, pool
+        self._of: list[tuple[str, tuple[DescribedPart, ...]]] = []
+        self._answer: Callable[[], tuple[EffectModel | None, tuple[str, ...]]] | None = None
+
+    def begin(self, model: EffectModel) -> None:
+        """Begin with a model; with another one than before it is begun anew."""
+        of = [(t.key, t.parts) for t in model.terms]
+        if self._refit is None or of == self._of:
+            return
+        self._of = of
+        self._answer = self._pool.beside(self._refit, model) if of else None
+
+    @property
+    def begun(self) -> bool:
+        return self._answer is not None
+
+    def answer(self) -> tuple[EffectModel | None, tuple[str, ...]]:
+        """The model as it was fitted, and what is to be noted of it."""
+        assert self._answer is not None, "asked of a refit that was begun"
+        return self._answer()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbcacq.diagnosis.evidence.coefficients import relinearized
-from mbcacq.diagnosis.evidence.evidence_fit import compared, fit_evidence
+from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit, compared, fit_evidence
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated, under
 from mbcacq.diagnosis.evidence.noise_model import NoisePoint
 from mbcacq.diagnosis.evidence.outliers import kept_centres
@@ -19,7 +20,7 @@ from mbcacq.diagnosis.nonparametric.random_effects import RandomEffect, RandomEf
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.problem import DiagnosisProblem, is_long, prepare, thinned, transferred
 from mbcacq.diagnosis.reported_model import model_of
-from mbcacq.diagnosis.search.effect_set import EffectSet
+from mbcacq.diagnosis.search.effect_set import EffectSet, Member
 from mbcacq.effects import unmodelled
 from mbcacq.estimation.linear_problem import LinearProblem
 from mbcacq.estimation.options import Noise
@@ -29,19 +30,40 @@ __all__ = ["DiagnosisProblem", "ModelFit", "fit_model", "fit_part", "prepare"]
 
 
 def fit_model(problem: DiagnosisProblem) -> ModelFit:
-    """The model of all centres; outliers are judged with it in place. The effects of a long recording are searched in a part of it; what is
-    left of all of it is random effects at every location.
-    """
-    if not is_long(problem.linear.obs):
-        fit = with_untried_rivals(problem, fit_evidence(problem))
-        return model_of(problem, fit, reported_hypothesis(fit), fit.linear)
+    """The model of all centres; outliers are judged with it in place."""
+    if is_long(problem.linear.obs):
+        return fit_everywhere(problem, search_in_part(problem))
+    fit = with_untried_rivals(problem, fit_evidence(problem))
+    return model_of(problem, fit, reported_hypothesis(fit), fit.linear)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartSearched:
+    """The search for effects of the catalogue in a part of a long recording. problem: of the part; members: what is reported of it, as
+    effects of the whole."""
+
+    problem: DiagnosisProblem
+    fit: EvidenceFit
+    members: tuple[Member, ...]
+
+
+def search_in_part(problem: DiagnosisProblem) -> PartSearched:
+    """The effects of a long recording, which are searched in a part of it."""
     part = thinned(problem, problem.linear.keep, OPTIONS.searched_poses)
     fit = with_untried_rivals(part, compared(part, part.linear, pack(part.noise), alternatives=True, staged=True))
-    found = reported_hypothesis(fit)
-    whole = on_the_whole(problem, part, found)
-    random, noise, cells = random_effects_everywhere(problem, part, found, whole.point.noise)
-    best = under(replace(whole.point, theta=pack(noise)), whole.members, whole.log_prior) if random else whole
-    return replace(model_of(problem, fit, best, whole.point.linear), random=random, cells=cells)
+    return PartSearched(problem=part, fit=fit, members=transferred(part, problem, reported_hypothesis(fit).catalogued))
+
+
+def fit_everywhere(problem: DiagnosisProblem, part: PartSearched) -> ModelFit:
+    """The effects that were found in a part of a long recording on all of it, and what is left as random effects at every location."""
+    found = reported_hypothesis(part.fit)
+    point = on_the_whole(problem, part.members, found)
+    random, noise, cells = random_effects_everywhere(problem, part.problem, found, point.noise)
+    if random:
+        best = under(replace(point, theta=pack(noise)), part.members, found.log_prior)
+    else:
+        best = estimated(part.members, point, found.log_prior)
+    return replace(model_of(problem, part.fit, best, point.linear), random=random, cells=cells)
 
 
 def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> tuple[EffectSet, tuple[RandomEffect, ...]]:
@@ -60,13 +82,10 @@ def fit_part(problem: DiagnosisProblem, keep: np.ndarray, unmodelled: bool) -> t
     return EffectSet(transferred(small, problem, best.catalogued)), random
 
 
-def on_the_whole(problem: DiagnosisProblem, small: DiagnosisProblem, found: Hypothesis) -> Hypothesis:
-    """The effects of the catalogue found in a part of a recording, on all of it: outliers judged and linearised anew with them in place."""
-    members = transferred(small, problem, found.catalogued)
-    point = NoisePoint(problem.linear, problem.prior_noise, found.point.theta)
-    whole = estimated(members, point, found.log_prior)
-    linear = relinearized(problem.linear, whole).restricted(kept_centres(whole))
-    return estimated(members, replace(whole.point, linear=linear), found.log_prior)
+def on_the_whole(problem: DiagnosisProblem, members: Sequence[Member], found: Hypothesis) -> NoisePoint:
+    """All of a recording with the effects in place that were found in a part of it: outliers judged and linearised anew."""
+    whole = estimated(members, NoisePoint(problem.linear, problem.prior_noise, found.point.theta), found.log_prior)
+    return replace(whole.point, linear=relinearized(problem.linear, whole).restricted(kept_centres(whole)))
 
 
 def groups_everywhere(problem: DiagnosisProblem) -> list[RandomEffect]:

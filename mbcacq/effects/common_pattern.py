@@ -23,7 +23,7 @@ NEAR = np.radians(4.0)  # offsets that far apart are one
 LEAST_LOG_BAYES_FACTOR = 3.0  # strong evidence (Kass, Raftery 1995); offsets and directions that were tried are averaged over
 LEAST_CERTAIN = 0.5  # probability p of the offset: at angles never visited, a pattern at it leaves 2 (1 - p) of the mean square
 LEAST_JOINTS = 3
-AT_ONCE = 20  # offsets: their matrices stay in the caches
+AT_ONCE = 4  # offsets: their matrices stay in the caches
 MOST_STARTS = 2  # joints from which a pattern is sought
 ROUNDS = 4  # in which every joint is compared anew: on two campaigns of a UR10 the third no longer changes an offset
 
@@ -187,8 +187,8 @@ def best_alignment(errors: OwnErrors, found: Mapping[int, JointAlignment], joint
 class PatternComparison:
     """A joint's own error beside the pattern of others, everything else and the joint's deviation from a pattern integrated out.
 
-    A (2 K, 2 K) and hp (2 K,) belong to the pattern, C and hv to the joint, B to both; sigma: prior of the pattern; constant: what the
-    logarithm of the Bayes factor has whatever the offset.
+    A (2 K, 2 K) and hp (2 K,) belong to the pattern, C and hv to the joint, B to both, all in units of the pattern's prior; constant: what
+    the logarithm of the Bayes factor has whatever the offset.
     """
 
     A: np.ndarray
@@ -196,7 +196,6 @@ class PatternComparison:
     C: np.ndarray
     hp: np.ndarray
     hv: np.ndarray
-    sigma: np.ndarray
     constant: float
 
     @classmethod
@@ -209,43 +208,82 @@ class PatternComparison:
         taken = solve_triangular(root, scale[:, None] * np.c_[S[np.ix_(rest, keep)], b[rest]], lower=True)
         J = S[np.ix_(keep, keep)] - taken[:, :-1].T @ taken[:, :-1]
         h = b[keep] - taken[:, :-1].T @ taken[:, -1]
-        A, B, C, hp, hv = J[:k2, :k2], J[:k2, k2:], J[k2:, k2:], h[:k2], h[k2:]
         own = J.copy()
         own[k2:, k2:] += np.diag(errors.sigma[joint] ** -2.0)
-        separate = log_evidence(own[None], h[None], np.concatenate([errors.pattern, errors.sigma[joint]]))[0]
+        size = np.concatenate([errors.pattern, errors.sigma[joint]])
+        separate = log_evidence(_bordered(size[:, None] * own * size, size * h)[None])[0]
         # The prior of the deviation is the same for sine and cosine, and does not turn with them: it is integrated out for all offsets.
-        D = np.linalg.inv(C + np.diag(errors.deviation**-2.0))
-        constant = 0.5 * hv @ D @ hv + 0.5 * np.linalg.slogdet(D)[1] - np.log(errors.deviation).sum() - separate
+        # That of the pattern is so too, and its size can be a unit of both.
+        size = np.tile(errors.pattern, 2)
+        J, h, deviation = size[:, None] * J * size, size * h, errors.deviation / errors.pattern
+        A, B, C, hp, hv = J[:k2, :k2], J[:k2, k2:], J[k2:, k2:], h[:k2], h[k2:]
+        D = np.linalg.inv(C + np.diag(deviation**-2.0))
+        constant = 0.5 * hv @ D @ hv + 0.5 * np.linalg.slogdet(D)[1] - np.log(deviation).sum() - separate
         CD, BD = C @ D, B @ D
-        return cls(
-            A=A - BD @ B.T, B=B - BD @ C, C=C - CD @ C, hp=hp - BD @ hv, hv=hv - CD @ hv, sigma=errors.pattern, constant=float(constant)
-        )
+        return cls(A=A - BD @ B.T, B=B - BD @ C, C=C - CD @ C, hp=hp - BD @ hv, hv=hv - CD @ hv, constant=float(constant))
 
     def log_bayes_factors(self, offsets: np.ndarray, direction: int) -> np.ndarray:
         """(G,) logarithm of the Bayes factor of following the pattern at each offset (G,) rad, against an error of its own."""
+        turned = _TurnedPattern(self, direction)
         some = np.array_split(offsets, -(-len(offsets) // AT_ONCE))
-        return np.concatenate([self._log_bayes_factors(each, direction) for each in some])
-
-    def _log_bayes_factors(self, offsets: np.ndarray, direction: int) -> np.ndarray:
-        c, s = _phases(offsets, len(self.sigma) // 2)
-        cross = _turned(np.swapaxes(_turned(self.C[None], c, s, direction), 1, 2), c, s, direction)
-        mixed = _turned(self.B.T[None], c, s, direction)
-        information = self.A + cross + mixed + np.swapaxes(mixed, 1, 2)
-        right = self.hp + _turned(self.hv[None, :, None], c, s, direction)[..., 0]
-        return log_evidence(information, right, self.sigma) + self.constant
+        return np.concatenate([log_evidence(turned.bordered(each)) for each in some]) + self.constant
 
 
-def log_evidence(information: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """(G,) logarithm of the integral over k coefficients; information (G, k, k) with their prior of standard deviation sigma (k,)."""
-    G, k = right.shape
-    bordered, scaled = np.zeros((G, k + 1, k + 1)), sigma * right
-    np.multiply(sigma[:, None] * sigma, information, out=bordered[:, :k, :k])
-    # The last row of the root of a matrix that is bordered by a right-hand side is the solution of the triangular system. The corner is
-    # large enough: with the prior in it, the matrix is at least the identity.
-    bordered[:, k, :k] = scaled
-    bordered[:, k, k] = np.sum(scaled**2, axis=1) + 1.0
+class _TurnedPattern:
+    """The normal equations of the pattern, the joint following it at an offset.
+
+    A sine and a cosine of an order are one complex coefficient x + i y, which an offset multiplies by exp(-i k offset). A bilinear form of
+    two of them is the real part of p^H P q + p^T Q q, P Hermitian and Q symmetric where the form is.
+    """
+
+    def __init__(self, compared: PatternComparison, direction: int):
+        K = len(compared.hp) // 2
+        mirror = np.repeat([1.0, direction], K)  # of the joint's sines and cosines
+        self._A, self._B = _complex_forms(compared.A), _complex_forms(compared.B * mirror)
+        self._C = _complex_forms(mirror[:, None] * compared.C * mirror)
+        self._hp, hv = compared.hp, mirror * compared.hv
+        self._hv = hv[:K] + 1j * hv[K:]
+
+    def bordered(self, offsets: np.ndarray) -> np.ndarray:
+        """(G, 2 K + 1, 2 K + 1) of offsets (G,) rad, as ``log_evidence`` takes them."""
+        K, G = len(self._hv), len(offsets)
+        e = np.exp(-1j * np.outer(offsets, np.arange(1, K + 1)))
+        rows, columns = e[:, :, None], e[:, None, :]
+        (AP, AQ), (BP, BQ), (CP, CQ) = self._A, self._B, self._C
+        P: np.ndarray = AP + BP * columns + rows.conj() * (CP * columns + BP.conj().T)
+        Q: np.ndarray = AQ + BQ * columns + rows * (CQ * columns + BQ.T)
+        out = np.empty((G, 2 * K + 1, 2 * K + 1))
+        np.add(np.real(P), np.real(Q), out=out[:, :K, :K])
+        np.subtract(np.imag(P), np.imag(Q), out=out[:, K:-1, :K])
+        np.subtract(np.real(P), np.real(Q), out=out[:, K:-1, K:-1])
+        turned = e.conj() * self._hv
+        out[:, -1, :K], out[:, -1, K:-1] = self._hp[:K] + turned.real, self._hp[K:] + turned.imag
+        out[:, -1, -1] = np.sum(out[:, -1, :-1] ** 2, axis=1) + 1.0
+        return out
+
+
+def _complex_forms(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """P and Q (K, K) of a bilinear form M (2 K, 2 K)."""
+    K = len(M) // 2
+    xx, xy, yx, yy = M[:K, :K], M[:K, K:], M[K:, :K], M[K:, K:]
+    return 0.5 * (xx + yy + 1j * (yx - xy)), 0.5 * (xx - yy - 1j * (xy + yx))
+
+
+def _bordered(information: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(k + 1, k + 1) normal equations of k coefficients in units of their priors, which are in them, the right-hand side as last row.
+
+    The corner is large enough: with the prior in it, the matrix is at least the identity.
+    """
+    return np.block([[information, right[:, None]], [right, right @ right + 1.0]])
+
+
+def log_evidence(bordered: np.ndarray) -> np.ndarray:
+    """(G,) logarithm of the integral over k coefficients; bordered (G, k + 1, k + 1): their normal equations, of which the lower triangle
+    is read.
+    """
+    # The last row of the root of a matrix that is bordered by a right-hand side is the solution of the triangular system.
     root = np.linalg.cholesky(bordered)
-    return 0.5 * np.sum(root[:, k, :k] ** 2, axis=1) - np.log(np.diagonal(root, axis1=1, axis2=2)[:, :k]).sum(axis=1)
+    return 0.5 * np.sum(root[:, -1, :-1] ** 2, axis=1) - np.log(np.diagonal(root, axis1=1, axis2=2)[:, :-1]).sum(axis=1)
 
 
 def turning(order: np.ndarray, offset: float, direction: int) -> np.ndarray:
@@ -268,16 +306,3 @@ def _with_pattern(errors: OwnErrors, found: Mapping[int, JointAlignment], joint:
     SP = errors.information @ P
     S = np.block([[errors.information, SP], [SP.T, P.T @ SP]]) + np.diag(weight)
     return S, np.concatenate([errors.right, P.T @ errors.right]), np.concatenate([np.arange(g, g + k2), errors.index[joint]])
-
-
-def _phases(offsets: np.ndarray, orders: int) -> tuple[np.ndarray, np.ndarray]:
-    """(G, K, 1) cosines and sines of the orders at the offsets."""
-    phase = np.outer(offsets, np.arange(1, orders + 1))[..., None]
-    return np.cos(phase), np.sin(phase)
-
-
-def _turned(X: np.ndarray, c: np.ndarray, s: np.ndarray, direction: int) -> np.ndarray:
-    """(G, 2 K, m) the transposed turning matrix at every offset times X (1 or G, 2 K, m)."""
-    K = c.shape[1]
-    a, b = X[:, :K], X[:, K:]
-    return np.concatenate([c * a - direction * s * b, s * a + direction * c * b], axis=1)

@@ -226,12 +226,12 @@ def fitted_model(observations: Observations, model: EffectModel) -> tuple[Effect
     """The effects of a diagnosis fitted together with the cell, as a calibration would fit them. Where the recording does not determine the
     cell with them, they stay as the diagnosis had them, and a sentence says why.
     """
-    from mbcacq.calibration.maximum_likelihood import calibrate_with_effects
+    from mbcacq.calibration.maximum_likelihood import effects_fitted_with_the_cell
     from mbcacq.errors import CalibrationError
     from mbcacq.estimation.options import CalibrationOptions
 
     try:
-        return calibrate_with_effects(observations, CalibrationOptions(refuse=False), model).effects, ()
+        return effects_fitted_with_the_cell(observations, CalibrationOptions(refuse=False), model), ()
     except CalibrationError as reason:
         return model, (f"the effects could not be fitted with the cell: {reason}",)
 

@@ -1,9 +1,11 @@
 """One pattern of error in several joints is found with its offsets and directions; joints that have nothing in common are left apart."""
 
 import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
 
 from mbcacq.effects import unmodelled
-from mbcacq.effects.common_pattern import OwnErrors, find_common_pattern
+from mbcacq.effects.common_pattern import JointAlignment, OwnErrors, PatternComparison, find_common_pattern
 from mbcacq.effects.effect_model import EffectModel
 from mbcacq.geometry.chain import Chain
 from mbcacq.model.cell import RobotModel
@@ -65,6 +67,41 @@ def test_a_joint_that_the_first_ones_keep_out_is_taken_in_once_more_of_the_patte
     found = find_common_pattern(errors_of({i: lambda x, o=o, d=d: d * (basis(d * x - o) @ f) for i, (o, d) in true.items()}, seen, rng))
     assert found is not None
     assert found.joints == (0, 1, 2, 3, 4, 5)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_bayes_factor_of_an_offset_is_that_of_two_gaussians_of_the_measurements(direction):
+    """Sines and cosines of three orders, by the covariance of what was measured instead of the normal equations of coefficients."""
+    rng = np.random.default_rng(4)
+    order, noise, k = np.arange(1, 4), 3e-5, 6
+    q0, q1 = rng.uniform(0, 2.5, 30), rng.uniform(1, 4.5, 40)
+
+    def sines(x):
+        return np.concatenate([np.sin(np.outer(x, order)), np.cos(np.outer(x, order))], axis=1)
+
+    pattern, own, deviation = (np.tile(size * rng.uniform(0.5, 2, 3), 2) for size in (1e-4, 8e-5, 1e-5))
+    y = np.concatenate([sines(q0) @ (pattern * rng.standard_normal(k)), sines(q1) @ (own * rng.standard_normal(k))])
+    y += 1e-4 + noise * rng.standard_normal(70)
+    X = np.zeros((70, 14))
+    X[:30, :6], X[30:, 6:12], X[:30, 12], X[30:, 13] = sines(q0), sines(q1), 1, 1
+    errors = OwnErrors(
+        X.T @ X / noise**2, X.T @ y / noise**2, {0: np.arange(6), 1: np.arange(6, 12)}, dict.fromkeys((0, 1), own), pattern, deviation
+    )
+    offsets = np.array([0.0, 0.4, 3.3])
+    found = PatternComparison.of(errors, {0: JointAlignment(0.0, 1, 0.0, 1.0)}, 1).log_bayes_factors(offsets, direction)
+    free = 0.1**2 * X[:, 12:] @ X[:, 12:].T + noise**2 * np.eye(70)  # an offset of each joint is as good as free
+
+    def covariance(of_pattern, beside, size):
+        A, B = np.zeros((70, k)), np.zeros((70, k))
+        A[:30], A[30:], B[30:] = sines(q0), of_pattern, beside
+        first = X[:, :6] * deviation
+        return (A * pattern) @ (A * pattern).T + first @ first.T + (B * size) @ (B * size).T + free
+
+    apart = multivariate_normal.logpdf(y, np.zeros(70), covariance(0.0, sines(q1), own))
+    for offset, log_bayes_factor in zip(offsets, found, strict=True):
+        follows = direction * sines(direction * q1 - offset)
+        together = multivariate_normal.logpdf(y, np.zeros(70), covariance(follows, sines(q1), deviation))
+        assert log_bayes_factor == pytest.approx(together - apart, abs=1e-4)
 
 
 def test_joints_with_nothing_in_common_stay_apart():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from mbcacq.diagnosis.evidence.coefficients import coefficients as coefficients_
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
 from mbcacq.diagnosis.model_fit import ModelFit
+from mbcacq.diagnosis.search.effect_set import EffectSet
 from mbcacq.diagnosis.search.projected_solve import prior_sigma
 from mbcacq.effects import catalogue, unmodelled
 from mbcacq.effects.covariates import Covariates
@@ -20,22 +22,38 @@ from mbcacq.effects.effect_term import UNKNOWN, EffectTerm, LearntRecording, is_
 from mbcacq.effects.functions import DescribedPart
 from mbcacq.effects.periods import LEAST_PERIODS, periods_covered
 from mbcacq.effects.unmodelled import unit_of
+from mbcacq.model.observations import Observations
 
 
 def kept_model(full: ModelFit) -> EffectModel:
-    """The effects of a fit as terms: what was judged is what is kept. Groups at all locations of a long recording have no size yet: a
-    calibration with them gives it.
-    """
+    """The effects of a fit as terms: what was judged is what is kept."""
     obs = full.geometry_only.linear.obs
+    if full.everywhere:
+        return with_groups_everywhere(obs, full.model)
     here = Covariates(obs)
-    terms: list[EffectTerm] = []
-    for m, own in zip(full.model.members, full.model.slices(), strict=True):
-        if can_be_kept(m.candidate, m.hyper):
-            variance = np.diag(full.model.covariance[own, own])
-            terms.append(term_of(here, m.candidate, m.hyper, full.model.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
-    if full.random:
-        terms += everywhere(here, terms) if full.everywhere else unmodelled_terms(here, reported_hypothesis(full.evidence))
+    unknown = unmodelled_terms(here, reported_hypothesis(full.evidence)) if full.random else []
+    return _model(obs, [*named_terms(here, full.model), *unknown])
+
+
+def with_groups_everywhere(obs: Observations, found: EffectSet) -> EffectModel:
+    """Effects of a long recording, with groups at all locations. The groups have no size yet: a calibration with them gives it."""
+    here = Covariates(obs)
+    named = named_terms(here, found)
+    return _model(obs, [*named, *everywhere(here, named)])
+
+
+def _model(obs: Observations, terms: Sequence[EffectTerm]) -> EffectModel:
     return EffectModel(obs.cell.robot, tuple(terms), LearntRecording.of(obs), obs.cell.measurement)
+
+
+def named_terms(here: Covariates, found: EffectSet) -> list[EffectTerm]:
+    """The effects of the catalogue that can be kept."""
+    terms: list[EffectTerm] = []
+    for m, own in zip(found.members, found.slices(), strict=True):
+        if can_be_kept(m.candidate, m.hyper):
+            variance = np.diag(found.covariance[own, own])
+            terms.append(term_of(here, m.candidate, m.hyper, found.coefficients[own], np.sqrt(np.maximum(variance, 0.0))))
+    return terms
 
 
 def everywhere(here: Covariates, named: list[EffectTerm]) -> list[EffectTerm]:

@@ -60,6 +60,12 @@ class EffectSet:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     gain: float = 0.0
 
+    @classmethod
+    def unsolved(cls, members: Sequence[Member]) -> EffectSet:
+        """Effects whose coefficients will be found by something else."""
+        k = sum(m.candidate.k for m in members)
+        return cls(tuple(members), np.zeros(k), np.zeros((k, k)))
+
     def slices(self) -> tuple[slice, ...]:
         """Which coefficients belong to which effect."""
         return slices_of(self.members)
