@@ -117,7 +117,7 @@ def _fitted_beside_held(obs: Observations, options: CalibrationOptions, model: E
     # Lines of these joints are in the pattern: a second description of one error takes it away from the first.
     apart = parametric.select(lambda t: not t.periodic_in_own_angle or joint_of(t) not in pattern.joints)
     if len(apart.terms) < len(parametric.terms):
-        fitted = fit(obs, replace(options, terms=apart.at(obs)) if apart else lenient)
+        fitted = fit(obs, replace(options if apart else lenient, terms=apart.at(obs), start=fitted.state))
     patterned = with_pattern(obs, unmodelled, pattern)
     stage, noise = sized_groups(fitted, options, apart, patterned, noise)
     found = with_groups(stage, noise, apart, patterned)

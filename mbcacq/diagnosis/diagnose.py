@@ -116,12 +116,13 @@ def _diagnose(
         pool = WorkerPool() if full.empty else pool  # nothing is claimed, there is nothing to validate
         again = begin_again(full.geometry_only.linear, bool(full.random))
         refitting = Refitting(refit, pool)
-    refitting.begin(kept_model(full))
+    kept = kept_model(full)
+    refitting.begin(kept)
     validation = validated(full, again, progress)
     variations = noise_variations(full) if is_long(obs) else variations
     problem = replace(problem, budget=budget)
     progress("drawing the conclusion: uncertainties, alternatives, what could not have been found")
-    result = conclude(problem, judge(problem, full, validation))
+    result = replace(conclude(problem, judge(problem, full, validation)), model=kept or None)
     if formulas:
         proposed = propose(problem, full, result.effects, progress)
         result = replace(result, proposals=proposed.proposals, notes=(*result.notes, *proposed.tried))

@@ -16,7 +16,6 @@ from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
 from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
-from mbcacq.diagnosis.output.kept_model import kept_model
 from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
 from mbcacq.diagnosis.output.pictures import plot_data
@@ -68,7 +67,8 @@ def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation) 
 
 
 def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
-    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found."""
+    """The diagnosis of a fit that was judged: scores, uncertainties, advice, limits of what was not found; without the
+    effects that are kept."""
     full, validation, before = fit.full, fit.validation, fit.before
     after, residual_after = training_score(full.joint)
     there = elsewhere(setup.context)
@@ -106,7 +106,6 @@ def conclude(setup: DiagnosisProblem, fit: JudgedFit) -> Diagnosis:
         ),
         exclusion_limits=exclusion_limits(full, setup.candidates, there),
         between_recordings=recordings,
-        model=kept_model(full) or None,
         evidence=evidence,
         plot_data=plot_data(setup, full, mismatch, fit.residual, residual_after),
     )

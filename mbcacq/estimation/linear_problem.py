@@ -276,7 +276,7 @@ class LinearProblem:
         weights = Weights(self.keep.astype(float), np.ones(self.obs.n_poses))
         start = Estimate(self.state, tuple(np.zeros(e.size) for e in every))
         lineariser = Lineariser(self.obs, self._with_priors(every), options)
-        found = solve(system(lineariser, start, noise, weights), tolerance=0.1, limit=10).estimate
+        found = solve(system(lineariser, start, noise, weights), tolerance=0.1, limit=10, within_linear=True).estimate
         of_effects = found.coefficients[len(self.given) :]
         return LinearProblem.of(self.obs, found.state, self.keep, effects, of_effects, self.layout, self.given)
 

@@ -25,7 +25,7 @@ from mbcacq.diagnosis.output.compensation import Compensation, largest
 from mbcacq.diagnosis.output.errors_elsewhere import errors_of, harmless
 from mbcacq.diagnosis.output.limit_bands import LimitBand, alike, bands, kept
 from mbcacq.diagnosis.output.next_measurements import Elsewhere, SizedEffect
-from mbcacq.diagnosis.output.sufficient_poses import of_fewest_coefficients
+from mbcacq.diagnosis.output.sufficient_poses import ABSORBED, of_fewest_coefficients
 from mbcacq.diagnosis.output.upper_limit import directions, independent_values, largest_ratio, upper_limit
 from mbcacq.diagnosis.result import ExclusionBand, ExclusionLimit
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
@@ -34,8 +34,6 @@ from mbcacq.effects import catalogue, steps
 from mbcacq.effects.context import Context
 from mbcacq.effects.effect import MOMENT, Candidate
 from mbcacq.effects.trend import NOT_SIZES
-
-ABSORBED = 1e-6  # information on a typical size below which the geometry absorbs the effect
 
 
 @dataclass(frozen=True, kw_only=True)

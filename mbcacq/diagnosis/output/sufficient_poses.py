@@ -23,6 +23,7 @@ from mbcacq.estimation.noise import first_noise
 
 QUANTILE = 1.645  # of a standard normal variable: 95 % below
 MOST_VALUES = 12  # of a hyper-parameter that are tried
+ABSORBED = 1e-6  # information on a typical size below which the geometry absorbs the effect
 ROUNDED = 1e-10  # share of an effect's information, or displacement, below which what is left of it is rounding
 ENOUGH = 0.5  # share of the effects that a verdict ``none`` excludes at their typical size
 
@@ -96,8 +97,20 @@ def representative_value(projected: CandidateScoring, candidate: Candidate) -> f
         return None
     values = np.sort(hyper.values)
     tried = [v for v in hyper.preferred if v in values] or values[:: int(np.ceil(len(values) / MOST_VALUES))].tolist()
-    tried.sort(key=lambda value: float((estimated(projected, candidate, value)[1] / candidate.typical).max()))
-    return float(tried[len(tried) // 2])
+    order = np.argsort(largest_deviations(projected, candidate, tried), kind="stable")
+    return float(tried[order[len(tried) // 2]])
+
+
+def largest_deviations(projected: CandidateScoring, candidate: Candidate, values: Sequence[float]) -> np.ndarray:
+    """(H,) of the standard deviations of an effect's coefficients the largest, in typical sizes, at each value of its hyper-parameter; inf
+    where the geometry absorbs it.
+    """
+    if not candidate.components:
+        return np.array([(estimated(projected, candidate, value)[1] / candidate.typical).max() for value in values])
+    S, _ = projected.normal_matrices(candidate, np.array(values))
+    value, vectors = np.linalg.eigh(S * np.outer(candidate.typical, candidate.typical))
+    variance = (vectors**2 / np.maximum(value, ABSORBED)[:, None, :]).sum(axis=2)
+    return np.where(value[:, 0] > ABSORBED, np.sqrt(variance.max(axis=1)), np.inf)
 
 
 def estimated(conditioned: CandidateScoring, candidate: Candidate, hyper: float | None) -> tuple[np.ndarray, np.ndarray]:
