@@ -39,6 +39,17 @@ class SizedEffect:
         return float((self.coefficients / self.candidate.typical).max())
 
 
+SizedEffects = tuple[SizedEffect, ...]  # that describe something together
+
+
+def in_words(effects: SizedEffects) -> str:
+    """Names and locations; those of one name together."""
+    where: dict[str, list[str]] = {}
+    for e in effects:
+        where.setdefault(e.candidate.name, []).extend(e.candidate.where)
+    return " with ".join(f"{name} at {'+'.join(sorted(set(at)))}" for name, at in where.items())
+
+
 @dataclass(frozen=True)
 class Elsewhere:
     """The cell at postures that the recording does not have, with all candidates as they would act there."""
@@ -94,23 +105,24 @@ def _at(context: Context, q: np.ndarray, station: np.ndarray, direction: np.ndar
     return Elsewhere(there, LinearProblem.of(blank, context.state))
 
 
-def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]]) -> list[Advice]:
-    """One piece of advice for each pair of effects that the recording cannot tell apart, where there is one: measured postures, for nothing
-    is known of the cell that says which others can be taken. With its plan, ``mbcacq diagnose --next`` chooses among all views.
+def separating(context: Context, pairs: Sequence[tuple[SizedEffects, SizedEffects]]) -> list[Advice]:
+    """One piece of advice for each pair of descriptions that the recording cannot tell apart, where there is one: measured postures, for
+    nothing is known of the cell that says which others can be taken. With its plan, ``mbcacq diagnose --next`` chooses among all views.
     """
     out, there = [], as_measured(context)
     for pair in pairs:
-        names = [e.candidate.name for e in pair]
-        if any(catalogue.declaration(name).acts_in_time for name in names):
+        names = [" with ".join(dict.fromkeys(e.candidate.name for e in one)) for one in pair]
+        if any(catalogue.declaration(e.candidate.name).acts_in_time for one in pair for e in one):
             reason = f"{' and '.join(names)} differ in time: measure the first station again, at the same postures, at the end"
             out.append(Advice(reason, first_poses(context)))
             continue
-        a, b = (there.displacement(e) for e in pair)
-        if a is not None and b is not None:
-            chosen = spread(a - b)
-            apart = float(np.linalg.norm((a - b)[chosen], axis=1).mean())
-            both = " and ".join(f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in pair)
-            reason = f"{both} differ by {apart:.3f} mm at the poses that separate them best: measure those again, and others like them"
+        a, b = ([there.displacement(e) for e in one] for one in pair)
+        if all(moved is not None for moved in (*a, *b)):
+            apart = sum(a) - sum(b)
+            chosen = spread(apart)
+            most = float(np.linalg.norm(apart[chosen], axis=1).mean())
+            both = " and ".join(map(in_words, pair))
+            reason = f"{both} differ by {most:.3f} mm at the poses that separate them best: measure those again, and others like them"
             out.append(Advice(reason, _in_degrees(there.context.obs.q[chosen])))
     return out
 
@@ -125,8 +137,9 @@ def revealing(context: Context, limited: Sequence[SizedEffect]) -> list[Advice]:
     if not each:
         return []
     hidden, moved = max(each, key=lambda item: np.linalg.norm(item[1], axis=1).max())
-    name = f"{hidden.candidate.name} at {'+'.join(hidden.candidate.where)}"
-    reason = f"{name} of usual size would not have shown: measure these poses again, and others like them, or a long bar end by end"
+    reason = (
+        f"{hidden.in_words} of usual size would not have shown: measure these poses again, and others like them, or a long bar end by end"
+    )
     return [Advice(reason, _in_degrees(there.context.obs.q[spread(moved)]))]
 
 
