@@ -123,7 +123,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
         floor=model.floor,
         split=store.split,
         links=_links(model, x),
-        load_error=load_error(model, chosen, x, spread),
+        load_error=load_error(model, weights),
         sets=selection.sets,
         inertial=None if found is None else found.parameters(x),
         load_alternatives=load_alternatives(model, selection.pool) if store.whole else [],

@@ -19,22 +19,22 @@ from mbcacq.effects.motion_effect import available
 # Share of the error's variance of each joint that is left out. Thousands of angles show shapes of a wind-up that are a thousandth of the
 # whole; with a hundredth left out, two of three short runs (benchmarks/run_and_motion.md) had a false name.
 LEFT_OUT = 1e-7
+LEAST_INFORMATION = 1e-3  # of a direction of the coefficients in units of their priors: below is rounding
 
 
-def load_error(model: MotionModel, chosen: np.ndarray, x: np.ndarray, covariance: np.ndarray) -> list[np.ndarray]:
+def load_error(model: MotionModel, weights: np.ndarray) -> list[np.ndarray]:
     """(T, J, r) by run: what independent standard normal errors change of the load of each joint.
 
-    chosen, x: columns and their coefficients, covariance: (c, c) theirs.
+    weights: (J,) one over the variance of a sample.
     """
     group, runs = model.group, model.runs
     if group.name != "tau":
         return [np.zeros((len(run.q), len(group.joints), 0)) for run in runs]
+    chosen = model.chosen()
     position = {int(number): i for i, number in enumerate(chosen)}
     links = model.store.base[len(group.joints) : -runs[0].q.shape[1]]  # the first are offsets, the last the rotors
     passed = [e for e in model.selected if not catalogue.declaration(e.candidate.name).motor_side]
-    at = [position[int(i)] for i in (*links, *(i for e in passed for i in e.columns))]
-    value, vectors = np.linalg.eigh(covariance[np.ix_(at, at)])
-    root = vectors * np.sqrt(np.maximum(value, 0.0))
+    root = _root(model, weights, chosen)[[position[int(i)] for i in (*links, *(i for e in passed for i in e.columns))]]
     out = []
     for k, run in enumerate(runs):
         of_joint = []
@@ -46,6 +46,19 @@ def load_error(model: MotionModel, chosen: np.ndarray, x: np.ndarray, covariance
             of_joint.append(np.concatenate([group.base[k][:, j, : len(links)], *of_effects], axis=1) @ root)
         out.append(np.stack(of_joint, axis=1))
     return _principal(out)
+
+
+def _root(model: MotionModel, weights: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(c, c) root of the posterior covariance of the coefficients of these columns.
+
+    The masses are known far less than the torque that they make together. So the root is that of the information, whose weakest directions
+    make no torque; the inverse of a matrix would have that to its rounding only.
+    """
+    prior = np.array(model.store.prior)[chosen]
+    information = model.store.normal(weights)[np.ix_(chosen, chosen)] + np.diag(prior**-2.0)
+    scale = np.where(np.isfinite(prior), prior, 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300)))
+    value, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    return scale[:, None] * vectors / np.sqrt(np.maximum(value, LEAST_INFORMATION))
 
 
 def _principal(columns: list[np.ndarray]) -> list[np.ndarray]:
