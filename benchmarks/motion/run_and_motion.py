@@ -272,11 +272,11 @@ def concealed(given: argparse.Namespace) -> None:
         loaded = load(concealed_plan(Path(made), SHORT_KG))
         kinds = [(SHORT_KG, SHORT_KG, count, given.short) for count in FEW] + [(IN_TORQUES_KG, IN_POSES_KG, FEW[-1], given.short // 2)]
         for torques, poses, count, most in kinds:
-            for seed in range(1, most + 1):
+            for seed in range(given.first, given.first + most):
                 if ("short run", torques, poses, count, seed) not in done:
                     add(short_run(loaded, (torques, poses), seed, count))
     for kg in given.tools:
-        for seed in range(1, given.seeds + 1):
+        for seed in range(given.first, given.first + given.seeds):
             if ("dry run", kg, None, None, seed) not in done:
                 add(measured(kg, seed))
     if given.write:

@@ -29,6 +29,8 @@ class Column:
     k: int = 1
     positive: bool = False
     rarity: float = 1.0
+    usual: None = None
+    least_size: float = 0.0
 
     @property
     def key(self) -> str:

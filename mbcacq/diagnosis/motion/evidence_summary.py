@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import not_separable, reported_hypothesis, undecided
 from mbcacq.diagnosis.findings import EvidenceSummary, NotSeparable
@@ -19,11 +20,15 @@ def summarized(sets: RankedSets) -> EvidenceSummary:
 
 
 def pairs_not_separable(sets: RankedSets) -> tuple[NotSeparable, ...]:
-    """Sets that the evidence does not exclude in favour of the reported one, effect by effect."""
+    """Sets that the evidence does not exclude in favour of the reported one, effect by effect; those with a further effect beside which a
+    reported one is another are among them.
+    """
     if not sets.significant:
         return ()
     reported = reported_hypothesis(sets)
-    return tuple(not_separable(reported, other, _likeness(reported, other)) for other in undecided(sets, reported))
+    others = [not_separable(reported, other, _likeness(reported, other)) for other in undecided(sets, reported)]
+    changing = BetweenSets.of(sets, coefficients).changing()
+    return (*others, *(not_separable(reported, c.hypothesis, 1.0, c.changed) for c in changing))
 
 
 def _likeness(reported: Hypothesis[GramPoint], other: Hypothesis[GramPoint]) -> float:

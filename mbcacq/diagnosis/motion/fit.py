@@ -9,10 +9,12 @@ import numpy as np
 
 from mbcacq.diagnosis.effect_found import Alternative
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Judged
+from mbcacq.diagnosis.motion.evidence_summary import coefficients
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
 from mbcacq.diagnosis.motion.load_error import load_error
@@ -112,7 +114,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     found = bodies(model, chosen)
     result = MotionFit(
         group=model.group,
-        effects=_effects(model, selection.judged, x, spread),
+        effects=_averaged(_effects(model, selection.judged, x, spread), selection.sets),
         residual_before=residual_before,
         residual_after=_residuals(model, chosen, x),
         used=[[use[:, j] for use in model.group.use] for j in joints],
@@ -183,6 +185,14 @@ def _effects(model: MotionModel, judged: Mapping[tuple, Judged], x: np.ndarray, 
         known = out.get(effect.candidate.location)
         out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)
     return list(out.values())
+
+
+def _averaged(effects: list[FittedEffect], sets: RankedSets | None) -> list[FittedEffect]:
+    """The effects with the parameters as all sets state them that are not excluded."""
+    if sets is None or not sets.significant:
+        return effects
+    between = BetweenSets.of(sets, coefficients)
+    return [replace(e, parameters=between.averaged([e.candidate.label], e.parameters)) for e in effects]
 
 
 def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:
