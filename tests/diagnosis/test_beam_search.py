@@ -37,6 +37,10 @@ class Column:
         return self.name
 
     @property
+    def label(self) -> str:
+        return f"{self.name}:{'+'.join(self.where)}"
+
+    @property
     def typical(self) -> np.ndarray:
         return np.ones(1)
 

@@ -88,7 +88,7 @@ def _passed_on(model: MotionModel, x: np.ndarray) -> list[np.ndarray]:
     passing = [(e.candidate.rows, x[[position[int(i)] for i in e.columns]]) for e in model.selected if e.candidate.rows.linear_in_load]
     out = []
     for joint in model.group.joints:
-        by_run = [np.zeros(available(run.load_error)[:, 0].shape) for run in model.runs]
+        by_run = [np.zeros_like(available(run.load_error)[:, 0]) for run in model.runs]
         for rows, coefficients in passing:
             if joint in rows.joints:
                 for run, columns in zip(model.runs, by_run, strict=True):

@@ -66,6 +66,11 @@ class Elsewhere:
         candidate = self.candidates.get(effect.candidate.key)
         return None if candidate is None else candidate_columns(self.linear, candidate, effect.hyper)[:, :3] @ effect.coefficients
 
+    def displacement_together(self, effects: SizedEffects) -> np.ndarray | None:
+        """The same of several effects together; None where one of them cannot be built."""
+        each = [moved for e in effects if (moved := self.displacement(e)) is not None]
+        return np.sum(each, axis=0) if len(each) == len(effects) else None
+
 
 def elsewhere(context: Context) -> Elsewhere:
     """The same cell at random postures within limits and not below the lowest flange so far, one ball in the middle of the field each."""
@@ -116,9 +121,9 @@ def separating(context: Context, pairs: Sequence[tuple[SizedEffects, SizedEffect
             reason = f"{' and '.join(names)} differ in time: measure the first station again, at the same postures, at the end"
             out.append(Advice(reason, first_poses(context)))
             continue
-        a, b = ([there.displacement(e) for e in one] for one in pair)
-        if all(moved is not None for moved in (*a, *b)):
-            apart = sum(a) - sum(b)
+        a, b = (there.displacement_together(one) for one in pair)
+        if a is not None and b is not None:
+            apart = a - b
             chosen = spread(apart)
             most = float(np.linalg.norm(apart[chosen], axis=1).mean())
             both = " and ".join(map(in_words, pair))
@@ -137,9 +142,8 @@ def revealing(context: Context, limited: Sequence[SizedEffect]) -> list[Advice]:
     if not each:
         return []
     hidden, moved = max(each, key=lambda item: np.linalg.norm(item[1], axis=1).max())
-    reason = (
-        f"{hidden.in_words} of usual size would not have shown: measure these poses again, and others like them, or a long bar end by end"
-    )
+    name = in_words((hidden,))
+    reason = f"{name} of usual size would not have shown: measure these poses again, and others like them, or a long bar end by end"
     return [Advice(reason, _in_degrees(there.context.obs.q[spread(moved)]))]
 
 
