@@ -256,7 +256,7 @@ without protocols and pictures.
 
 'Right': all five effects are named and no other; 'part': some of them; 'wrong': another effect is among them, and not as a trend (friction
 and delays do not count). Values of A2, A3, A4 and the tool are counted within U; the last column has the one that is farthest from what is
-concealed, in its standard deviations. Intervals of rates are of 95 %. These seeds took no part in the development."""
+concealed, in its standard deviations. Intervals of rates are of 95 %. The seeds are others than those of the development."""
 
 NOTES = """Poses alone name the balancer, or leave it open and name both descriptions of A2: elastic alone, and elastic with a balancer.
 Its value is the average over both. Where the verdict is `explained`, it is within U in all runs. Where it is `cannot_tell`, the description

@@ -36,6 +36,7 @@ from mbcacq.diagnosis.given_effects import StatedParameters
 from mbcacq.diagnosis.motion.joint_sets import (
     EvidenceSets,
     JointEvidence,
+    JointSet,
     StatedEffect,
     apart,
     joint_evidence,
@@ -199,7 +200,7 @@ class PosesAndMotion:
     def agreement(self) -> list[ParameterAgreement]:
         """Every parameter that both found.
 
-        Where the poses were searched with what the motion states, the values over all sets that are not excluded are compared.
+        Where the poses were searched with what the motion states, the values over all joint sets that are not excluded are compared.
         """
         out = []
         for effect in self.beside_motion:
@@ -233,7 +234,7 @@ class PosesAndMotion:
             return self.poses.effects
         evidence = self.given.evidence
         one = evidence.part_of(self.together.sets[0].effects)
-        return self.poses.effects if one is None else over_sets(one, evidence.sets)
+        return self.poses.effects if one is None else over_joint_sets(one, evidence, self._joint.sets)
 
     @property
     def given_by_motion(self) -> list[StatedParameters]:
@@ -346,17 +347,14 @@ class PosesAndMotion:
         return [("By the evidence of poses and motion together", [names[0], *rest])]
 
 
-def over_sets(one: ComparedSet, sets: Sequence[ComparedSet]) -> tuple[ComparedEffect, ...]:
-    """The effects of a set with the parameters as all sets state them that are not excluded."""
-    best = max(other.log_odds for other in sets)
-    likely = [other for other in sets if other is one or other.log_odds > best + np.log(OPTIONS.undecided)]
-    stated = [{label_of(e.name, e.where): e.parameters for e in other.effects} for other in likely]
+def over_joint_sets(one: ComparedSet, evidence: EvidenceSummary, joint: Sequence[JointSet]) -> tuple[ComparedEffect, ...]:
+    """The effects of a set of the poses with the parameters as they state them in all joint sets that are not excluded."""
+    parts = [(s.log_odds, evidence.part_of(s.effects)) for s in joint if s.log_odds > np.log(OPTIONS.undecided)]
+    each = [(log, {label_of(e.name, e.where): e.parameters for e in part.effects}) for log, part in parts if part is not None]
     own = {label_of(e.name, e.where): e.parameters for e in one.effects}
-    weighted = [WeightedSet(float(np.exp(other.log_odds - best)), each) for other, each in zip(likely, stated, strict=True)]
-    return tuple(
-        replace(e, parameters={**e.parameters, **averaged(label, e.parameters, own, weighted)})
-        for e, label in ((e, label_of(e.name, e.where)) for e in one.effects)
-    )
+    sets = [WeightedSet(float(np.exp(log)), stated) for log, stated in each]
+    labelled = [(e, label_of(e.name, e.where)) for e in one.effects]
+    return tuple(replace(e, parameters={**e.parameters, **averaged(label, e.parameters, own, sets)}) for e, label in labelled)
 
 
 def named_side(pair: NotSeparable, labels: Collection[str]) -> list[str]:
