@@ -225,6 +225,7 @@ if __name__ == "__main__":
         option("--tools", type=float, nargs="*", default=[0.0, 12.0, 25.0], help="further kilograms of the dry runs"),
         option("--seeds", type=int, default=1, help="dry runs for each tool"),
         option("--short", type=int, default=12, help="short runs of each kind"),
+        option("--first", type=int, default=1, help="seed of the first run of each kind"),
     ]
     bench.main(
         __doc__,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import Alternative, EffectFound
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets, ChangingSet
 from mbcacq.diagnosis.evidence.coefficients import coefficients
 from mbcacq.diagnosis.evidence.evidence_fit import EvidenceFit
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
@@ -16,7 +17,7 @@ from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.output.contributions import Contributions
-from mbcacq.diagnosis.output.next_measurements import SizedEffect
+from mbcacq.diagnosis.output.next_measurements import SizedEffect, SizedEffects
 from mbcacq.effects.effect_term import UNKNOWN
 
 
@@ -69,27 +70,36 @@ def labels_of(reported: Hypothesis, name: str, where: str) -> list[str]:
     return list(dict.fromkeys(m.label for m in mine))
 
 
-def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tuple[tuple[SizedEffect, SizedEffect], ...]]:
+def pairs_not_separable(fit: EvidenceFit) -> tuple[tuple[NotSeparable, ...], tuple[tuple[SizedEffects, SizedEffects], ...]]:
     """Effects that cannot be told apart from those of the reported set, one by one, and the same pairs with their coefficients."""
     reported = reported_hypothesis(fit)
     entries, pairs = [], []
+    changing = {id(c.hypothesis): c.changed for c in changing_sets(fit)}
     for other in alternatives_to(fit, reported):
-        ours, theirs = reported.labels - other.labels, other.labels - reported.labels
+        changed = changing.get(id(other), frozenset())
+        ours, theirs = (reported.labels - other.labels) | changed, (other.labels - reported.labels) | changed
         a, b = sized(reported, ours), sized(other, theirs)
         alike = correlation(displaced(reported, reported, ours), displaced(reported, other, theirs))
-        entries.append(not_separable(reported, other, alike))
-        if a is not None and b is not None:
+        entries.append(not_separable(reported, other, alike, changed))
+        if a and b:
             pairs.append((a, b))
     return tuple(entries), tuple(pairs)
 
 
 def alternatives_to(fit: EvidenceFit, reported: Hypothesis) -> list[Hypothesis]:
-    """Sets that the evidence does not exclude in favour of the reported one.
+    """Sets that the evidence does not exclude in favour of the reported one: others, and those with a further effect beside which a
+    reported one is another.
 
     One that has an unmodelled effect in place of a catalogued one at the same location, with the same displacement, is no other set: it
     describes the same effect in a more general form.
     """
-    return [other for other in undecided(fit, reported) if not _describes_the_same(reported, other)]
+    others = [other for other in undecided(fit, reported) if not _describes_the_same(reported, other)]
+    return [*others, *(c.hypothesis for c in changing_sets(fit))]
+
+
+def changing_sets(fit: EvidenceFit) -> list[ChangingSet]:
+    """Sets with further effects that change reported ones beyond their uncertainty; none without an effect."""
+    return BetweenSets.of(fit, coefficients).changing() if fit.significant else []
 
 
 def _describes_the_same(reported: Hypothesis, other: Hypothesis) -> bool:
@@ -114,10 +124,24 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(min(abs(a @ b) / size, 1.0)) if size > 0 else 0.0
 
 
-def sized(hypothesis: Hypothesis, labels: frozenset[str]) -> SizedEffect | None:
-    """The first catalogued effect of these labels with its coefficients."""
+def sized(hypothesis: Hypothesis, labels: frozenset[str]) -> SizedEffects:
+    """The catalogued effects of these labels with their coefficients."""
     found = coefficients(hypothesis)
-    for m, p in zip(hypothesis.members, found.slices(), strict=True):
-        if m.label in labels and m.candidate.name != UNKNOWN:
-            return SizedEffect(m.candidate, m.hyper, found.coefficients[p])
-    return None
+    each = zip(hypothesis.members, found.slices(), strict=True)
+    chosen = [(m, p) for m, p in each if m.label in labels and m.candidate.name != UNKNOWN]
+    return tuple(SizedEffect(m.candidate, m.hyper, found.coefficients[p]) for m, p in chosen)
+
+
+def averaged_over_sets(full: ModelFit, effects: Sequence[EffectFound]) -> list[EffectFound]:
+    """The effects with the parameters as all sets state them that are not excluded."""
+    if not full.evidence.significant:
+        return list(effects)
+    sets = BetweenSets.of(full.evidence, coefficients)
+    reported = reported_hypothesis(full.evidence)
+    out = []
+    for effect in effects:
+        labels = [label for at in effect.where for label in labels_of(reported, effect.name, at)]
+        out.append(
+            effect if effect.name == UNKNOWN else replace(effect, parameters=sets.averaged(dict.fromkeys(labels), effect.parameters))
+        )
+    return out

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbcacq.diagnosis.effect_found import EffectFound, MismatchEntry
-from mbcacq.diagnosis.evidence_verdict import pairs_not_separable, verdict_by_evidence, with_alternatives
+from mbcacq.diagnosis.evidence_verdict import averaged_over_sets, pairs_not_separable, verdict_by_evidence, with_alternatives
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.fitted_model import ModelFit
 from mbcacq.diagnosis.options import OPTIONS
@@ -16,7 +16,7 @@ from mbcacq.diagnosis.output.contributions import Contributions
 from mbcacq.diagnosis.output.effects_table import classes, effects_by_contribution, mismatch_table, with_classes, with_significance
 from mbcacq.diagnosis.output.evidence_summary import summarized
 from mbcacq.diagnosis.output.exclusion_limits import exclusion_limits
-from mbcacq.diagnosis.output.next_measurements import SizedEffect, elsewhere, revealing, separating
+from mbcacq.diagnosis.output.next_measurements import SizedEffects, elsewhere, revealing, separating
 from mbcacq.diagnosis.output.notes import not_carried_over, notes, of_effects, sum_of_shares
 from mbcacq.diagnosis.output.pictures import plot_data
 from mbcacq.diagnosis.output.sufficient_poses import limited_effects, says_too_little
@@ -43,7 +43,7 @@ class JudgedFit:
     mismatch: list[MismatchEntry]
     effects: list[EffectFound]
     not_separable: tuple[NotSeparable, ...]
-    pairs: tuple[tuple[SizedEffect, SizedEffect], ...]
+    pairs: tuple[tuple[SizedEffects, SizedEffects], ...]
 
 
 def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation) -> JudgedFit:
@@ -51,7 +51,7 @@ def judge(setup: DiagnosisProblem, full: ModelFit, validation: CrossValidation) 
     before, residual = training_score(replace(full, model=NO_EFFECTS).without_random_effects().joint)
     fit, contributions = full.evidence, Contributions(full)
     found = effects_by_contribution(full, contributions, validation)
-    effects, mismatch = with_alternatives(full, found), mismatch_table(full, contributions, before)
+    effects, mismatch = averaged_over_sets(full, with_alternatives(full, found)), mismatch_table(full, contributions, before)
     not_separable, pairs = pairs_not_separable(fit) if fit.significant else ((), ())
     return JudgedFit(
         full=full,

@@ -32,6 +32,7 @@ __all__ = [
     "ON_THE_ARM",
     "ORDER",
     "ParameterEstimate",
+    "PriorOdds",
     "Parameters",
     "StandstillRows",
     "Report",
@@ -158,6 +159,22 @@ class StandstillRows:
 
 
 @dataclass(frozen=True)
+class PriorOdds:
+    """What the class of the arm says of an effect beforehand.
+
+    Attributes
+    ----------
+    odds
+        Prior odds of the effect beside another one.
+    beside
+        The other one (``name:where``), through which it shows; without that one it is as rare as any other.
+    """
+
+    odds: float
+    beside: str
+
+
+@dataclass(frozen=True)
 class Candidate(Generic[R]):
     """One effect at one location, ready to be tested in recordings of one kind: of poses, or of motion.
 
@@ -180,6 +197,10 @@ class Candidate(Generic[R]):
         Tells candidates of one effect at one location apart, of which at most one is selected unless there may be several.
     rarity
         Share of the arms like this one that can have the effect at all, by which it is less probable beforehand.
+    usual
+        Its prior odds beside the effect through which it shows, if most arms like this one have it.
+    least_size
+        Size of its coefficients, in typical ones, below which an arm like this one does not have it.
     """
 
     name: str
@@ -192,6 +213,8 @@ class Candidate(Generic[R]):
     several: bool = False
     variant: str = ""
     rarity: float = 1.0
+    usual: PriorOdds | None = None
+    least_size: float = 0.0
 
     def __post_init__(self) -> None:
         if not hasattr(self.rows, "typical"):

@@ -24,7 +24,7 @@ class MotionSignals:
     drive's torque at the joint, and load the part of it that passes the gear (without friction). rigid is the torque of the rigid-body
     simulation, gravity its static part, and rigid_set the same torque along the command. direction: (T, n) -1..1, direction of rotation of
     the last motion. payload: (T, n, 10) torque by unit inertial parameters (``geometry.dynamics.INERTIAL``) of what rides on the flange.
-    load_uncertainty: (n,) relative standard deviation of the load. robot: the arm as it is described.
+    load_error: (T, n, r) what independent errors of standard deviation 1 change of the load. robot: the arm as it is described.
     """
 
     step_s: float
@@ -45,7 +45,7 @@ class MotionSignals:
     rigid_set: np.ndarray | None = None
     payload: np.ndarray | None = None
     gear_ratio: np.ndarray | None = None
-    load_uncertainty: np.ndarray | None = None
+    load_error: np.ndarray | None = None
     robot: RobotModel | None = None
 
 
@@ -98,6 +98,8 @@ class MotionRows:
         The hyper-parameter is the delay of the channel, which is corrected in the recording itself; the coefficient is the remaining delay.
     follows_load
         Its columns follow the load, which is known better the further the torque is explained.
+    linear_in_load
+        Its columns are proportional to the load that passes the gear, so that they pass an error of the load on to the mismatch.
     usual
         So common that it starts selected and is dropped where it is not needed.
     tested
@@ -115,6 +117,7 @@ class MotionRows:
     shares_hyper: bool = False
     channel_delay: bool = False
     follows_load: bool = False
+    linear_in_load: bool = False
     usual: bool = False
     tested: int | None = None
     load_parameters: tuple[tuple[str, float], ...] = ()

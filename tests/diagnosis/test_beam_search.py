@@ -29,10 +29,16 @@ class Column:
     k: int = 1
     positive: bool = False
     rarity: float = 1.0
+    usual: None = None
+    least_size: float = 0.0
 
     @property
     def key(self) -> str:
         return self.name
+
+    @property
+    def label(self) -> str:
+        return f"{self.name}:{'+'.join(self.where)}"
 
     @property
     def typical(self) -> np.ndarray:

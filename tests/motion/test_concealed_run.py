@@ -6,7 +6,7 @@ import yaml
 
 pytest.importorskip("mujoco")
 
-from concealed_run import DECLARED_COM_MM, DECLARED_KG, chosen_poses, faults, observed_poses, recorded_moves, tool
+from concealed_run import DECLARED_COM_MM, DECLARED_KG, SOFT, chosen_poses, faults, observed_poses, recorded_moves, tool
 
 import mbcacq
 from mbcacq.diagnosis.diagnose import diagnose
@@ -42,6 +42,25 @@ def test_poses_and_motion_cannot_tell_by_themselves(found):
     assert (found.poses.verdict, found.motion.verdict) == ("cannot_tell", "cannot_tell")
     named = [{label_of(e.name, [at]) for e in one.effects for at in e.where} for one in (found.poses, found.motion)]
     assert not any(CONCEALED <= names for names in named)
+
+
+def test_the_poses_state_no_wrong_compliance_for_a_balancer_that_they_do_not_see(found):
+    """Without the balancer A2 seems less than half as elastic, with 27 of its standard deviations in between."""
+    stated = {key: p for e in found.poses.effects for key, p in e.parameters.items()}
+    compliance = stated["A2.compliance_rad_per_Nm"]
+    assert abs(compliance.value - SOFT["A2"]) < 3 * compliance.std
+    named = {label_of(e.name, e.where) for e in found.poses.effects} | {side for n in found.poses.not_separable for side in n.effects}
+    assert any("gravity_compensator:A2" in label for label in named)
+
+
+def test_the_motion_states_the_angle_of_the_balancer_and_no_effect_of_a_load_that_is_known_to_some_newton_metres(found):
+    stated = {key: p for e in found.motion.named_effects for key, p in e.parameters.items()}
+    upright = stated["A2.zero_deg"]
+    assert abs(upright.value + 90.0) < 3 * upright.std
+    assert {e.name for e in found.motion.named_effects if e.channel == "q_joint"} == {"joint_compliance", "backlash"}
+    for at, true in SOFT.items():
+        compliance = stated[f"{at}.compliance_rad_per_Nm"]
+        assert abs(compliance.value - true) < 4 * compliance.std
 
 
 def test_both_together_name_all_that_is_concealed_with_its_size(found):

@@ -35,6 +35,34 @@ def log_set_bayes_factor(
     return float(best[-1]) + float(sum(spread)), chosen.tolist()
 
 
+def over_sizes(
+    A: np.ndarray, a: np.ndarray, slices: list[slice], sizes: list[np.ndarray], chosen: list[float], positive: list[bool]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (k,) and covariance (k, k) of the coefficients of a set, averaged over the sizes of each effect by their probability.
+
+    The average is taken about the most probable sizes ``chosen``, one effect at a time, as that of the Bayes factor.
+    """
+    best = np.array(chosen)
+    mean, covariance = _posterior(A, a, slices, best)
+    total, spread = mean.copy(), covariance.copy()
+    for j, own in enumerate(sizes):
+        logs = _OneEffect(A, a, slices, j, positive).log_factors(np.delete(best, j), own)
+        share = np.exp(logs - np.logaddexp.reduce(logs))
+        each = [_posterior(A, a, slices, np.where(np.arange(len(best)) == j, size, best)) for size in own]
+        away = np.array([m - mean for m, _ in each])
+        middle = share @ away
+        total += middle
+        spread += sum(p * (v - covariance + np.outer(d - middle, d - middle)) for p, d, (_, v) in zip(share, away, each, strict=True))
+    return total, spread
+
+
+def _posterior(A: np.ndarray, a: np.ndarray, slices: list[slice], sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of all coefficients at one size of each effect."""
+    t = np.repeat(sizes, [p.stop - p.start for p in slices])
+    inverse = t[:, None] * np.linalg.inv(t[:, None] * A * t + np.eye(len(t))) * t
+    return inverse @ a, inverse
+
+
 class _OneEffect:
     """An effect j of a set, the others of which are eliminated at given sizes."""
 

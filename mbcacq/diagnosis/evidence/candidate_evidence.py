@@ -9,9 +9,8 @@ import numpy as np
 from mbcacq.diagnosis.nonparametric.bayes_factor import log_bayes_factors
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.search.candidate_scoring import CandidateScoring
+from mbcacq.diagnosis.search.effect_set import possible_sizes
 from mbcacq.effects.effect import Candidate
-
-SIZES = np.array(OPTIONS.sizes)
 
 
 @dataclass(frozen=True)
@@ -50,11 +49,10 @@ def fixed_candidates(projected: CandidateScoring, candidates: list[Candidate]) -
         typical = np.array([batch.fixed.entries[e][0].typical for e in entries])
         A = (S - gone @ np.swapaxes(gone, 1, 2)) * (typical[:, :, None] * typical[:, None])
         a = (b - gone @ projected.along) * typical
-        positive = np.array([batch.fixed.entries[e][0].positive for e in entries])
-        for sign in (False, True):
-            mine = positive == sign
-            if mine.any():
-                logs[entries[mine]] = log_bayes_factors(A[mine], a[mine], SIZES, sign)
+        kinds = [(batch.fixed.entries[e][0].positive, batch.fixed.entries[e][0].least_size) for e in entries]
+        for positive, least in set(kinds):
+            mine = np.array([kind == (positive, least) for kind in kinds])
+            logs[entries[mine]] = log_bayes_factors(A[mine], a[mine], np.array(possible_sizes(least)), positive)
     values: dict[str, list[tuple[Candidate, float | None, float]]] = {}
     for (candidate, hyper), log in zip(batch.fixed.entries, logs, strict=True):
         values.setdefault(candidate.key, []).append((candidate, hyper, float(log)))
@@ -74,7 +72,7 @@ def evidence_of_one(projected: CandidateScoring, candidate: Candidate) -> Scored
     X, S, b = projected.candidate_products(candidate, None)
     absorbed, t = projected.conditioned.T @ X, candidate.typical
     A, a = (S - absorbed.T @ absorbed) * np.outer(t, t), (b - absorbed.T @ projected.along) * t
-    return ScoredEffect(candidate, None, float(log_bayes_factors(A[None], a[None], SIZES, candidate.positive)[0]), 0.0)
+    return ScoredEffect(candidate, None, float(log_bayes_factors(A[None], a[None], sizes_of(candidate), candidate.positive)[0]), 0.0)
 
 
 def averaged(candidate: Candidate, values: np.ndarray, logs: np.ndarray) -> ScoredEffect:
@@ -98,7 +96,12 @@ def log_factors(projected: CandidateScoring, candidate: Candidate, values: np.nd
     """(H,) log Bayes factors of a candidate with components at values of its hyper-parameter."""
     S, b = projected.normal_matrices(candidate, values)
     t = candidate.typical
-    return log_bayes_factors(S * np.outer(t, t), b * t, SIZES, candidate.positive)
+    return log_bayes_factors(S * np.outer(t, t), b * t, sizes_of(candidate), candidate.positive)
+
+
+def sizes_of(candidate: Candidate) -> np.ndarray:
+    """Sizes of its coefficients, in typical ones."""
+    return np.array(possible_sizes(candidate.least_size))
 
 
 def scanned_candidate(projected: CandidateScoring, candidate: Candidate) -> ScoredEffect:

@@ -62,7 +62,7 @@ def compared(
     alternatives, narrow, staged: of the search (see there).
     """
     blocks = UnmodelledEffects(problem.design_blocks)
-    prior = SetPrior.of(problem.candidates, blocks.locations)
+    prior = SetPrior.of(problem.candidates, blocks.locations, [g.candidate.label for g in problem.given])
     search = PoseSearch(
         candidates=problem.candidates,
         prior=prior,

@@ -189,19 +189,28 @@ def integrated(log_density: float, gradient: np.ndarray, information: np.ndarray
 
 @dataclass(frozen=True)
 class SetPrior:
-    """Prior probabilities of sets: every kind alike, every location of a kind alike. locations: number of candidates of each kind."""
+    """Prior probabilities of sets: every kind alike, every location of a kind alike, but those that most arms of a class have beside
+    another. locations: number of candidates of each kind; given: effects (``name:where``) that are there whatever the set.
+    """
 
     locations: Counter[str]
     unmodelled_locations: int
+    given: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int) -> SetPrior:
-        return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1))
+    def of(cls, candidates: Collection[Candidate], unmodelled_locations: int, given: Collection[str] = ()) -> SetPrior:
+        return cls(Counter(c.name for c in candidates), max(unmodelled_locations, 1), frozenset(given))
 
     def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
         """Log prior of one more effect next to those present, as likely of a kind that is there already as not, for many joints of an arm
-        are of one make; of the first, given that there is one.
+        are of one make; of the first, given that there is one. What the class of the arm has beside it is then more probable as well.
         """
+        if all(c.usual is None for c in (*present, candidate)):
+            return self.of_one(candidate, present)
+        return self.log_probability_of_set([*present, candidate]) - self.log_probability_of_set(present)
+
+    def of_one(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
+        """Log prior of an effect that is not usual beside those present."""
         return self._of_kind_and_location(candidate, present) + float(np.log(candidate.rarity))
 
     def _of_kind_and_location(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
@@ -219,4 +228,7 @@ class SetPrior:
         return float(np.log(OPTIONS.further / 2 / kinds * share))
 
     def log_probability_of_set(self, candidates: Sequence[Candidate]) -> float:
-        return sum(self.log_probability(c, candidates[:j]) for j, c in enumerate(candidates))
+        there = self.given | {c.label for c in candidates}
+        odds = [c.usual.odds for c in candidates if c.usual is not None and c.usual.beside in there]
+        others = [c for c in candidates if c.usual is None or c.usual.beside not in there]
+        return sum(self.of_one(c, others[:j]) for j, c in enumerate(others)) + float(np.sum(np.log(odds)))

@@ -94,9 +94,9 @@ def undecided(fit: RankedSets, reported: Hypothesis) -> list[Hypothesis]:
     return list(out.values())
 
 
-def not_separable(reported: Hypothesis, other: Hypothesis, correlation: float) -> NotSeparable:
-    """The effects that only one of both sets has. correlation: of what that explains."""
-    ours, theirs = reported.labels - other.labels, other.labels - reported.labels
+def not_separable(reported: Hypothesis, other: Hypothesis, correlation: float, changed: frozenset[str] = frozenset()) -> NotSeparable:
+    """The effects that only one of both sets has. correlation: of what that explains; changed: those that both have, of other sizes."""
+    ours, theirs = (reported.labels - other.labels) | changed, (other.labels - reported.labels) | changed
     odds = float(np.exp(min(other.log_posterior - reported.log_posterior, 0.0)))
     return NotSeparable((TOGETHER.join(sorted(ours)), TOGETHER.join(sorted(theirs))), correlation, odds)
 

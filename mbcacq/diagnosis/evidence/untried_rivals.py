@@ -22,7 +22,10 @@ def with_untried_rivals(problem: DiagnosisProblem, fit: EvidenceFit) -> Evidence
         return fit
     rivals = untried(problem.context, problem.candidates)
     locations = len(problem.design_blocks.locations)
-    prior, known = SetPrior.of(problem.candidates, locations), {h.key: h for h in fit.hypotheses}
+    prior, known = (
+        SetPrior.of(problem.candidates, locations, [g.candidate.label for g in problem.given]),
+        {h.key: h for h in fit.hypotheses},
+    )
     for base in {h.key: h for h in (fit.best, reported_hypothesis(fit))}.values():
         for rival in rivals:
             instead = replaced(base, rival, prior)

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -20,11 +20,23 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mbcacq.diagnosis.effect_found import EffectFound
-from mbcacq.diagnosis.findings import CURE, READABLE, TOGETHER, ComparedEffect, EvidenceSummary, GivenEvidence, NotSeparable, Verdict
+from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged
+from mbcacq.diagnosis.findings import (
+    CURE,
+    READABLE,
+    TOGETHER,
+    ComparedEffect,
+    ComparedSet,
+    EvidenceSummary,
+    GivenEvidence,
+    NotSeparable,
+    Verdict,
+)
 from mbcacq.diagnosis.given_effects import StatedParameters
 from mbcacq.diagnosis.motion.joint_sets import (
     EvidenceSets,
     JointEvidence,
+    JointSet,
     StatedEffect,
     apart,
     joint_evidence,
@@ -188,7 +200,7 @@ class PosesAndMotion:
     def agreement(self) -> list[ParameterAgreement]:
         """Every parameter that both found.
 
-        Where the poses were searched with what the motion states, the values of the most probable set are compared.
+        Where the poses were searched with what the motion states, the values over all joint sets that are not excluded are compared.
         """
         out = []
         for effect in self.beside_motion:
@@ -220,8 +232,9 @@ class PosesAndMotion:
         """
         if self.given is None or not self.together.sets:
             return self.poses.effects
-        one = self.given.evidence.part_of(self.together.sets[0].effects)
-        return self.poses.effects if one is None else one.effects
+        evidence = self.given.evidence
+        one = evidence.part_of(self.together.sets[0].effects)
+        return self.poses.effects if one is None else over_joint_sets(one, evidence, self._joint.sets)
 
     @property
     def given_by_motion(self) -> list[StatedParameters]:
@@ -256,16 +269,14 @@ class PosesAndMotion:
         """What is named of effects that one diagnosis cannot tell apart; None where that is not exactly one."""
         diagnosis, by = (self.poses, "poses") if pair in self.motion.not_separable else (self.motion, "motion")
         found = diagnosis.effects if by == "poses" else self.motion.named_effects
-        named = [effect for effect in pair.effects if effect in labels_of((e.name, e.where) for e in found)]
+        named = named_side(pair, labels_of((e.name, e.where) for e in found))
         if not named:
             named, by = self._load_by_both(pair) if ARM in pair.effects else self._side_by_both(pair), "both"
         return DecidedPair(pair.effects, named[0], by) if len(named) == 1 else None
 
     def _side_by_both(self, pair: NotSeparable) -> list[str]:
         """The sides of a pair that are in the joint set, where that is the only one."""
-        if not self.together.decided:
-            return []
-        return [side for side in pair.effects if set(side.split(TOGETHER)) <= set(self.together.reported)]
+        return named_side(pair, self.together.reported) if self.together.decided else []
 
     def _load_by_both(self, pair: NotSeparable) -> list[str]:
         """The load, or the masses of the arm that stand for it in the motion: what is twenty times as probable with what the poses add."""
@@ -334,6 +345,25 @@ class PosesAndMotion:
         names = [" and ".join(effect_in_words(label) for label in one.effects) or "no effect" for one in (sets[0], *not_excluded(sets))]
         rest = [f"not excluded: {name}" for name in names[1:]] or ["no other set is within 20 : 1"]
         return [("By the evidence of poses and motion together", [names[0], *rest])]
+
+
+def over_joint_sets(one: ComparedSet, evidence: EvidenceSummary, joint: Sequence[JointSet]) -> tuple[ComparedEffect, ...]:
+    """The effects of a set of the poses with the parameters as they state them in all joint sets that are not excluded."""
+    parts = [(s.log_odds, evidence.part_of(s.effects)) for s in joint if s.log_odds > np.log(OPTIONS.undecided)]
+    each = [(log, {label_of(e.name, e.where): e.parameters for e in part.effects}) for log, part in parts if part is not None]
+    own = {label_of(e.name, e.where): e.parameters for e in one.effects}
+    sets = [WeightedSet(float(np.exp(log)), stated) for log, stated in each]
+    labelled = [(e, label_of(e.name, e.where)) for e in one.effects]
+    return tuple(replace(e, parameters={**e.parameters, **averaged(label, e.parameters, own, sets)}) for e, label in labelled)
+
+
+def named_side(pair: NotSeparable, labels: Collection[str]) -> list[str]:
+    """The sides of a pair whose effects are all among these labels. Where one side has the effects of the other and more, that is the only
+    one that can be named: without the further ones the other is not confirmed.
+    """
+    parts = [set(side.split(TOGETHER)) for side in pair.effects]
+    larger = [side for side, own, other in zip(pair.effects, parts, parts[::-1], strict=True) if own > other]
+    return [side for side in larger or pair.effects if set(side.split(TOGETHER)) <= set(labels)]
 
 
 def translated(name: str, parameters: Parameters, every: Parameters) -> Parameters:

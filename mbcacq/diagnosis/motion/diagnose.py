@@ -31,20 +31,7 @@ from mbcacq.model.cell import RobotModel
 from mbcacq.model.trajectory import Trajectory
 from mbcacq.quantities import K, measured
 
-OPTIONAL = (
-    "q_set",
-    "qd_set",
-    "qdd_set",
-    "qddd_set",
-    "q_joint",
-    "torque",
-    "load",
-    "rigid",
-    "gravity",
-    "rigid_set",
-    "payload",
-    "load_uncertainty",
-)
+OPTIONAL = ("q_set", "qd_set", "qdd_set", "qddd_set", "q_joint", "torque", "load", "rigid", "gravity", "rigid_set", "payload")
 
 
 def diagnose_trajectories(

@@ -43,8 +43,8 @@ class MotionPrior(SetPrior):
     """Prior probabilities of sets. Effects that every arm has (friction, elastic joints, drives that lag) are half as likely to show as
     not."""
 
-    def log_probability(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
-        return float(np.log(ODDS_OF_COMMON)) if is_common(candidate) else super().log_probability(candidate, present)
+    def of_one(self, candidate: Candidate, present: Sequence[Candidate]) -> float:
+        return float(np.log(ODDS_OF_COMMON)) if is_common(candidate) else super().of_one(candidate, present)
 
 
 def is_common(candidate: Candidate) -> bool:

@@ -19,6 +19,7 @@ from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
 from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
+from mbcacq.diagnosis.motion.load_error import follow_load_error
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.diagnosis.time_budget import UNLIMITED, TimeBudget
@@ -138,6 +139,7 @@ class EffectSelection:
         new = any(_relinearises(e.candidate) for e in model.selected if e.candidate.form not in known)
         if new or len(model.selected) < len(known):
             estimate_hyperparameters(model)
+        follow_load_error(model)
         for effect in model.selected:
             self.pool.extend(effect)
 
@@ -160,6 +162,7 @@ class EffectSelection:
         model.selected = [e for e in model.selected if e.candidate.form in forms]
         if not any(e.candidate.rows.channel_delay for e in model.selected):
             model.store.correct_delay(0.0)
+        follow_load_error(model)
         chosen = model.chosen()
         weights = model.weights(chosen)
         normals = model.fold_normals(weights)

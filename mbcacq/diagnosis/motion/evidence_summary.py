@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
 from mbcacq.diagnosis.evidence.posterior import not_separable, reported_hypothesis, undecided
 from mbcacq.diagnosis.findings import EvidenceSummary, NotSeparable
@@ -19,20 +20,27 @@ def summarized(sets: RankedSets) -> EvidenceSummary:
 
 
 def pairs_not_separable(sets: RankedSets) -> tuple[NotSeparable, ...]:
-    """Sets that the evidence does not exclude in favour of the reported one, effect by effect."""
+    """Sets that the evidence does not exclude in favour of the reported one, effect by effect; those with a further effect beside which a
+    reported one is another are among them.
+    """
     if not sets.significant:
         return ()
     reported = reported_hypothesis(sets)
-    return tuple(not_separable(reported, other, _likeness(reported, other)) for other in undecided(sets, reported))
+    others = [not_separable(reported, other, _likeness(reported, other)) for other in undecided(sets, reported)]
+    changing = BetweenSets.of(sets, coefficients).changing()
+    further = [not_separable(reported, c.hypothesis, _likeness(reported, c.hypothesis, c.changed), c.changed) for c in changing]
+    return (*others, *further)
 
 
-def _likeness(reported: Hypothesis[GramPoint], other: Hypothesis[GramPoint]) -> float:
-    """Absolute correlation of what the effects explain of which only one of both sets has each, beyond offsets and masses."""
+def _likeness(reported: Hypothesis[GramPoint], other: Hypothesis[GramPoint], changed: frozenset[str] = frozenset()) -> float:
+    """Absolute correlation of what the effects explain of which only one of both sets has each, or that both have of other sizes
+    (``changed``), beyond offsets and masses.
+    """
     keys = [{m.key for m in h.members} for h in (reported, other)]
     moved, members = [], []
     for hypothesis, elsewhere in ((reported, keys[1]), (other, keys[0])):
         found = coefficients(hypothesis)
-        own = [(m, p) for m, p in zip(found.members, found.slices(), strict=True) if m.key not in elsewhere]
+        own = [(m, p) for m, p in zip(found.members, found.slices(), strict=True) if m.key not in elsewhere or m.label in changed]
         moved.append(np.concatenate([found.coefficients[p] / m.candidate.typical for m, p in own]))
         members += [m for m, _ in own]
     point = reported.point

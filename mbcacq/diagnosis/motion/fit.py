@@ -9,14 +9,16 @@ import numpy as np
 
 from mbcacq.diagnosis.effect_found import Alternative
 from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.between_sets import BetweenSets
 from mbcacq.diagnosis.findings import NotSeparable
 from mbcacq.diagnosis.motion.channel_delay import shift_difference
 from mbcacq.diagnosis.motion.determination import at_bound
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection, Judged
+from mbcacq.diagnosis.motion.evidence_summary import coefficients
 from mbcacq.diagnosis.motion.hyperparameters import add_derivatives, continuous_effects, estimate_hyperparameters
 from mbcacq.diagnosis.motion.inertial_consistency import bodies, consistent_coefficients
+from mbcacq.diagnosis.motion.load_error import load_error
 from mbcacq.diagnosis.motion.load_hypotheses import load_alternatives
-from mbcacq.diagnosis.motion.load_uncertainty import load_uncertainty
 from mbcacq.diagnosis.motion.motion_model import MotionModel
 from mbcacq.diagnosis.motion.noise import covariance, sandwich_covariance
 from mbcacq.diagnosis.motion.options import NUMBERS
@@ -66,8 +68,8 @@ class MotionFit:
         The samples that count.
     links : ByRun
         Torque by which the links differ from their description, as fitted.
-    load_uncertainty : ndarray
-        (J,) relative standard deviation of the torque that passes the gear.
+    load_error : list[ndarray]
+        (T, J, r) by run, what independent errors of standard deviation 1 change of the torque that passes the gears.
     sets : RankedSets or None
         Sets of effects that were compared.
     load_alternatives : list[NotSeparable]
@@ -92,7 +94,7 @@ class MotionFit:
     floor: np.ndarray
     split: str
     links: ByRun
-    load_uncertainty: np.ndarray
+    load_error: list[np.ndarray]
     sets: RankedSets | None = None
     inertial: np.ndarray | None = None
     load_alternatives: list[NotSeparable] = field(default_factory=list)
@@ -112,7 +114,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
     found = bodies(model, chosen)
     result = MotionFit(
         group=model.group,
-        effects=_effects(model, selection.judged, x, spread),
+        effects=_averaged(_effects(model, selection.judged, x, spread), selection.sets),
         residual_before=residual_before,
         residual_after=_residuals(model, chosen, x),
         used=[[use[:, j] for use in model.group.use] for j in joints],
@@ -123,7 +125,7 @@ def fit_selected(selection: EffectSelection) -> MotionFit:
         floor=model.floor,
         split=store.split,
         links=_links(model, x),
-        load_uncertainty=load_uncertainty(model, chosen, x, spread),
+        load_error=load_error(model, weights),
         sets=selection.sets,
         inertial=None if found is None else found.parameters(x),
         load_alternatives=load_alternatives(model, selection.pool) if store.whole else [],
@@ -136,7 +138,7 @@ def _base_alone(model: MotionModel) -> tuple[ByRun, np.ndarray]:
     """Residuals and squared errors (J,) of the base, with the channel as it was recorded."""
     store, delay = model.store, model.store.delay
     store.correct_delay(0.0)
-    base = np.array(store.base)
+    base = model.without_load_error(store.base)
     x = store.solve(store.normal(model.weights(base)), base)
     out = _residuals(model, base, x), store.errors(base, x).sum(axis=0)
     store.correct_delay(delay)
@@ -183,6 +185,14 @@ def _effects(model: MotionModel, judged: Mapping[tuple, Judged], x: np.ndarray, 
         known = out.get(effect.candidate.location)
         out[effect.candidate.location] = fitted if known is None else _joined(known, fitted)
     return list(out.values())
+
+
+def _averaged(effects: list[FittedEffect], sets: RankedSets | None) -> list[FittedEffect]:
+    """The effects with the parameters as all sets state them that are not excluded."""
+    if sets is None or not sets.significant:
+        return effects
+    between = BetweenSets.of(sets, coefficients)
+    return [replace(e, parameters=between.averaged([e.candidate.label], e.parameters)) for e in effects]
 
 
 def _fitted(model: MotionModel, effect: Member, judged: Judged, c: np.ndarray, v: np.ndarray, hyper_std: float) -> FittedEffect:

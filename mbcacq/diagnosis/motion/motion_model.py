@@ -12,7 +12,7 @@ from mbcacq.diagnosis.motion.normal_store import NormalStore
 from mbcacq.diagnosis.motion.options import NUMBERS
 from mbcacq.diagnosis.search.effect_set import Member
 from mbcacq.effects.effect import Candidate
-from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals
+from mbcacq.effects.motion_effect import ChannelGroup, MotionSignals, available
 
 LEAST_NOISE = 1e-6  # of a channel, as a share of its range: of simulated recordings without noise; encoders resolve a millionth of a turn
 
@@ -24,12 +24,32 @@ class MotionModel:
         """held, learnt: what takes part, as ``segments.segments`` has it."""
         self.group, self.runs = group, runs
         self.store = NormalStore(group, runs, held, learnt)
+        self.load_error = self._with_load_error() if group.name == "q_joint" else np.zeros(0, dtype=int)
         self.selected: list[Member] = []
         joints = range(len(group.joints))
         measured = group.signal or group.mismatch  # where there is no delay to be found, there is no signal beside the mismatch
         ranges = np.array([np.ptp(np.concatenate([one[:, j] for one in measured])) for j in joints])
         self.least_noise = np.maximum(LEAST_NOISE * ranges, 1e-12)
         self.floor = np.maximum([third_difference_noise(tuple(m[:, j] for m in group.mismatch)) for j in joints], self.least_noise)
+
+    # error of the load
+
+    def _with_load_error(self) -> np.ndarray:
+        """Numbers of the columns of the base by which the error of the load shows; zero as long as no effect passes it on."""
+        if any(run.load_error is None for run in self.runs):
+            return np.zeros(0, dtype=int)
+        store, joints, r = self.store, list(range(len(self.group.joints))), available(self.runs[0].load_error).shape[2]
+        numbers = store.add(joints, [np.zeros((len(store.matrix[j]), r)) for j in joints], np.ones(r))
+        store.base = np.concatenate([store.base, numbers])
+        return numbers
+
+    def without_load_error(self, columns: np.ndarray) -> np.ndarray:
+        """These numbers of columns without those of the error of the load."""
+        return columns[~np.isin(columns, self.load_error)]
+
+    def set_load_error(self, columns: list[np.ndarray]) -> None:
+        """Let the error of the load show by these columns (Ttot, r) of each joint."""
+        self.store.replace(self.load_error, list(range(len(columns))), columns)
 
     # columns
 

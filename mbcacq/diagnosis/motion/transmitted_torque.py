@@ -14,15 +14,12 @@ from mbcacq.effects.motion_effect import MotionSignals, available
 
 
 def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[MotionSignals, ...]:
-    """The runs with the torque that passes the gears, joint by joint, and its relative uncertainty.
+    """The runs with the torque that passes the gears, joint by joint, and its error.
 
     Where the torque is explained, that of the arm as it was found, without what acts on the motor side; else the drive's torque, less
-    its friction.
+    its friction, which is wrong by a share of itself.
     """
     explained = torque.train_after < NUMBERS.explained_chi2_dof * torque.floor**2
-    uncertainty = np.zeros(runs[0].q.shape[1])
-    for j, joint in enumerate(torque.group.joints):
-        uncertainty[joint] = torque.load_uncertainty[j] if explained[j] else NUMBERS.unexplained_load_uncertainty
     lost = [e for e in torque.effects if catalogue.declaration(e.candidate.name).motor_side]
     passed = [e for e in torque.effects if not catalogue.declaration(e.candidate.name).motor_side]
     out = []
@@ -33,8 +30,22 @@ def with_load(runs: tuple[MotionSignals, ...], torque: MotionFit) -> tuple[Motio
                 load[:, joint] += torque.links[j][k] + _sum(passed, j, k)
             else:
                 load[:, joint] = _smooth(available(run.torque)[:, joint] - _sum(lost, j, k), run.step_s)
-        out.append(replace(run, load=load, load_uncertainty=uncertainty))
+        out.append(replace(run, load=load, load_error=_error(torque, explained, k, load)))
     return tuple(out)
+
+
+def _error(torque: MotionFit, explained: np.ndarray, run: int, load: np.ndarray) -> np.ndarray:
+    """(T, n, r) of the load (T, n) of one run: the errors that explained joints have in common, then one of each other joint."""
+    common = torque.load_error[run]
+    alone = np.flatnonzero(~explained)
+    out = np.zeros((*load.shape, common.shape[2] + len(alone)))
+    for j, joint in enumerate(torque.group.joints):
+        if explained[j]:
+            out[:, joint, : common.shape[2]] = common[:, j]
+    for r, j in enumerate(alone, common.shape[2]):
+        joint = torque.group.joints[j]
+        out[:, joint, r] = NUMBERS.unexplained_load_uncertainty * load[:, joint]
+    return out
 
 
 def _sum(effects: list[FittedEffect], j: int, run: int) -> np.ndarray | float:

@@ -39,6 +39,17 @@ class SizedEffect:
         return float((self.coefficients / self.candidate.typical).max())
 
 
+SizedEffects = tuple[SizedEffect, ...]  # that describe something together
+
+
+def in_words(effects: SizedEffects) -> str:
+    """Names and locations; those of one name together."""
+    where: dict[str, list[str]] = {}
+    for e in effects:
+        where.setdefault(e.candidate.name, []).extend(e.candidate.where)
+    return " with ".join(f"{name} at {'+'.join(sorted(set(at)))}" for name, at in where.items())
+
+
 @dataclass(frozen=True)
 class Elsewhere:
     """The cell at postures that the recording does not have, with all candidates as they would act there."""
@@ -54,6 +65,11 @@ class Elsewhere:
         """(P, 3) mm: what an effect of the recording would do at these postures; None where it cannot be built there."""
         candidate = self.candidates.get(effect.candidate.key)
         return None if candidate is None else candidate_columns(self.linear, candidate, effect.hyper)[:, :3] @ effect.coefficients
+
+    def displacement_together(self, effects: SizedEffects) -> np.ndarray | None:
+        """The same of several effects together; None where one of them cannot be built."""
+        each = [moved for e in effects if (moved := self.displacement(e)) is not None]
+        return np.sum(each, axis=0) if len(each) == len(effects) else None
 
 
 def elsewhere(context: Context) -> Elsewhere:
@@ -94,23 +110,24 @@ def _at(context: Context, q: np.ndarray, station: np.ndarray, direction: np.ndar
     return Elsewhere(there, LinearProblem.of(blank, context.state))
 
 
-def separating(context: Context, pairs: Sequence[tuple[SizedEffect, SizedEffect]]) -> list[Advice]:
-    """One piece of advice for each pair of effects that the recording cannot tell apart, where there is one: measured postures, for nothing
-    is known of the cell that says which others can be taken. With its plan, ``mbcacq diagnose --next`` chooses among all views.
+def separating(context: Context, pairs: Sequence[tuple[SizedEffects, SizedEffects]]) -> list[Advice]:
+    """One piece of advice for each pair of descriptions that the recording cannot tell apart, where there is one: measured postures, for
+    nothing is known of the cell that says which others can be taken. With its plan, ``mbcacq diagnose --next`` chooses among all views.
     """
     out, there = [], as_measured(context)
     for pair in pairs:
-        names = [e.candidate.name for e in pair]
-        if any(catalogue.declaration(name).acts_in_time for name in names):
+        names = [" with ".join(dict.fromkeys(e.candidate.name for e in one)) for one in pair]
+        if any(catalogue.declaration(e.candidate.name).acts_in_time for one in pair for e in one):
             reason = f"{' and '.join(names)} differ in time: measure the first station again, at the same postures, at the end"
             out.append(Advice(reason, first_poses(context)))
             continue
-        a, b = (there.displacement(e) for e in pair)
+        a, b = (there.displacement_together(one) for one in pair)
         if a is not None and b is not None:
-            chosen = spread(a - b)
-            apart = float(np.linalg.norm((a - b)[chosen], axis=1).mean())
-            both = " and ".join(f"{e.candidate.name} at {'+'.join(e.candidate.where)}" for e in pair)
-            reason = f"{both} differ by {apart:.3f} mm at the poses that separate them best: measure those again, and others like them"
+            apart = a - b
+            chosen = spread(apart)
+            most = float(np.linalg.norm(apart[chosen], axis=1).mean())
+            both = " and ".join(map(in_words, pair))
+            reason = f"{both} differ by {most:.3f} mm at the poses that separate them best: measure those again, and others like them"
             out.append(Advice(reason, _in_degrees(there.context.obs.q[chosen])))
     return out
 
@@ -125,7 +142,7 @@ def revealing(context: Context, limited: Sequence[SizedEffect]) -> list[Advice]:
     if not each:
         return []
     hidden, moved = max(each, key=lambda item: np.linalg.norm(item[1], axis=1).max())
-    name = f"{hidden.candidate.name} at {'+'.join(hidden.candidate.where)}"
+    name = in_words((hidden,))
     reason = f"{name} of usual size would not have shown: measure these poses again, and others like them, or a long bar end by end"
     return [Advice(reason, _in_degrees(there.context.obs.q[spread(moved)]))]
 

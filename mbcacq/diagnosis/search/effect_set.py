@@ -13,6 +13,11 @@ from mbcacq.effects.effect import Candidate
 NO_COLUMNS = np.zeros(0, dtype=int)
 
 
+def possible_sizes(least: float) -> tuple[float, ...]:
+    """Sizes of the coefficients of an effect, in typical ones, of which the least is given."""
+    return tuple(size for size in OPTIONS.sizes if size >= least)
+
+
 @dataclass(frozen=True)
 class Member:
     """An effect of a set, or one that may be, at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical
@@ -26,6 +31,10 @@ class Member:
     sizes: tuple[float, ...] = OPTIONS.sizes
     size: float = 1.0
     columns: np.ndarray = field(default_factory=lambda: NO_COLUMNS, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.sizes is OPTIONS.sizes and self.candidate.least_size:
+            object.__setattr__(self, "sizes", possible_sizes(self.candidate.least_size))
 
     @property
     def label(self) -> str:

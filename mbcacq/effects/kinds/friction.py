@@ -16,6 +16,7 @@ NAME = "friction"
 DECLARED = Declaration(every_arm=True, motor_side=True, model_block="friction", challenge=Challenge(in_motion=3))
 LEAST_LOAD = 0.05  # change of the load, as a share of the torque's, without which no dependence on it can be seen
 LEAST_SPEED = 1e-3  # rad/s; a joint that is slower throughout stands still
+UNEVEN = 0.03  # sigma of what friction differs by between the directions, as a share of the largest torque: of friction it is a quarter
 STRIBECK_SPEEDS = np.geomspace(0.01, 0.4, 8)  # tried, as shares of the fastest speed: outside, it looks like Coulomb or viscous friction
 
 
@@ -26,11 +27,13 @@ def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> l
     for j in group.joints:
         fastest = max(float(np.abs(run.qd[:, j]).max()) for run in runs)
         if fastest >= LEAST_SPEED:
-            out += _of_joint(j, fastest, with_load=all(_load_changes(run, j) for run in runs))
+            largest = max(float(np.abs(available(run.torque)[:, j]).max()) for run in runs)
+            out += _of_joint(j, fastest, largest, with_load=all(_load_changes(run, j) for run in runs))
     return out
 
 
-def _of_joint(j: int, fastest: float, with_load: bool) -> list[Candidate]:
+def _of_joint(j: int, fastest: float, largest: float, with_load: bool) -> list[Candidate]:
+    """fastest: rad/s, largest: torque in N m, of all recordings."""
     axis = f"A{j + 1}"
     here = (axis,), f"qd{j + 1}"
     plain = plain_report(f"{axis}.coulomb_Nm", f"{axis}.viscous_Nms_per_rad")
@@ -38,10 +41,12 @@ def _of_joint(j: int, fastest: float, with_load: bool) -> list[Candidate]:
     uneven = plain_report(f"{axis}.coulomb_uneven_Nm", f"{axis}.viscous_uneven_Nms_per_rad")
     load = plain_report(f"{axis}.load_dependent")
     speeds = Hyperparameter(f"{axis}.stribeck_speed_rad_per_s", STRIBECK_SPEEDS * fastest, 3.0)
+    # Without a bound it would be a free offset of the torque, which stands for a balancer or a mass where a joint moves little.
+    by_direction = (UNEVEN * largest, UNEVEN * largest / fastest)
     out = [
         Candidate(NAME, *here, MotionRows((j,), _plain, usual=True), plain, positive=True),
         Candidate(NAME, *here, MotionRows((j,), _stribeck, extends=True), stribeck, speeds, variant="stribeck"),
-        Candidate(NAME, *here, MotionRows((j,), _uneven, extends=True), uneven, variant="direction"),
+        Candidate(NAME, *here, MotionRows((j,), _uneven, by_direction, extends=True), uneven, variant="direction"),
     ]
     if with_load:
         out.append(Candidate(NAME, *here, MotionRows((j,), _load, extends=True, follows_load=True), load, variant="load"))

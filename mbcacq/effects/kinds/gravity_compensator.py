@@ -21,6 +21,7 @@ from mbcacq.effects.effect import (
     Hyperparameter,
     Missing,
     Parameters,
+    PriorOdds,
     Report,
     StandstillRows,
     number,
@@ -30,6 +31,7 @@ from mbcacq.effects.effect import (
 from mbcacq.effects.functions import DescribedPart, Function, Product
 from mbcacq.effects.motion_effect import ChannelGroup, Columns, MotionRows, MotionSignals, available
 from mbcacq.geometry.gravity import upright_angle
+from mbcacq.model.cell import RobotModel
 
 NAME = "gravity_compensator"
 LEVER_RATIOS = np.array([0.15, 0.25, 0.4])  # k / D of built balancers
@@ -37,8 +39,15 @@ TYPICAL = 1e-4  # rad: half a wind-up of 0.2 mrad, as of 1 kN m at 2e-7 rad/(N m
 UPRIGHT_SIGMA = np.radians(10.0)  # by how much q0 may differ from the upright angle
 STEP = 1e-3  # rad, of a numerical derivative; at 1e-4 both differ in the seventh digit
 LEAST_SPAN = np.radians(20.0)
-HEAVY_KG = 200.0  # mass of the links, from which arms are built with a balancer
-RARE = 0.03  # of the lighter ones, and of those of unknown mass: a few have a spring
+# Arms by the mass of their links. Those for 100 kg and more on the flange have 800 kg and more (KR 120 to KR 300), those for 70 kg have 420
+# (KR 70), those for 20 kg have 190 (KR 20). Of the heavy ones nearly all are built with a spring or gas balancer at A2, which carries the
+# link arm (KUKA's KR QUANTEC and FORTEC, ABB's IRB 6600 and 7600, FANUC's R-2000 and M-900); a few of them have none (ABB's IRB 6620).
+HEAVY_KG, MEDIUM_KG = 600.0, 200.0
+ODDS_OF_HEAVY = 3.0  # that an arm of that class has one: three in four at least
+ODDS_OF_STATED = 20.0  # that an arm whose description says so has one
+RARE = 0.03  # share of the light arms, and of those of unknown mass: a few have a spring
+LEAST_OF_HEAVY = 3.0  # typical sizes: it carries 30 to 100 % of 5 kN m and more, and 1e-7 to 1e-6 rad/(N m) make at least 0.2 mrad of it
+THROUGH = "joint_compliance:A2"  # at standstill the torque shows by winding up A2
 WITHOUT_ROD = np.radians(300.0)  # travel of A2 that the rod of a balancer would be in the way of
 THIRD_HARMONIC = 0.1  # prior sigma, as a share of that of the first two: the series of a spring converges as fast
 
@@ -51,8 +60,8 @@ def candidates(context: Context) -> list[Candidate]:
         raise Missing("A2 does not lift the arm against gravity")
     if robot.balancer is False:
         raise Missing("the arm has no balancer, as its description says")
-    heavy = robot.mass.sum() >= HEAVY_KG
-    if robot.balancer is None and not heavy and np.ptp(robot.limits[1]) >= WITHOUT_ROD:
+    light = robot.mass.sum() < MEDIUM_KG
+    if robot.balancer is None and light and np.ptp(robot.limits[1]) >= WITHOUT_ROD:
         raise Missing("A2 of this light arm turns all around, past where the rod of a balancer would be")
     if np.ptp(context.obs.q[:, 1]) < LEAST_SPAN:
         raise Missing("A2 turns too little for the law of a balancer")
@@ -78,7 +87,16 @@ def candidates(context: Context) -> list[Candidate]:
 
     rows = StandstillRows(described, np.array([TYPICAL, TYPICAL, TYPICAL * UPRIGHT_SIGMA]))
     hyper = Hyperparameter("lever_ratio", LEVER_RATIOS, 2.0, refine=False)
-    return [Candidate(NAME, ("A2",), "q2", rows, report, hyper, rarity=1.0 if robot.balancer or heavy else RARE)]
+    rarity = RARE if light and not robot.balancer else 1.0
+    least = LEAST_OF_HEAVY if robot.mass.sum() >= HEAVY_KG else 0.0
+    return [Candidate(NAME, ("A2",), "q2", rows, report, hyper, rarity=rarity, usual=usual(robot), least_size=least)]
+
+
+def usual(robot: RobotModel) -> PriorOdds | None:
+    """Prior odds of a balancer beside an elastic A2; None for an arm of a class that seldom has one."""
+    if robot.balancer:
+        return PriorOdds(ODDS_OF_STATED, THROUGH)
+    return PriorOdds(ODDS_OF_HEAVY, THROUGH) if robot.mass.sum() >= HEAVY_KG else None
 
 
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:

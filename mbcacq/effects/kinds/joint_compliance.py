@@ -11,7 +11,7 @@ import numpy as np
 
 from mbcacq.effects.context import Context
 from mbcacq.effects.declaration import Challenge, Declaration
-from mbcacq.effects.effect import Candidate, HyperEstimate, Parameters, Report, number, plain_effect, standard_deviations
+from mbcacq.effects.effect import Candidate, plain_effect, plain_report
 from mbcacq.effects.functions import DescribedPart, linear
 from mbcacq.effects.motion_effect import ChannelGroup, MotionRows, MotionSignals, available
 
@@ -35,20 +35,12 @@ def candidates(context: Context) -> list[Candidate]:
 def motion_candidates(group: ChannelGroup, runs: tuple[MotionSignals, ...]) -> list[Candidate]:
     if group.name != "q_joint" or any(run.load is None for run in runs):
         return []
-    return [
-        Candidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", MotionRows((j,), _columns), _report(runs, j), positive=True) for j in group.joints
-    ]
+    out = []
+    for j in group.joints:
+        report = plain_report(f"A{j + 1}.compliance_rad_per_Nm")
+        out.append(Candidate(NAME, (f"A{j + 1}",), f"tau{j + 1}", MotionRows((j,), _columns, linear_in_load=True), report, positive=True))
+    return out
 
 
 def _columns(run: MotionSignals, joint: int, _: object) -> np.ndarray:
     return -available(run.load)[:, [joint]]
-
-
-def _report(runs: tuple[MotionSignals, ...], joint: int) -> Report:
-    """The load is known only as well as the arm's inertial parameters: that relative uncertainty is added to the compliance's own."""
-    relative = max(0.0 if run.load_uncertainty is None else float(run.load_uncertainty[joint]) for run in runs)
-
-    def report(c: np.ndarray, v: np.ndarray, _: HyperEstimate) -> Parameters:
-        return {f"A{joint + 1}.compliance_rad_per_Nm": number(c[0], np.hypot(standard_deviations(v)[0], relative * c[0]))}
-
-    return report

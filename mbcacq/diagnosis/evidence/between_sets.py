@@ -1,0 +1,162 @@
+"""What is stated of an effect, over all sets of effects that the evidence does not exclude.
+
+The standard deviation of a parameter in one set holds if that set is the right one. Where another set with the effect in it is not
+excluded, the parameter is what all of these state, each as probable as its set (Bayesian model averaging): its variance is the mean of
+theirs and the variance between them. Where a further effect moves it beyond its uncertainty, the two descriptions cannot be told apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbcacq.diagnosis.evidence.bayes_factor import over_sizes
+from mbcacq.diagnosis.evidence.beam_search import RankedSets
+from mbcacq.diagnosis.evidence.hypothesis import Hypothesis
+from mbcacq.diagnosis.evidence.posterior import reported_hypothesis
+from mbcacq.diagnosis.options import OPTIONS
+from mbcacq.diagnosis.search.effect_set import EffectSet, slices_of
+from mbcacq.effects.effect import ParameterEstimate, Parameters, joined_parameters
+from mbcacq.quantities import K
+
+ByEffect = Mapping[str, Parameters]  # ``name:where`` -> parameters
+TURN = 360.0
+ANGLES = ("phase_deg", "zero_deg")  # parameters that come round
+
+
+@dataclass(frozen=True)
+class WeightedSet:
+    """A set of effects with its relative probability and what it states of each effect."""
+
+    probability: float
+    stated: ByEffect
+
+
+@dataclass(frozen=True)
+class ChangingSet:
+    """A set that has further effects, beside which the effects ``changed`` (``name:where``) of the reported one differ beyond their
+    uncertainty.
+    """
+
+    hypothesis: Hypothesis
+    changed: frozenset[str]
+
+
+@dataclass(frozen=True)
+class BetweenSets:
+    """The sets that the evidence does not exclude, the reported one among them, with what each states.
+
+    sets: by hypothesis. reported: position of the one that is reported; at_best: what that states at its most probable sizes.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    sets: tuple[WeightedSet, ...]
+    reported: int
+    at_best: ByEffect
+
+    @classmethod
+    def of(cls, fit: RankedSets, solved: Callable[[Hypothesis], EffectSet]) -> BetweenSets:
+        """solved: the coefficients of a set at its most probable sizes."""
+        reported = reported_hypothesis(fit) if fit.significant else fit.none
+        best = max(fit.hypotheses[0].log_posterior, reported.log_posterior)
+        likely = [h for h in fit.hypotheses if h is reported or h.log_posterior > best + np.log(OPTIONS.undecided)]
+        sets = tuple(WeightedSet(float(np.exp(h.log_posterior - best)), by_effect(coefficients_over_sizes(h))) for h in likely)
+        return cls(tuple(likely), sets, next(i for i, h in enumerate(likely) if h is reported), by_effect(solved(reported)))
+
+    def averaged(self, labels: Iterable[str], parameters: Parameters) -> Parameters:
+        """The parameters of some effects (``name:where``) of the reported set, averaged over all sets that have them.
+
+        parameters: as they are reported of that set alone.
+        """
+        out = dict(parameters)
+        for label in labels:
+            out |= averaged(label, out, self.at_best, self.sets)
+        return out
+
+    def changing(self) -> list[ChangingSet]:
+        """Sets with further effects that change reported ones; of sets that contain each other, the smallest."""
+        reported, own = self.hypotheses[self.reported], self.sets[self.reported].stated
+        found: list[ChangingSet] = []
+        for h, one in sorted(zip(self.hypotheses, self.sets, strict=True), key=lambda pair: len(pair[0].labels)):
+            if not h.labels > reported.labels or any(other.hypothesis.labels <= h.labels for other in found):
+                continue
+            changed = frozenset(label for label in own if label in one.stated and is_changed(own[label], one.stated[label]))
+            if changed:
+                found.append(ChangingSet(h, changed))
+        return sorted(found, key=lambda c: -c.hypothesis.log_posterior)
+
+
+def coefficients_over_sizes(hypothesis: Hypothesis) -> EffectSet:
+    """The effects of a set with the posterior of their coefficients, averaged over their sizes."""
+    members = hypothesis.members
+    if not members:
+        return EffectSet(())
+    system = hypothesis.point.with_effects(hypothesis.point.extended(members))
+    positive = [m.candidate.positive and m.candidate.k == 1 for m in members]
+    chosen = [m.size for m in members]
+    sizes = [np.array(m.sizes) if m.size in m.sizes else np.array([m.size]) for m in members]
+    mean, covariance = over_sizes(system.A, system.a, list(slices_of(members)), sizes, chosen, positive)
+    typical = np.concatenate([m.candidate.typical for m in members])
+    return EffectSet(members, typical * mean, covariance * np.outer(typical, typical))
+
+
+def by_effect(solved: EffectSet) -> ByEffect:
+    """What the coefficients of a set state of each effect."""
+    each: dict[str, list[Parameters]] = {}
+    for member, own in zip(solved.members, solved.slices(), strict=True):
+        stated = member.candidate.parameters(solved.coefficients[own], solved.covariance[own, own], member.hyper)
+        each.setdefault(member.label, []).append(stated)
+    return {label: joined_parameters(several) for label, several in each.items()}
+
+
+def averaged(label: str, parameters: Parameters, reported: ByEffect, sets: Sequence[WeightedSet]) -> dict[str, ParameterEstimate]:
+    """Those of ``parameters`` that other sets state of the effect ``label`` as well, averaged over all of these.
+
+    parameters: as reported, which may be more uncertain than the coefficients ``reported`` of that set alone say. So the sets move them,
+    and add to their variance, by what they differ from these.
+    """
+    own = reported.get(label, {})
+    out: dict[str, ParameterEstimate] = {}
+    for key in own:
+        each = [(one.probability, one.stated[label][key]) for one in sets if key in one.stated.get(label, {})]
+        each = [(p, e) for p, e in each if comparable(e, own[key])]
+        if key not in parameters or not each or not comparable(parameters[key], own[key]):
+            continue
+        share = np.array([p for p, _ in each])[:, None] / sum(p for p, _ in each)
+        away = np.array([difference(key, e, own[key]) for _, e in each])
+        further = np.array([np.square(e.components[1]) for _, e in each]) - np.square(own[key].components[1])
+        mean = np.sum(share * away, axis=0)
+        values, stds = (np.array(x) for x in parameters[key].components)
+        variance = stds**2 + np.sum(share * (np.maximum(further, 0.0) + (away - mean) ** 2), axis=0)
+        out[key] = like(parameters[key], values + mean, np.sqrt(variance))
+    return out
+
+
+def is_changed(own: Parameters, other: Parameters) -> bool:
+    """Whether a parameter differs by more than its expanded uncertainty."""
+    for key in own:
+        if key in other and comparable(own[key], other[key]):
+            if np.any(np.abs(difference(key, other[key], own[key])) > K * np.array(own[key].components[1])):
+                return True
+    return False
+
+
+def comparable(one: ParameterEstimate, other: ParameterEstimate) -> bool:
+    """Whether both have as many components, all finite."""
+    a, b = one.components, other.components
+    return np.shape(a) == np.shape(b) and bool(np.isfinite(a).all() and np.isfinite(b).all())
+
+
+def difference(key: str, one: ParameterEstimate, other: ParameterEstimate) -> np.ndarray:
+    """(k,) of the values; an angle goes the shorter way round."""
+    out = np.subtract(one.components[0], other.components[0])
+    return (out + TURN / 2) % TURN - TURN / 2 if key.rpartition(".")[2] in ANGLES else out
+
+
+def like(estimate: ParameterEstimate, values: np.ndarray, stds: np.ndarray) -> ParameterEstimate:
+    """An estimate of as many components."""
+    if isinstance(estimate.value, tuple):
+        return ParameterEstimate(tuple(values.tolist()), tuple(stds.tolist()))
+    return ParameterEstimate(float(values[0]), float(stds[0]))

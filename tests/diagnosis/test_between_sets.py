@@ -1,0 +1,88 @@
+"""What is stated of an effect over all sets that are not excluded: the moments of the mixture, and sets that change a value."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor, over_sizes
+from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged, is_changed
+from mbcacq.diagnosis.evidence.hypothesis import SetPrior
+from mbcacq.effects.effect import ParameterEstimate, PriorOdds
+
+KEY, LABEL = "A2.compliance_rad_per_Nm", "joint_compliance:A2"
+
+
+def stated(value, std):
+    return {LABEL: {KEY: ParameterEstimate(value, std)}}
+
+
+def test_the_average_over_sets_has_the_moments_of_their_mixture():
+    each = [(0.05, 0.2, 0.02), (0.9, 0.55, 0.1), (0.4, 0.5, 0.15)]
+    sets = [WeightedSet(p, stated(value, std)) for p, value, std in each]
+    (found,) = averaged(LABEL, sets[0].stated[LABEL], sets[0].stated, sets).values()
+    rng = np.random.default_rng(0)
+    share = np.array([p for p, *_ in each]) / sum(p for p, *_ in each)
+    drawn = rng.choice(3, 400_000, p=share)
+    draws = rng.normal([each[i][1] for i in drawn], [each[i][2] for i in drawn])
+    assert found.value == pytest.approx(draws.mean(), abs=1e-3)
+    assert found.std == pytest.approx(draws.std(), rel=0.01)
+
+
+def test_sets_without_the_effect_say_nothing_of_it():
+    sets = [WeightedSet(1.0, stated(0.2, 0.02)), WeightedSet(1.0, {"base_compliance:base": {"compliance": ParameterEstimate(9.0, 1.0)}})]
+    assert averaged(LABEL, sets[0].stated[LABEL], sets[0].stated, sets)[KEY] == ParameterEstimate(0.2, 0.02)
+
+
+def test_an_angle_is_averaged_the_shorter_way_round():
+    own, other = ({LABEL: {"A1.phase_deg": ParameterEstimate(v, 1.0)}} for v in (179.0, -179.0))
+    (found,) = averaged(LABEL, own[LABEL], own, [WeightedSet(1.0, own), WeightedSet(1.0, other)]).values()
+    assert found.value == pytest.approx(180.0)
+    assert found.std < 2.0
+
+
+def test_a_value_is_changed_beyond_its_expanded_uncertainty():
+    own = stated(0.2, 0.02)[LABEL]
+    assert is_changed(own, stated(0.25, 0.3)[LABEL])
+    assert not is_changed(own, stated(0.23, 0.001)[LABEL])
+
+
+def test_the_average_over_sizes_of_one_effect_is_that_of_its_posterior():
+    """One coefficient with a prior of three widths, integrated numerically."""
+    information, right, sizes = 40.0, 30.0, np.array([0.1, 1.0, 10.0])
+    x = np.linspace(-3.0, 3.0, 200_001)
+    likelihood = np.exp(right * x - 0.5 * information * x**2)
+    prior = np.mean([np.exp(-0.5 * (x / s) ** 2) / s for s in sizes], axis=0)
+    density = likelihood * prior / np.sum(likelihood * prior)
+    A, a = np.array([[information]]), np.array([right])
+    _, chosen = log_set_bayes_factor(A, a, [slice(0, 1)], [sizes], [False])
+    mean, covariance = over_sizes(A, a, [slice(0, 1)], [sizes], chosen, [False])
+    assert mean[0] == pytest.approx(float(density @ x), rel=1e-3)
+    assert covariance[0, 0] == pytest.approx(float(density @ x**2 - (density @ x) ** 2), rel=1e-3)
+
+
+@dataclass(frozen=True)
+class Named:
+    name: str
+    where: tuple[str, ...] = ("A2",)
+    rarity: float = 1.0
+    usual: PriorOdds | None = None
+
+    @property
+    def label(self) -> str:
+        return f"{self.name}:{'+'.join(self.where)}"
+
+
+def test_what_most_arms_of_a_class_have_beside_another_effect_has_its_own_odds():
+    soft, plain = Named("soft"), Named("plain", ("A1",))
+    spring = Named("spring", usual=PriorOdds(3.0, "soft:A2"))
+    prior = SetPrior.of([soft, plain, spring], 1)
+    alone, both = (prior.log_probability_of_set(s) for s in ([soft], [soft, spring]))
+    assert both - alone == pytest.approx(np.log(3.0))
+    assert prior.log_probability_of_set([spring, soft]) == pytest.approx(both)
+    assert prior.log_probability(spring, [soft]) == pytest.approx(np.log(3.0))
+    # Without what it shows through it is as rare as any other effect.
+    assert prior.log_probability_of_set([spring]) == pytest.approx(prior.log_probability_of_set([plain]))
+    # An effect that is given counts as there.
+    known = SetPrior.of([plain, spring], 1, ["soft:A2"])
+    assert known.log_probability(spring, []) == pytest.approx(np.log(3.0))
