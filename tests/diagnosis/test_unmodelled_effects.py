@@ -71,8 +71,8 @@ def bearing_that_sinks_in_where_it_is_damaged(s):
     return Displacements(frame=frame)
 
 
-def test_a_damaged_bearing_is_described_by_which_way_is_down(plan):
-    observed = simulated.observe(plan, 120, [bearing_that_sinks_in_where_it_is_damaged])
+def test_a_damaged_bearing_is_described_by_which_way_is_down():
+    observed = simulated.observe(simulated.plan(8, 4, 6), 120, [bearing_that_sinks_in_where_it_is_damaged])
     first = model_fit.fit_model(model_fit.prepare(observed)).evidence.best.members[0].candidate
     assert first.where == ("link3",)
     assert first.variant.startswith("process of gravity_direction_3")
