@@ -2,9 +2,11 @@
 
 import gc
 import os
+import pickle
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from finished_runs import FinishedRun, dry_run
@@ -77,6 +79,17 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     return lambda name, make: make_once(shared, name, make)
+
+
+@pytest.fixture(scope="session")
+def computed_once(made_once: Callable[[str, Callable[[Path], None]], Path]) -> Callable[[str, Callable[[], object]], Any]:
+    """computed_once(name, compute): what ``compute`` returned, once for all processes of the suite; each has a copy of its own."""
+
+    def computed(name: str, compute: Callable[[], object]) -> Any:
+        folder = made_once(name, lambda folder: (folder / "value").write_bytes(pickle.dumps(compute())) and None)
+        return pickle.loads((folder / "value").read_bytes())
+
+    return computed
 
 
 @pytest.fixture(scope="session")

@@ -202,6 +202,11 @@ class _Groups:
         nothing = self.problem.columns_by_pose.twists[:, :, :0]
         return self.problem.extended_by_twists(np.concatenate([nothing, *self.twists], axis=2), self._sigma)
 
+    def at_their_sizes(self, extended: ExtendedProblem) -> ExtendedProblem:
+        """The extended problem of the same groups in other sizes, at the present ones."""
+        first = self.problem.columns_by_pose.twists.shape[2]
+        return replace(extended, prior=replace(extended.prior, sigma=np.insert(self.problem.sigma, first, self._sigma)))
+
     @property
     def index(self) -> dict[str, np.ndarray]:
         """Indices of each group's coefficients among the parameters."""
@@ -230,16 +235,17 @@ class _Groups:
     def settled(self, noise: Noise) -> _Groups:
         """Sizes and noise by turns, from sizes at their start and this noise. A group that shrinks to nothing is left out at once:
         the noise of later turns is larger and leaves even less for it to explain."""
-        groups = self
+        groups, extended = self, None
         for _ in range(TURNS):
             if not groups.terms:
                 break
-            extended = groups.extended
+            extended = groups.extended if extended is None else groups.at_their_sizes(extended)
             system = extended.at(noise)
             factor = sizes_of_groups(system.normal, extended.prior, groups.index, (1e-6, LARGEST_SIZE), ROUNDS)
             earlier, (noise, _) = noise, variance_components.reml_step(system.after_fit(), noise, groups.prior)
             moved = max(abs(np.log(f)) for key, f in factor.items())
-            groups = groups._resized(factor)
+            terms, groups = groups.terms, groups._resized(factor)
+            extended = extended if len(groups.terms) == len(terms) else None
             if max(moved, float(np.abs(pack(noise) - pack(earlier)).max())) < CONVERGED:
                 break
         return replace(groups, noise=noise)

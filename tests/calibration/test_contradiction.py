@@ -38,9 +38,9 @@ def moved_station(truth, station, twist):
 
 @pytest.mark.parametrize("stations", [1, 4])
 def test_hand_eye_of_arms_with_link_errors_is_as_uncertain_as_it_says(stations):
-    """Normalised squared error a parameter, mean of 24 arms: 1 within its scatter (0.12), where link errors taken for noise gave 9 to 14."""
+    """Normalised squared error a parameter, mean of 12 arms: 1 within its scatter (0.17), where link errors taken for noise gave 9 to 14."""
     squares = []
-    for seed in range(24):
+    for seed in range(12):
         cell = ordinary(seed, stations, 32 // stations)
         found = calibrate(cell.observations, HAND_EYE_ALONE)
         index = [found.names.index(f"hand_eye.{c}") for c in ("x", "y", "z", "rx", "ry", "rz")]
@@ -68,7 +68,7 @@ def test_an_arm_with_three_times_the_errors_of_a_new_one_contradicts_nothing(see
 def test_the_arm_stays_nominal_and_the_stated_accuracy_covers_its_errors():
     """True error of points at new postures over the stated uncertainty, the rigid motion of everything aside: about 1 over arms."""
     ratio = []
-    for seed in range(12):
+    for seed in range(6):
         cell = ordinary(seed, 3, 12)
         found = calibrate(cell.observations, HAND_EYE_ALONE)
         assert np.array_equal(found.state.chain.rows, cell.observations.cell.robot.chain.rows)

@@ -46,11 +46,15 @@ def test_held_out_stations_of_a_clean_cell_show_the_noise_only():
 
 
 def test_ur5_with_a_laser_tracker():
-    figure = held_out(load_observations(DATA / "ur5-tracker"), split="random", size=300)
-    assert figure.poses == 900
+    figure = held_out(load_observations(DATA / "ur5-tracker"), split="random", size=300, fits=2)
+    assert figure.poses == 600
     assert figure.rms_mm <= 0.118
-    again = held_out(load_observations(DATA / "ur5-tracker"), split="random", size=300, fits=1)
-    assert again.per_fit_mm == figure.per_fit_mm[:1]
+
+
+def test_a_random_split_is_the_same_again():
+    two = held_out(every("ur5-tracker", 6), split="random", size=40, fits=2)
+    again = held_out(every("ur5-tracker", 6), split="random", size=40, fits=1)
+    assert again.per_fit_mm == two.per_fit_mm[:1]
 
 
 def every(name, nth):
@@ -60,7 +64,7 @@ def every(name, nth):
 
 
 def test_panda_in_sockets():
-    figure = held_out(every("panda-sockets", 2), split="station")
+    figure = held_out(every("panda-sockets", 3), split="station")
     assert figure.fits == 6
     assert figure.spread_mm <= 0.19
     assert figure.rms_mm > figure.spread_mm  # the six freedoms of a place are paid for
@@ -83,7 +87,7 @@ def test_iiwa_in_sockets_names_what_a_ball_near_the_last_axis_leaves_open():
 
 
 def test_a_target_with_orientation():
-    found = calibrate(every("ur10-tracker-c", 8))
+    found = calibrate(every("ur10-tracker-c", 12))
     assert found.fit.residual.shape[1] == 6
     assert found.fit.rms_mm < 0.52
     assert found.fit.chi2 / found.fit.dof == pytest.approx(1, abs=0.05)
@@ -96,7 +100,7 @@ def test_command_line():
     assert result["verification"]["after"]["max_mm"] < 0.02 < result["verification"]["before"]["max_mm"]
     assert not result["verification"]["independent"]
     assert result["held_out"]["split"] == "station"
-    shown = CliRunner().invoke(app, ["calibrate", str(DATA / "ur5-tracker")], standalone_mode=False).stdout
+    shown = CliRunner().invoke(app, ["calibrate", str(DATA / "ur5-tracker"), "--geometry-alone"], standalone_mode=False).stdout
     assert "Universal Robots UR5" in shown
     assert "only the target's position is measured" in shown
 

@@ -3,7 +3,9 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from session import play, program_of, written_plan
+from session import loaded, play, program_of, written_plan
+
+import mbcacq
 
 
 @pytest.fixture(scope="session")
@@ -15,6 +17,20 @@ def rehearsed(made_once):
         play(plan, program_of(plan, folder / "program"), folder / "clouds")
 
     return made_once("rehearsed-session", make)
+
+
+@pytest.fixture(scope="session")
+def collected(rehearsed, made_once):
+    """collected(with_table): folder with the clouds, the program's table beside them or not, and the run of them; to be looked at only."""
+
+    def make(folder, with_table):
+        shutil.copytree(rehearsed / "clouds", folder / "clouds", copy_function=shutil.copy2)
+        (folder / "clouds" / "poses.csv").unlink(missing_ok=True)
+        if with_table:
+            shutil.copy(rehearsed / "program" / "poses.csv", folder / "clouds")
+        mbcacq.collect(loaded(rehearsed / "plan.yaml"), folder / "clouds", out=folder / "run")
+
+    return lambda with_table: made_once(f"collected-session-{with_table}", lambda folder: make(folder, with_table))
 
 
 @pytest.fixture

@@ -1,9 +1,11 @@
 """A session without drivers gives the calibration that a driven run of the same cell gives, and grows where clouds are added."""
 
+import json
 import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import killed_session
 import numpy as np
@@ -50,11 +52,11 @@ def test_clouds_are_added_to_a_session_that_was_stopped(rehearsed, clouds, tmp_p
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is of other systems")
-def test_a_session_that_was_killed_goes_on_with_the_same_clouds(rehearsed, clouds, tmp_path):
+def test_a_session_that_was_killed_goes_on_with_the_same_clouds(rehearsed, collected, clouds, tmp_path):
     """No table of the program stands beside them: which of them were recorded is seen by what they show."""
     plan = loaded(rehearsed / "plan.yaml")
     (clouds / "poses.csv").unlink(missing_ok=True)
-    whole = mbcacq.load_observations(mbcacq.collect(plan, clouds, out=tmp_path / "whole").folder)
+    whole = mbcacq.load_observations(collected(False) / "run")
     script = [sys.executable, killed_session.__file__, rehearsed / "plan.yaml", clouds, tmp_path / "run", "5"]
     assert subprocess.run(script, timeout=900, check=False).returncode == -signal.SIGKILL
     again = mbcacq.load_observations(mbcacq.collect(plan, clouds, resume=tmp_path / "run").folder)
@@ -63,19 +65,17 @@ def test_a_session_that_was_killed_goes_on_with_the_same_clouds(rehearsed, cloud
 
 
 @pytest.mark.parametrize(("with_table", "missing"), [(True, "result.json"), (False, "result.json"), (True, "report.html")])
-def test_a_session_that_ended_in_its_calibration_is_calibrated(rehearsed, clouds, tmp_path, with_table, missing):
+def test_a_session_that_ended_in_its_calibration_is_calibrated(rehearsed, collected, tmp_path, with_table, missing):
     plan = loaded(rehearsed / "plan.yaml")
-    if with_table:
-        shutil.copy(rehearsed / "program" / "poses.csv", clouds)
-    else:
-        (clouds / "poses.csv").unlink(missing_ok=True)
-    whole = mbcacq.collect(plan, clouds, out=tmp_path / "run")
-    (whole.folder / missing).unlink()
-    again = mbcacq.collect(plan, clouds, resume=whole.folder)
-    assert (whole.folder / missing).exists()
-    assert np.array_equal(hand_eye(again), hand_eye(whole))
+    session = Path(shutil.copytree(collected(with_table), tmp_path / "session"))
+    clouds, run = session / "clouds", session / "run"
+    before = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    (run / missing).unlink()
+    again = mbcacq.collect(plan, clouds, resume=run)
+    assert (run / missing).exists()
+    assert np.array_equal(hand_eye(again), np.array(before["T_flange_scanner"]))
     with pytest.raises(ConfigError, match="no cloud belongs to a pose that is still missing"):
-        mbcacq.collect(plan, clouds, resume=whole.folder)
+        mbcacq.collect(plan, clouds, resume=run)
 
 
 def test_the_command_checks_without_recording(rehearsed, tmp_path, monkeypatch):

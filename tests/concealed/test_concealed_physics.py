@@ -23,16 +23,26 @@ def hidden() -> list[dict]:
     return yaml.safe_load(PLAN.read_text(encoding="utf-8"))["fake"]["hidden"]
 
 
-@pytest.fixture(scope="module")
-def found(hidden) -> mbcacq.DiagnosisResult:
+def diagnosed_and_calibrated(hidden) -> tuple[mbcacq.DiagnosisResult, CalibratedWithFound]:
     loaded = load(PLAN)
     recording, _ = observe(loaded, expand(loaded), Scenario(0, "concealed", 1, (), 1, 1.0), hidden)
-    return mbcacq.diagnose(recording, workers=1)
+    found = mbcacq.diagnose(recording, workers=1)
+    return found, calibrate_with_found(found)
 
 
 @pytest.fixture(scope="module")
-def calibrated(found) -> CalibratedWithFound:
-    return calibrate_with_found(found)
+def both(hidden, computed_once) -> tuple[mbcacq.DiagnosisResult, CalibratedWithFound]:
+    return computed_once("concealed-physics", lambda: diagnosed_and_calibrated(hidden))
+
+
+@pytest.fixture(scope="module")
+def found(both) -> mbcacq.DiagnosisResult:
+    return both[0]
+
+
+@pytest.fixture(scope="module")
+def calibrated(both) -> CalibratedWithFound:
+    return both[1]
 
 
 def test_all_that_is_concealed_is_found_and_nothing_else(found, hidden):

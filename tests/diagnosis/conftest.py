@@ -13,3 +13,14 @@ def plan():
     import simulated
 
     return simulated.plan()
+
+
+@pytest.fixture(scope="session")
+def elastic_arm(plan, computed_once):
+    """The diagnosis of an arm with an elastic joint A2."""
+    import simulated
+
+    from mbcacq.diagnosis.diagnose import diagnose
+
+    observed = simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)])
+    return computed_once("elastic-arm", lambda: diagnose(observed, folds=2))

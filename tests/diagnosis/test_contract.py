@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-import simulated
 from click.testing import CliRunner
 
 from mbcacq.cli.diagnose import command
@@ -49,9 +48,8 @@ def check_contract(d: dict) -> None:
         assert all(len(q) > 0 for q in advice["poses_deg"])
 
 
-def test_json_of_a_simulated_cell_with_an_effect(plan):
-    result = diagnose(simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]))
-
+def test_json_of_a_simulated_cell_with_an_effect(elastic_arm):
+    result = elastic_arm
     d = json.loads(json.dumps(result.to_json(), allow_nan=False))
     check_contract(d)
     assert d["verdict"] == "explained"
@@ -79,7 +77,7 @@ def test_the_clean_example_is_clean_on_the_command_line():
 def test_the_compliant_example_is_measured():
     truth = json.loads((DATA / "example-compliance.truth.json").read_text())["truth"]
 
-    d = diagnose(load_observations(DATA / "example-compliance")).to_json()
+    d = diagnose(load_observations(DATA / "example-compliance"), folds=2).to_json()
 
     assert d["verdict"] == "explained"
     assert [e["name"] for e in d["effects"]] == ["joint_compliance"]

@@ -53,7 +53,7 @@ def test_strong_structure_that_predicts_nothing_is_reported_unknown(plan):
         ball[mine] = lies[s.obs.station[s.obs.pose[mine]]]
         return Displacements(ball=ball)
 
-    reported = diagnose.diagnose(simulated.observe(plan, 166, [loose]))
+    reported = diagnose.diagnose(simulated.observe(plan, 166, [loose]), folds=2)
 
     assert reported.verdict == "unexplained"
     assert reported.mismatch[0].at == "ball3"
@@ -86,7 +86,7 @@ def test_a_station_drift_is_validated_on_the_other_stations(plan):
     """None of them knows of it: left out itself, its station remains as bad as it was."""
     observed = simulated.observe(plan, 134, [("station_drift", ("station3",), [0.3, -0.25, 0.4], None)])
 
-    reported = diagnose.diagnose(observed)
+    reported = diagnose.diagnose(observed, folds=2)
 
     assert [(e.name, e.where) for e in reported.effects] == [("station_drift", ("station3",))]
     assert reported.fit.held_out.split == "station"
@@ -98,7 +98,7 @@ def test_a_moment_among_poses_left_out_does_not_count_against_a_step(plan):
     """Without the station in which an encoder jumped nobody knows at which of its poses."""
     observed = simulated.observe(plan, 137, [("joint_step", ("A2",), [8e-4], 52.0)])
 
-    reported = diagnose.diagnose(observed)
+    reported = diagnose.diagnose(observed, folds=2)
 
     assert (plan.station == plan.station[52]).sum() > 4
     assert reported.effects[0].parameters["A2.at_pose"].value == 52
@@ -123,7 +123,7 @@ def test_a_ball_far_off_is_reported_as_a_shifted_ball(plan):
     """However far: an effect is not given up for its size while nothing else fits better."""
     observed = simulated.observe(plan, 135, [("ball_shift", ("ball5",), [1.5, -1.0, 1.0], None)])
 
-    reported = diagnose.diagnose(observed)
+    reported = diagnose.diagnose(observed, folds=2)
 
     assert [(e.name, e.where) for e in reported.effects] == [("ball_shift", ("ball5",))]
     assert reported.verdict == "explained"
@@ -132,7 +132,7 @@ def test_a_ball_far_off_is_reported_as_a_shifted_ball(plan):
 def test_two_scales_that_one_artefact_cannot_separate_are_reported():
     observed = simulated.observe(simulated.plan(bars=0), 136, [("scanner_scale", ("scanner",), [540.0], None)])
 
-    reported = diagnose.diagnose(observed)
+    reported = diagnose.diagnose(observed, folds=2)
 
     named = {reported.effects[0].name, *(a.name for a in reported.effects[0].alternatives)}
     assert reported.verdict == "cannot_tell"

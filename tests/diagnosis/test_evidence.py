@@ -172,7 +172,7 @@ def test_sizes_at_other_orders_are_those_of_a_fit_with_all_columns(small):
 def test_a_small_clean_recording_is_clean_whatever_noise_is_stated(small, stated):
     obs = simulated.observe(small, 31)
     obs = replace(obs, cell=replace(obs.cell, noise_mm=obs.cell.noise_mm * stated))
-    found = diagnose(obs)
+    found = diagnose(obs, folds=2)
     assert found.verdict == "none"
     assert found.effects == ()
     assert any("what is stated" in note for note in found.notes) == (stated != 1.0)
@@ -180,7 +180,7 @@ def test_a_small_clean_recording_is_clean_whatever_noise_is_stated(small, stated
 
 
 def test_every_effect_has_alternatives_with_their_odds(small):
-    found = diagnose(simulated.observe(small, 32, [("backlash", ("A2",), [2e-4], None)]))
+    found = diagnose(simulated.observe(small, 32, [("backlash", ("A2",), [2e-4], None)]), folds=2)
     assert found.verdict == "explained"
     (effect,) = found.effects
     assert (effect.name, effect.where) == ("backlash", ("A2",))

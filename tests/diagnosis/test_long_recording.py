@@ -18,7 +18,8 @@ def reported():
                 ("gear_transmission_error", ("A1",), [0.0, 1.2e-4], 23.0),
                 ("gear_transmission_error", ("A3",), [1.5e-4, 0.0], 15.1),
             ],
-        )
+        ),
+        folds=2,
     )
 
 

@@ -31,7 +31,7 @@ def noisier(obs, times, seed=1):
 
 def test_noise_that_grows_with_reach_is_named_and_the_effect_beside_it_is_found(plan):
     obs = noisier(simulated.observe(plan, 7, [("joint_compliance", ("A2",), [3e-6], None)]), 3.4)
-    found = diagnose(obs)
+    found = diagnose(obs, folds=2)
     (one,) = found.noise_depends_on
     assert (one.of, one.covariate) == (INSTRUMENT, "reach")
     true = 1 + 2.4 * (np.array([one.low, one.high]) - reach_of(obs).min()) / np.ptp(reach_of(obs))

@@ -29,7 +29,7 @@ def test_a_quarter_of_a_period_is_no_gear_error_and_no_larger_than_the_misfit(po
     q = postures.copy()
     q[:, 4] = np.random.default_rng(4).uniform(0.35, 0.35 + 2 * np.pi / ORDER / 4, len(q))
 
-    found = diagnose(simulated.observe(simulated.tracked(q), 8, [wave_of_joint_five]))
+    found = diagnose(simulated.observe(simulated.tracked(q), 8, [wave_of_joint_five]), folds=2)
 
     (effect,) = found.effects
     assert (effect.name, effect.where) == ("unknown", ("A5",))
@@ -42,7 +42,7 @@ def test_orders_that_look_alike_at_the_angles_of_a_recording_are_all_named(postu
     q = postures.copy()
     q[:, 3] = np.radians(15.0 * np.round(np.degrees(q[:, 3]) / 15.0))
 
-    found = diagnose(simulated.observe(simulated.tracked(q), 9, [("gear_transmission_error", ("A4",), [3e-4, 2e-4], 7.0)]))
+    found = diagnose(simulated.observe(simulated.tracked(q), 9, [("gear_transmission_error", ("A4",), [3e-4, 2e-4], 7.0)]), folds=2)
 
     (effect,) = found.effects
     assert (effect.name, effect.where) == ("gear_transmission_error", ("A4",))

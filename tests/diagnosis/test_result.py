@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import simulated
 
-from mbcacq.diagnosis.diagnose import diagnose
 from mbcacq.diagnosis.effect_found import Alternative, EffectFound, MismatchEntry
 from mbcacq.diagnosis.findings import Advice, NotSeparable
 from mbcacq.diagnosis.output.pictures import pictures
@@ -59,8 +57,8 @@ FOUND = Diagnosis(
 
 
 @pytest.fixture(scope="module")
-def diagnosis(plan):
-    return diagnose(simulated.observe(plan, 21, [("joint_compliance", ("A2",), [2.5e-6], None)]), folds=2)
+def diagnosis(elastic_arm):
+    return elastic_arm
 
 
 def test_a_diagnosis_goes_to_json_and_back():

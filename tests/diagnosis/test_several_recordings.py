@@ -65,7 +65,7 @@ def test_what_differs_from_day_to_day_is_no_more_certain_than_that(plan):
     days = [simulated.observe(plan, 400 + day, [("joint_compliance", ("A2",), [4e-6], None)], arm=7) for day in range(2)]
     key = "A2.compliance_rad_per_Nm"
 
-    found = diagnose(days)
+    found = diagnose(days, folds=2)
 
     (alike,) = (b for b in found.between_recordings if b.parameter == key)
     assert not alike.differs

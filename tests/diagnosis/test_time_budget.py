@@ -29,7 +29,7 @@ class Clock:
 
 def with_clock(monkeypatch, reads, data, minutes=10.0):
     monkeypatch.setattr(time_budget, "time", Clock(reads))
-    return diagnose(data, minutes=minutes)
+    return diagnose(data, minutes=minutes, folds=2)
 
 
 @pytest.fixture(scope="module")

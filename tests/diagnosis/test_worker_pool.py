@@ -139,8 +139,8 @@ def fitted(plan):
 def test_two_workers_give_the_same_cross_validation_as_one(fitted, pool):
     setup, full = fitted
 
-    one = cross_validation.cross_validate(setup, full, 4)
-    two = cross_validation.cross_validate(setup, full, 4, pool)
+    one = cross_validation.cross_validate(setup, full, 2)
+    two = cross_validation.cross_validate(setup, full, 2, pool)
 
     assert one.after.chi2_dof < 0.7 * one.before.chi2_dof
     assert two == one

@@ -89,7 +89,7 @@ def test_a_prediction_with_the_effect_is_what_is_measured():
 def test_a_camera_that_misreads_a_leaning_target_is_named():
     obs = seen(150, 3, by_camera, noise=(0.02, 2e-5, 3e-5))
 
-    found = diagnose(obs)
+    found = diagnose(obs, folds=2)
 
     assert [(e.name, e.where) for e in found.effects] == [("orientation_bias", ("target",))]
     assert found.verdict == "explained"

@@ -6,16 +6,14 @@ import ast
 import re
 from collections import Counter
 from functools import cache
-from pathlib import Path
 
 import grimp
 import numpy as np
 import pytest
+from parsed import ROOT, nodes, sources
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-ROOT = Path(__file__).parents[2]
-FOLDERS = ("mbcacq", "drivers", "fakes")
 PACKAGES = ("mbcacq", "mbcacq_kuka", "mbcacq_gocator", "mbcacq_bus", "mbcacq_folder", "mbcacq_ur", "mbcacq_fakes")
 REPLACED = {"told", "chance", "crew", "atlas", "ledger", "worth", "envelope", "envelopes", "leftover", "wiggle", "prospect", "foreseen"}
 # held-out data, expected from noise alone, identified with the correct cause, a one-sided test, unmodelled effects
@@ -27,14 +25,9 @@ REPLACED_PHRASES = re.compile(
 
 
 @cache
-def sources() -> dict[Path, ast.Module]:
-    return {p: ast.parse(p.read_text(encoding="utf-8")) for folder in FOLDERS for p in (ROOT / folder).rglob("*.py")}
-
-
 def defined() -> set[str]:
     """Names of modules, classes and functions."""
-    kinds = ast.ClassDef | ast.FunctionDef
-    return {p.stem for p in sources()} | {n.name for tree in sources().values() for n in ast.walk(tree) if isinstance(n, kinds)}
+    return {p.stem for p in sources()} | {n.name for _, n in nodes(ast.ClassDef, ast.FunctionDef)}
 
 
 def test_no_circle_of_imports_between_files():
@@ -49,16 +42,17 @@ def test_no_circle_of_imports_between_files():
 
 
 def test_no_two_classes_have_one_name():
-    names = Counter(n.name for tree in sources().values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef))
+    names = Counter(n.name for _, n in nodes(ast.ClassDef))
     assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_no_name_uses_a_word_that_the_terms_replace():
     found = set()
-    for path, tree in sources().items():
-        for node in ast.walk(tree):
-            name = getattr(node, "name", None) or getattr(node, "id", None) or getattr(node, "attr", None) or getattr(node, "arg", None)
-            words = re.findall(r"[A-Z]?[a-z]+", name) if isinstance(name, str) else ()
+    for path, by_kind in sources().items():
+        every = (node for same in by_kind.values() for node in same)
+        names = {getattr(node, what, None) for node in every for what in ("name", "id", "attr", "arg")}
+        for name in (n for n in names if isinstance(n, str)):
+            words = re.findall(r"[A-Z]?[a-z]+", name)
             found |= {f"{path.relative_to(ROOT)}: {name}" for word in words if word.lower() in REPLACED}
     assert sorted(found) == []
 
@@ -71,9 +65,8 @@ def test_no_page_and_no_text_uses_a_phrase_that_the_terms_replace():
     ]
     pages += [*(ROOT / "examples").rglob("*.md"), *(ROOT / "examples").rglob("*.ipynb")]
     texts = {path: path.read_text(encoding="utf-8") for path in pages if path.name != "glossary.md"}  # it lists them
-    texts |= {
-        p: "\n".join(n.value for n in ast.walk(t) if isinstance(n, ast.Constant) and isinstance(n.value, str)) for p, t in sources().items()
-    }
+    for path, by_kind in sources().items():
+        texts[path] = "\n".join(n.value for n in by_kind.get(ast.Constant, ()) if isinstance(n.value, str))
     found = [f"{path.relative_to(ROOT)}: {match[0]}" for path, text in texts.items() for match in REPLACED_PHRASES.finditer(text)]
     assert sorted(found) == []
 
@@ -90,12 +83,10 @@ OPENING = re.compile(r"(?:^|[.;] )Of (?!course)[a-z]")
 
 def test_no_docstring_and_no_page_opens_a_sentence_with_a_genitive():
     """'Of fewer the verdict is ..': a sentence begins with its subject."""
-    kinds = ast.Module | ast.ClassDef | ast.FunctionDef
     found = []
-    for path, tree in sources().items():
-        for node in ast.walk(tree):
-            text = ast.get_docstring(node) if isinstance(node, kinds) else None
-            found += [f"{path.relative_to(ROOT)}: {m[0]}" for m in OPENING.finditer(re.sub(r"\s+", " ", text or ""))]
+    for path, node in nodes(ast.Module, ast.ClassDef, ast.FunctionDef):
+        text = ast.get_docstring(node)
+        found += [f"{path.relative_to(ROOT)}: {m[0]}" for m in OPENING.finditer(re.sub(r"\s+", " ", text or ""))]
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")):
         paragraphs = re.split(r"\n\s*\n|\n[-*|#] ?", page.read_text(encoding="utf-8"))
         found += [f"{page.relative_to(ROOT)}: {m[0]}" for p in paragraphs for m in OPENING.finditer(re.sub(r"\s+", " ", p).strip())]
@@ -108,19 +99,16 @@ def called(node: ast.Call) -> str:
 
 def test_no_call_passes_eight_arguments_by_position():
     """Nobody sees what the sixth of them is. The fields of a packed structure have no names."""
-    found = []
-    for path, tree in sources().items():
-        many = [n for n in ast.walk(tree) if isinstance(n, ast.Call) and len(n.args) >= 8 and called(n) not in ("pack", "pack_into")]
-        found += [f"{path.relative_to(ROOT)}:{n.lineno}: {called(n)}" for n in many]
+    many = [(path, n) for path, n in nodes(ast.Call) if len(n.args) >= 8 and called(n) not in ("pack", "pack_into")]
+    found = [f"{path.relative_to(ROOT)}:{n.lineno}: {called(n)}" for path, n in many]
     assert sorted(found) == []
 
 
 def test_options_are_given_by_name():
     found = []
-    for path, tree in sources().items():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef) and node.name.endswith(("Options", "Limits", "Settings", "Result", "Diagnosis")):
-                made = [ast.unparse(d) for d in node.decorator_list if "dataclass" in ast.unparse(d)]
-                fields = [s for s in node.body if isinstance(s, ast.AnnAssign)]
-                found += [f"{path.relative_to(ROOT)}: {node.name}" for d in made if len(fields) > 5 and "kw_only=True" not in d]
+    for path, node in nodes(ast.ClassDef):
+        if node.name.endswith(("Options", "Limits", "Settings", "Result", "Diagnosis")):
+            made = [ast.unparse(d) for d in node.decorator_list if "dataclass" in ast.unparse(d)]
+            fields = [s for s in node.body if isinstance(s, ast.AnnAssign)]
+            found += [f"{path.relative_to(ROOT)}: {node.name}" for d in made if len(fields) > 5 and "kw_only=True" not in d]
     assert sorted(found) == []

@@ -1,9 +1,10 @@
 """Nothing but the atomic writer opens a file for writing, and no table that enters is read by another reader."""
 
 import ast
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2] / "mbcacq"
+from parsed import ROOT, nodes
+
+PACKAGE = ROOT / "mbcacq"
 WRITERS = {"write_text", "write_bytes", "savez", "savetxt", "savefig", "NamedTemporaryFile", "mkstemp"}
 WRITERS |= {"write_html", "write_image", "write_table", "imsave", "tofile"}  # of plotly, pyarrow, matplotlib, numpy
 WRITERS |= {"save", "FileSink"}  # of rerun: its writer ends at the first error, and a stream that shall write to it may wait for ever
@@ -35,9 +36,7 @@ def opens_for_writing(call: ast.Call) -> bool:
 
 
 def test_only_the_atomic_writer_opens_files_for_writing():
-    found = {
-        str(path.relative_to(ROOT).as_posix())
-        for path in ROOT.rglob("*.py")
-        if any(isinstance(n, ast.Call) and opens_for_writing(n) for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-    }
+    calls = ((path, node) for path, node in nodes(ast.Call) if path.is_relative_to(PACKAGE))
+    found = {path.relative_to(PACKAGE).as_posix() for path, node in calls if opens_for_writing(node)}
+    assert found
     assert found - set(ALLOWED) == set()

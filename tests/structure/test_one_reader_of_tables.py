@@ -1,11 +1,10 @@
 """One place reads CSV: what another one forgot to refuse would be a wrong number."""
 
 import ast
-from pathlib import Path
 
-import mbcacq
+from parsed import ROOT, nodes
 
-ROOT = Path(mbcacq.__file__).parent
+PACKAGE = ROOT / "mbcacq"
 READERS = {"reader", "DictReader", "genfromtxt", "loadtxt", "read_csv"}
 ALLOWED = {
     "files/csv_text.py",  # the reader
@@ -16,13 +15,8 @@ ALLOWED = {
 
 def test_nothing_else_reads_tables():
     found = set()
-    for path in ROOT.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if (
-                isinstance(node, ast.Attribute)
-                and node.attr in READERS
-                and isinstance(node.value, ast.Name)
-                and node.value.id in ("csv", "np", "pd")
-            ):
-                found.add(path.relative_to(ROOT).as_posix())
+    for path, node in nodes(ast.Attribute):
+        table = node.attr in READERS and isinstance(node.value, ast.Name) and node.value.id in ("csv", "np", "pd")
+        if table and path.is_relative_to(PACKAGE):
+            found.add(path.relative_to(PACKAGE).as_posix())
     assert found == ALLOWED

@@ -52,8 +52,21 @@ def _improved_orders(model: MotionModel) -> bool:
         store.forget(mark)
         for i, (step, (low, high)) in enumerate(zip(steps, bounds, strict=True)):
             hyper = float(np.clip(free[i].value + step, low, high))
-            free[i] = model.moved(free[i], hyper, model.add(free[i].candidate, hyper))
+            free[i] = _moved(model, free[i], hyper)
     return any(_is_order(e) and e.value in ends for e, ends in zip(free, bounds, strict=True))
+
+
+def _moved(model: MotionModel, effect: Member, hyper: float) -> Member:
+    """A selected effect at another value. The columns of a value that is tried are the pool's and stay; those of any other are its own and
+    are overwritten, or the columns that nobody needs any more would slow down all that follows.
+    """
+    candidate = effect.candidate
+    assert candidate.hyper is not None
+    if effect.hyper in candidate.hyper.values:
+        return model.moved(effect, hyper, model.add(candidate, hyper))
+    columns = [model.columns(candidate, joint, hyper) for joint in candidate.rows.joints]
+    model.store.replace(effect.columns, model.joint_indices(candidate), columns)
+    return model.moved(effect, hyper, effect.columns)
 
 
 def _is_order(effect: Member) -> bool:

@@ -103,12 +103,15 @@ class MotionModel:
         weights = count / np.maximum(store.errors(np.zeros(0, dtype=int), np.zeros(0)).sum(axis=0), least)
         for _ in range(NUMBERS.weight_rounds):
             x = store.solve(store.normal(weights), chosen)
-            weights = count / np.maximum(store.errors(chosen, x).sum(axis=0) * store.correlated_samples(chosen, x), least)
+            weights = count / np.maximum(store.errors(chosen, x).sum(axis=0) * self._correlated_samples(chosen, x), least)
         return weights
 
     def colour(self, chosen: np.ndarray) -> np.ndarray:
         """(J,) samples of the residual of these columns that count as one."""
-        return self.store.correlated_samples(chosen, self.store.solve(self.store.normal(self.weights(chosen)), chosen))
+        return self._correlated_samples(chosen, self.store.solve(self.store.normal(self.weights(chosen)), chosen))
+
+    def _correlated_samples(self, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return self.store.correlated_samples(chosen, x, self.least_noise**2)
 
     def coefficients(self) -> np.ndarray:
         """Coefficients of ``chosen()``."""

@@ -209,17 +209,23 @@ class NormalStore:
             out[:, j] = np.maximum(square, 0.0)
         return out
 
-    def correlated_samples(self, chosen: np.ndarray, x: np.ndarray) -> np.ndarray:
+    def correlated_samples(self, chosen: np.ndarray, x: np.ndarray, least: np.ndarray) -> np.ndarray:
         """(J,) by how much the sum of the residual over a segment varies more than that of white noise: the number of samples that count
-        as one, at least 1."""
+        as one, at least 1.
+
+        least: (J,) variance of the white noise that every channel has on top. A residual that is only the rounding of the computation is
+        as smooth as can be, which says nothing of the channel's noise.
+        """
         position = self.positions(chosen)
         out = np.ones(len(self.numbers))
+        white = self.count.sum(axis=0) * least
         for j, numbers in enumerate(self.numbers):
             own = np.flatnonzero((numbers == MISMATCH) | (position[numbers] >= 0))
             v = np.array([1.0 if i == MISMATCH else -x[position[i]] for i in numbers[own]])
             Gv = _times(self.products[j], own, v)
             first = int(np.flatnonzero(numbers[own] == self.offset[j])[0])
-            out[j] = max(float((Gv[:, first] ** 2).sum()) / max(float((Gv @ v).sum()), 1e-300), 1.0)
+            varies, if_white = float((Gv[:, first] ** 2).sum()) + white[j], max(float((Gv @ v).sum()), 0.0) + white[j]
+            out[j] = max(varies / max(if_white, 1e-300), 1.0)
         return out
 
     def held_out(self, chosen: np.ndarray, normals: dict[int, np.ndarray]) -> np.ndarray:
