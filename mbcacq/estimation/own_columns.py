@@ -33,6 +33,11 @@ class OwnColumns:
         """Whether every pose shows every ball once, in order."""
         return self.ball.shape[1] == self.k and bool(np.all(self.ball == np.arange(self.k)))
 
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """(P, k, B) one where a centre is of a ball; a pose may show a ball twice."""
+        return (self.ball[:, None] == np.arange(self.k)[:, None]).astype(float)
+
     @property
     def dense(self) -> np.ndarray:
         """(P, B R, e)."""
@@ -53,11 +58,9 @@ class OwnColumns:
         """(P, R, k, ...): sums of values (P, R, B, ...) over the centres of each ball."""
         if self.in_order:
             return values
-        out = np.zeros((*values.shape[:2], self.k + 1, *values.shape[3:]))
-        every = np.arange(len(values))
-        for b in range(self.ball.shape[1]):  # a pose may show a ball twice
-            out[every, :, self.ball[:, b]] += values[:, :, b]
-        return out[:, :, : self.k]
+        if values.ndim == 3:
+            return values @ np.swapaxes(self.shown, 1, 2)
+        return self.shown[:, None] @ values
 
 
 class WeightedOwnColumns:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,9 +111,11 @@ def scanner_cell(
         placed.append(Station(str(s + 1), "bar" if bar else "mbc"))
         T_stations.append(_place(rng, 1.0 if chain.n == 6 else 0.75))
         balls = [[8], [9]] * 2 if bar else [list(range(8))] * per_station
-        for look in balls:
-            centre = bar_balls[look[0] - 8] if bar else MBC.mean(axis=0)
-            joints = _look(true_chain, true_hand_eye, T_stations[-1], centre, rng, tilt_deg)
+        if bar:
+            postures = [_looks(true_chain, true_hand_eye, T_stations[-1], bar_balls[b - 8], rng, tilt_deg, 1)[0] for (b,) in balls]
+        else:
+            postures = _looks(true_chain, true_hand_eye, T_stations[-1], MBC.mean(axis=0), rng, tilt_deg, len(balls))
+        for look, joints in zip(balls, postures, strict=True):
             pose += [len(q)] * len(look)
             ball += look
             q.append(joints)
@@ -196,66 +197,86 @@ def _preliminary(nominal: Chain, true: Chain, hand_eye, T_base_station, rng):
     """Joint angles of the phases 'translation' and 'orientation' at one station."""
     centre = MBC.mean(axis=0)
     for _ in range(50):
-        first = _look(true, hand_eye, T_base_station, centre, rng, 10.0)
+        (first,) = _looks(true, hand_eye, T_base_station, centre, rng, 10.0, 1)
         T = nominal.flange(first[None])[0]
         moves = [se3.transform(np.eye(3), sign * 30.0 * axis) for axis in np.eye(3) for sign in (1, -1)]
-        out = [("translation", _inverse(nominal, move @ T, rng, first, exact=True)) for move in moves]
-        if all(joints is not None for _, joints in out):
-            return out + [("orientation", _look(true, hand_eye, T_base_station, centre, rng, 25.0)) for _ in range(6)]
+        q, reached = _inverse(nominal, np.array(moves) @ T, np.tile(first, (6, 1)), exact=True)
+        if reached.all():
+            turned = _looks(true, hand_eye, T_base_station, centre, rng, 25.0, 6)
+            return [("translation", joints) for joints in q] + [("orientation", joints) for joints in turned]
     raise AssertionError("no reachable translations found")
 
 
-def _look(chain: Chain, T_flange_scanner, T_base_station, centre, rng, tilt_deg: float) -> np.ndarray:
-    """Joint angles from which the scanner frame stands at ``centre``, z back at the scanner, tilted and rolled at random."""
+def _looks(chain: Chain, T_flange_scanner, T_base_station, centre, rng, tilt_deg: float, count: int) -> list[np.ndarray]:
+    """Joint angles of ``count`` poses in which the scanner frame stands at ``centre``, z back at the scanner, tilted and rolled at random.
+
+    Attempts are made many at a time; those after the last that is needed are as if they had never been drawn.
+    """
+    found: list[np.ndarray] = []
     for _ in range(200):
-        tilt = np.radians(tilt_deg) * rng.uniform(-1, 1, size=3) * np.array([1, 1, 3])
-        T_station_scanner = se3.transform(se3.rotation_exp(tilt), centre + rng.normal(size=3) * 3)
-        q = _inverse(chain, T_base_station @ T_station_scanner @ se3.inverse(T_flange_scanner), rng)
-        if q is not None:
-            return q
+        before, wanted = rng.bit_generator.state, count - len(found)
+        drawn = [_attempt(chain.n, centre, rng, tilt_deg) for _ in range(3 * wanted + 3)]
+        T_station_scanner, start = (np.array(one) for one in zip(*drawn, strict=True))
+        q, reached = _inverse(chain, T_base_station @ T_station_scanner @ se3.inverse(T_flange_scanner), start)
+        good = np.flatnonzero(reached)[:wanted]
+        found += list(q[good])
+        if len(found) == count:
+            rng.bit_generator.state = before
+            for _ in range(good[-1] + 1):
+                _attempt(chain.n, centre, rng, tilt_deg)
+            return found
     raise AssertionError("no reachable pose found")
+
+
+def _attempt(n: int, centre, rng, tilt_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pose (4, 4) of the scanner at a station, and (n,) where the search for joint angles begins."""
+    tilt = np.radians(tilt_deg) * rng.uniform(-1, 1, size=3) * np.array([1, 1, 3])
+    T_station_scanner = se3.transform(se3.rotation_exp(tilt), centre + rng.normal(size=3) * 3)
+    usual = np.array([0, -1.2, 1.5, 0, 0.9, 0]) if n == 6 else np.array([0, 0.7, 0, -1.4, 0, 1.0, 0])
+    return T_station_scanner, rng.uniform(-1, 1, n) * 0.8 + usual
 
 
 def inverse_kinematics(chain: Chain, target: np.ndarray, start: np.ndarray) -> np.ndarray | None:
     """Joint angles (n,) near ``start`` that bring the flange to ``target`` (4, 4); None where that fails."""
-    return _inverse(chain, target, np.random.default_rng(0), start, exact=True)
+    q, reached = _inverse(chain, target[None], start[None], exact=True)
+    return q[0] if reached[0] else None
 
 
-def _inverse(chain: Chain, target: np.ndarray, rng, start: np.ndarray | None = None, exact: bool = False) -> np.ndarray | None:
-    """Numerical inverse kinematics: damped Gauss-Newton from a random start."""
-    n = chain.n
-    q = (
-        start.copy()
-        if start is not None
-        else rng.uniform(-1, 1, n) * 0.8 + (np.array([0, -1.2, 1.5, 0, 0.9, 0]) if n == 6 else np.array([0, 0.7, 0, -1.4, 0, 1.0, 0]))
-    )
-    scale, damping = np.array([1e-3] * 3 + [1.0] * 3), (1e-6 if exact else 0.03)
+def _inverse(chain: Chain, target: np.ndarray, start: np.ndarray, exact: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Numerical inverse kinematics: damped Gauss-Newton from starts (N, n) to targets (N, 4, 4). Angles (N, n), and whether each is reached."""
+    scale, damping, tolerance = np.array([1e-3] * 3 + [1.0] * 3), (1e-6 if exact else 0.03), (1e-10 if exact else 1e-3)
+    q, reached, going = start.copy(), np.zeros(len(start), dtype=bool), np.arange(len(start))
     for _ in range(60):
-        frames = chain.frames(q[None])[0]
-        xi = scale * _twist(target, frames[-1])
-        axis, point = frames[:-1, :3, 2], frames[:-1, :3, 3]
-        J = scale * np.concatenate([_cross(point, axis), axis], axis=1) * chain.sign[:, None]  # (n, 6)
-        step = np.linalg.solve(J @ J.T + damping**2 * np.eye(n), J @ xi)
-        q = q + np.clip(step, -0.3, 0.3)
-        if np.abs(xi).max() < (1e-10 if exact else 1e-3):
-            return q if exact or np.abs(q).max() < 3 else None
-    return None
+        frames = chain.frames(q[going])
+        xi = scale * _twist(target[going], frames[:, -1])
+        axis, point = frames[:, :-1, :3, 2], frames[:, :-1, :3, 3]
+        J = scale * np.concatenate([_cross(point, axis), axis], axis=2) * chain.sign[:, None]  # (N, n, 6)
+        step = np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping**2 * np.eye(chain.n), J @ xi[..., None])[..., 0]
+        q[going] += np.clip(step, -0.3, 0.3)
+        there = np.abs(xi).max(axis=1) < tolerance
+        reached[going[there]] = exact or np.abs(q[going[there]]).max(axis=1) < 3
+        going = going[~there]
+        if not len(going):
+            break
+    return q, reached
 
 
 def _twist(target: np.ndarray, reached: np.ndarray) -> np.ndarray:
-    """(6,) displacement mm and rotation vector rad that take ``reached`` to ``target``, both (4, 4)."""
-    R = target[:3, :3] @ reached[:3, :3].T
-    sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
-    size = math.sqrt(sine @ sine)
-    angle = math.atan2(size, (np.trace(R) - 1) / 2)
-    rotation = sine * (angle / size) if 1e-9 < size and angle < 3.1 else se3.rotation_log(R)
-    return np.concatenate([target[:3, 3] - R @ reached[:3, 3], rotation])
+    """(N, 6) displacement mm and rotation vector rad that take ``reached`` to ``target``, both (N, 4, 4)."""
+    R = target[:, :3, :3] @ np.swapaxes(reached[:, :3, :3], 1, 2)
+    sine = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1) / 2
+    size = np.sqrt(np.sum(sine**2, axis=1))
+    angle = np.arctan2(size, (np.trace(R, axis1=1, axis2=2) - 1) / 2)
+    rotation = sine * (angle / np.maximum(size, 1e-9))[:, None]
+    if (special := (size <= 1e-9) | (angle >= 3.1)).any():
+        rotation[special] = se3.rotation_log(R[special])
+    return np.concatenate([target[:, :3, 3] - (R @ reached[:, :3, 3:])[..., 0], rotation], axis=1)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n, 3) cross products; numpy's own costs as much as all the rest where n is small."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    """(.., 3) cross products; numpy's own costs as much as all the rest where there are few."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 __all__ = [

@@ -117,7 +117,7 @@ def test_an_effect_of_two_angles_is_predicted_better_by_a_process_of_both_than_b
     observed = simulated.observe(plan, 125, [pull_on_joint_five_where_five_and_six_meet])
 
     def squares_removed():
-        found = diagnose(observed, folds=2).to_json()
+        found = diagnose(observed).to_json()
         assert [e["name"] for e in found["effects"]] == ["unknown"]
         assert found["mismatch"][0]["at"] == "A5"
         held_out = found["fit"]["held_out"]

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("mbcacq", "drivers", "fakes")
@@ -15,7 +15,7 @@ N = TypeVar("N", bound=ast.AST)
 
 
 @cache
-def sources() -> dict[Path, dict[type, list[ast.AST]]]:
+def sources() -> dict[Path, dict[type, list[Any]]]:
     """The nodes of each file by their kind."""
     out = {}
     for path in (p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py")):
