@@ -35,10 +35,10 @@ def test_effects_of_a_joint_remove_together_what_the_table_says():
 
 @pytest.mark.parametrize(("hyper", "bound"), [(LOOPS_S[-1], True), (LOOPS_S[0], True), (2.2, False)])
 def test_a_value_at_the_end_of_what_was_tried_is_a_bound(hyper, bound):
-    candidate = SimpleNamespace(hyper=Hyperparameter("A1.time_constant_s", LOOPS_S, 4.0))
+    candidate = SimpleNamespace(hyper=Hyperparameter("A1.time_constant_s", LOOPS_S, 4.0), least_size=0.0)
     assert at_bound(Member(candidate, hyper)) == bound
 
 
 def test_no_lag_at_all_is_a_value():
-    candidate = SimpleNamespace(hyper=Hyperparameter("A1.time_constant_s", LAGS_S, 4.0, from_none=True))
+    candidate = SimpleNamespace(hyper=Hyperparameter("A1.time_constant_s", LAGS_S, 4.0, from_none=True), least_size=0.0)
     assert not at_bound(Member(candidate, LAGS_S[0]))
