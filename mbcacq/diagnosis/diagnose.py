@@ -104,7 +104,7 @@ def _diagnose(
         part = search_in_part(problem)
         refitting = Refitting(refit, pool)
         # What is left nearly always asks for groups at all locations.
-        refitting.begin(with_groups_everywhere(obs, EffectSet.unsolved(part.members)))
+        refitting.begin(with_groups_everywhere(problem.linear.obs, EffectSet.unsolved(part.members)))
         full = fit_everywhere(problem, part)
     else:
         full = fit_model(problem)
