@@ -43,3 +43,18 @@ def test_a_consistent_target_is_reached_and_another_is_brought_to_the_border():
     assert np.linalg.eigvalsh(pseudo_inertia(found))[0, 0] > 0
     assert 0 <= solved[10] < 1e-3
     assert 0.1 < np.linalg.norm(solved[:10] - impossible) < 0.5
+
+
+def test_a_heavy_tool_that_the_description_lacks_fits_as_well_as_its_truth():
+    """Slow motion determines moments well and tensors hardly, and the sum of link and tool a thousand times better than each."""
+    link, tool = four_points(2), body(np.array([0.1, -0.05, 0.3]) + 0.05 * np.random.default_rng(5).normal(size=(6, 3)), np.full(6, 7.0))
+    bodies = InertialBodies(np.stack([link, np.zeros(10)]), np.ones((2, 10)), np.arange(20).reshape(2, 10), np.array([20]))
+    sigma = np.r_[0.5, 0.01, 0.01, 0.1, np.full(6, 1.0)]
+    each, both, rotor = np.eye(21)[:20] / np.tile(sigma, 2)[:, None], np.eye(10, 21) + np.eye(10, 21, 10), np.eye(1, 21, 20)
+    root = np.concatenate([each, 1e3 * both / sigma[:, None], 100 * rotor])
+    truth = np.r_[np.zeros(10), tool, 0.3]
+    for seed in range(3):
+        measured = truth + np.linalg.lstsq(root, np.random.default_rng(seed).normal(size=31), rcond=None)[0]
+        solved = _solve(bodies, np.ones((2, 10), dtype=bool), root, measured)
+        assert np.sum((root @ (solved - measured)) ** 2) <= np.sum((root @ (truth - measured)) ** 2)
+        assert abs(solved[10] - tool[0]) < 3 * sigma[0]

@@ -23,7 +23,7 @@ TENSOR = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # order of the tensor
 LOWER = np.tril_indices(4)
 TOLERANCE = 1e-7  # relative, of the smallest eigenvalue of a pseudo-inertia
 LEAST = 1e-6  # kg m^2 and kg, of an eigenvalue: a body has some extent in every direction
-START = 1e-3  # kg m^2 and kg added to the description, which has bodies without extent
+START = 1e-3  # kg m^2 and kg added to the bodies at which the solver begins: at a factor of zero the derivative is zero
 ROUNDS = 200  # of the solver; it stops earlier where it converges
 
 
@@ -149,7 +149,10 @@ def _solve(found: InertialBodies, free: np.ndarray, root: np.ndarray, target: np
         out[int(free.sum()) :, b * BODY :] = np.diag(2.0 * y[b * BODY :])
         return np.asarray(root @ out)
 
-    start = np.linalg.cholesky(_nearest(pseudo_inertia(found.described)) + START * np.eye(4))
+    # From the description the factors of a tool would begin near zero, where the squares are flat: after all rounds it still weighed 1 kg of 40.
+    unconstrained = found.described.copy()
+    unconstrained[free] += scale * target[: len(scale)]
+    start = np.linalg.cholesky(_nearest(pseudo_inertia(unconstrained)) + START * np.eye(4))
     first = np.concatenate([start[:, *LOWER].ravel(), np.sqrt(np.maximum(target[len(scale) :], 0.0)) + START])
     derivative: Any = jacobian  # scipy's stubs know only the names of its own methods
     result = least_squares(lambda y: root @ (coefficients(y) - target), first, jac=derivative, method="trf", max_nfev=ROUNDS)
