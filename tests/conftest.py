@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from finished_runs import FinishedRun, dry_run
+from finished_runs import FinishedRun, diagnosed, dry_run
 from finished_runs import made_once as make_once
 from hypothesis import HealthCheck, settings
 
@@ -96,6 +96,13 @@ def computed_once(made_once: Callable[[str, Callable[[Path], None]], Path]) -> C
 def finished_run(made_once: Callable[[str, Callable[[Path], None]], Path]) -> Callable[[str], FinishedRun]:
     """finished_run("quick.yaml"): the whole dry run of a shipped plan; to be looked at only."""
     return lambda plan: FinishedRun(made_once(f"run-of-{plan}", lambda desk: dry_run(desk, plan)))
+
+
+@pytest.fixture(scope="session")
+def concealed_run(finished_run, made_once) -> tuple[FinishedRun, FinishedRun]:
+    """The run of plans/concealed.yaml as it was measured, and as it was diagnosed and calibrated with its effects; to be looked at only."""
+    measured = finished_run("concealed.yaml")
+    return measured, FinishedRun(made_once("diagnosis-of-concealed.yaml", lambda desk: diagnosed(desk, measured)))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -46,7 +46,18 @@ class FinishedRun:
 def dry_run(desk: Path, plan: str) -> None:
     """Type ``mbcacq run plans/PLAN --dry-run`` on a desk with the shipped plans."""
     shutil.copytree(ROOT / "plans", desk / "plans")
-    command = [Path(sys.executable).parent / "mbcacq", "run", f"plans/{plan}", "--dry-run"]
+    typed(desk, "run", f"plans/{plan}", "--dry-run")
+
+
+def diagnosed(desk: Path, run: FinishedRun) -> None:
+    """Copy a finished run to a desk and type ``mbcacq diagnose latest --calibrate``."""
+    shutil.copytree(run.desk / "runs", desk / "runs", symlinks=True)
+    typed(desk, "diagnose", "latest", "--calibrate")
+
+
+def typed(desk: Path, *words: str) -> None:
+    """Type an mbcacq command on a desk, which keeps what it prints."""
     with (desk / "stdout").open("w") as out, (desk / "stderr").open("w") as err:
+        command = [Path(sys.executable).parent / "mbcacq", *words]
         done = subprocess.run(command, cwd=desk, stdout=out, stderr=err, stdin=subprocess.DEVNULL, timeout=1150)
     assert done.returncode == 0, (desk / "stderr").read_text()

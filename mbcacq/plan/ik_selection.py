@@ -67,14 +67,18 @@ def _speed(loaded: LoadedPlan) -> np.ndarray:
 
 def reaches_forward(chain: Chain, q: np.ndarray) -> np.ndarray:
     """(P,) bool: the last axis lies on the side of axis 1 that the arm faces, not behind it."""
-    frames = chain.frames(q)
-    return np.einsum("pi,pi->p", frames[:, 1, :3, 0], frames[:, -2, :3, 3]) >= 0
+    link = chain.link_transforms(q)
+    tip = link[:, -2, :3, 3]  # origin of the frame of the last axis, brought back link by link to the frame behind axis 1
+    for i in range(chain.n - 3, 0, -1):
+        tip = se3.apply(link[:, i], tip)
+    return np.einsum("pi,pi->p", link[:, 0, :3, 0], se3.apply(link[:, 0], tip)) >= 0
 
 
 def wrist_bend(chain: Chain, q: np.ndarray) -> np.ndarray:
     """(P,) rad between the lines of the last axis and the last but two, within a quarter turn: 0 where the wrist is straight."""
-    z = chain.frames(q)[:, :-1, :3, 2]
-    return np.arctan2(np.linalg.norm(se3.cross(z[:, -3], z[:, -1]), axis=1), np.abs(np.einsum("pi,pi->p", z[:, -3], z[:, -1])))
+    link = chain.link_transforms(q)
+    x, y, z = np.einsum("pij,pj->ip", link[:, -3, :3, :3], link[:, -2, :3, 2])  # the last axis, where the last but two is z
+    return np.arctan2(np.hypot(x, y), np.abs(z))
 
 
 def _motion_cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray, mean_joint_share: float) -> np.ndarray:

@@ -71,9 +71,10 @@ def without_installing(script: str) -> str:
     return "\n".join(lines)
 
 
-# Six pages run the same plan: their command is executed once, and what it left behind is copied to each of them. The run with concealed
-# physics is as long again and has a test of its own: here that of kuka.yaml stands for it.
+# Six pages run the same plan: their command is executed once, and what it left behind is copied to each of them.
 DRY_RUN = re.compile(r"^(?:\.venv/bin/)?mbcacq run plans/((?:quick|kuka|concealed)\.yaml) --dry-run(?: --out runs/(\w+))?(?:\s+#.*)?$")
+
+DIAGNOSED = re.compile(r"^(?:\.venv/bin/)?mbcacq diagnose runs/concealed --calibrate$")
 
 # The cell of this page goes by the clock: it moves faster than the plan's arm does, and exposes once.
 OWN_CELL = "cp plans/quick.yaml plans/my-cell.yaml"
@@ -85,8 +86,8 @@ FASTER = (
 INVESTIGATION = re.compile(r"^(?:\.venv/bin/)?mbcacq investigate plans/\w+\.yaml --dry-run$")
 
 
-def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun]) -> str:
-    """The script with the dry runs of shipped plans replaced by copies of them."""
+def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun], diagnosed: Callable[[], FinishedRun]) -> str:
+    """The script with the dry runs of shipped plans, and the diagnosis of one of them, replaced by copies of what they left."""
     lines = []
     for line in script.splitlines():
         if line.strip() == "sleep 2":  # stands for: until the fake cell says that it is up
@@ -95,8 +96,11 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun]) ->
             lines.append(f"{OWN_CELL} && {FASTER}")
         elif INVESTIGATION.match(line.strip()):
             lines.append(f"{line} --poses 24")
+        elif DIAGNOSED.match(line.strip()):
+            run = diagnosed()
+            lines.append(f"cp -a '{run.folder}'/. runs/concealed && cat '{run.desk / 'stdout'}'")
         elif found := DRY_RUN.match(line.strip()):
-            run = finished_run(found[1].replace("concealed", "kuka"))
+            run = finished_run(found[1])
             lines.append(f"cp -a '{run.desk / 'runs'}' . && cat '{run.desk / 'stdout'}'")
             if found[2]:
                 lines.append(f"mv 'runs/{run.folder.name}' 'runs/{found[2]}' && ln -sfn '{found[2]}' runs/latest")
@@ -106,8 +110,10 @@ def on_finished_runs(script: str, finished_run: Callable[[str], FinishedRun]) ->
 
 
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
-def test_commands_of_a_page_work_when_pasted(page: Page, desk: Path, finished_run: Callable[[str], FinishedRun]):
-    script = on_finished_runs(without_installing(page.script), finished_run)
+def test_commands_of_a_page_work_when_pasted(
+    page: Page, desk: Path, finished_run: Callable[[str], FinishedRun], request: pytest.FixtureRequest
+):
+    script = on_finished_runs(without_installing(page.script), finished_run, lambda: request.getfixturevalue("concealed_run")[1])
     if not script.strip():
         return
     environment = dict(

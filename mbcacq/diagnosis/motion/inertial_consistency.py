@@ -149,7 +149,7 @@ def _solve(found: InertialBodies, free: np.ndarray, root: np.ndarray, target: np
         out[int(free.sum()) :, b * BODY :] = np.diag(2.0 * y[b * BODY :])
         return np.asarray(root @ out)
 
-    # From the description the factors of a tool would begin near zero, where the squares are flat: after all rounds it still weighed 1 kg of 40.
+    # From the description the factors of a tool would begin near zero, where squares are flat: after all rounds it weighed 1 kg of 40.
     unconstrained = found.described.copy()
     unconstrained[free] += scale * target[: len(scale)]
     start = np.linalg.cholesky(_nearest(pseudo_inertia(unconstrained)) + START * np.eye(4))
