@@ -11,34 +11,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc, ndtri
 
 from mbcacq.diagnosis.effect_found import EffectFound
 from mbcacq.diagnosis.evidence.between_sets import WeightedSet, averaged
-from mbcacq.diagnosis.findings import (
-    CURE,
-    READABLE,
-    TOGETHER,
-    ComparedEffect,
-    ComparedSet,
-    EvidenceSummary,
-    GivenEvidence,
-    NotSeparable,
-    Verdict,
-)
+from mbcacq.diagnosis.findings import CURE, READABLE, ComparedEffect, ComparedSet, EvidenceSummary, GivenEvidence, NotSeparable, Verdict
 from mbcacq.diagnosis.given_effects import StatedParameters
+from mbcacq.diagnosis.motion.agreement import DecidedPair, ParameterAgreement, distance_of, named_side
 from mbcacq.diagnosis.motion.joint_sets import (
     EvidenceSets,
     JointEvidence,
     JointSet,
     StatedEffect,
-    apart,
     joint_evidence,
     log_odds_of,
     not_excluded,
@@ -51,11 +40,10 @@ from mbcacq.diagnosis.motion.text import motion_text
 from mbcacq.diagnosis.options import OPTIONS
 from mbcacq.diagnosis.result import Diagnosis
 from mbcacq.effects import catalogue
-from mbcacq.effects.effect import ParameterEstimate, Parameters, label_of, parameter_in_words
+from mbcacq.effects.effect import Parameters, label_of, parameter_in_words
 from mbcacq.effects.in_words import effect_in_words
 from mbcacq.errors import ConfigError
-from mbcacq.model.json_text import EveryKey, Number, fields_as_json, from_document
-from mbcacq.quantities import split_unit
+from mbcacq.model.json_text import EveryKey, fields_as_json, from_document
 
 VERDICT_OF_BOTH = {
     "none": "no effect.",
@@ -66,65 +54,6 @@ VERDICT_OF_BOTH = {
 }
 MOST_TOGETHER = 6  # joint sets that are reported
 RARE = 1e-6  # odds below which an alternative counts as that rare: its logarithm stays finite
-FARTHEST = 38.0  # standard deviations: beyond, the probability of a normal distribution is no floating point number
-
-
-@dataclass(frozen=True)
-class ParameterAgreement:
-    """A parameter of an effect that was found in the poses and in the motion.
-
-    Attributes
-    ----------
-    name, where, parameter
-        The effect, its locations, and the parameter with its unit.
-    poses, motion
-        Both estimates.
-    sigmas
-        Their distance in combined standard deviations; several components have the distance of one that is as improbable as all together.
-    agrees
-        Whether that is less than three.
-    """
-
-    name: str
-    where: tuple[str, ...]
-    parameter: str
-    poses: ParameterEstimate
-    motion: ParameterEstimate
-    sigmas: Number
-    agrees: bool
-
-    @property
-    def label(self) -> str:
-        """Effect, locations and parameter in words."""
-        return f"{self.name} at {'+'.join(self.where)}, {split_unit(self.parameter)[0]}"
-
-    def stated(self) -> tuple[str, str]:
-        """What the poses and what the motion state, each with its expanded uncertainty."""
-        _, unit, factor = split_unit(self.parameter)
-        return self.poses.shown(unit, factor), self.motion.shown(unit, factor)
-
-    def __str__(self) -> str:
-        of_poses, of_motion = self.stated()
-        verdict = "they agree" if self.agrees else "they contradict each other"
-        return f"{self.label}: {of_poses} from the poses, {of_motion} from the motion: {verdict} ({self.sigmas:.1f} sigma)"
-
-
-@dataclass(frozen=True)
-class DecidedPair:
-    """Effects that one diagnosis cannot tell apart, of which one is named. by: 'poses' or 'motion', where the other one names it by itself;
-    'both', where the evidence of both does.
-    """
-
-    effects: tuple[str, ...]
-    named: str
-    by: str
-
-    def __str__(self) -> str:
-        pair = " and ".join(self.effects)
-        if self.by == "both":
-            return f"one of them cannot separate {pair}: both together name {self.named}"
-        other, name = ("motion", "name") if self.by == "poses" else ("poses", "names")
-        return f"the {other} cannot separate {pair}: the {self.by} {name} {self.named}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -357,28 +286,10 @@ def over_joint_sets(one: ComparedSet, evidence: EvidenceSummary, joint: Sequence
     return tuple(replace(e, parameters={**e.parameters, **averaged(label, e.parameters, own, sets)}) for e, label in labelled)
 
 
-def named_side(pair: NotSeparable, labels: Collection[str]) -> list[str]:
-    """The sides of a pair whose effects are all among these labels. Where one side has the effects of the other and more, that is the only
-    one that can be named: without the further ones the other is not confirmed.
-    """
-    parts = [set(side.split(TOGETHER)) for side in pair.effects]
-    larger = [side for side, own, other in zip(pair.effects, parts, parts[::-1], strict=True) if own > other]
-    return [side for side in larger or pair.effects if set(side.split(TOGETHER)) <= set(labels)]
-
-
 def translated(name: str, parameters: Parameters, every: Parameters) -> Parameters:
     """The parameters that an effect has in motion in the words of the poses. every: the parameters of all effects."""
     translate = catalogue.declaration(name).in_terms_of_poses
     return parameters if translate is None or not parameters else translate(parameters, every)
-
-
-def distance_of(key: str, mine: ParameterEstimate, theirs: ParameterEstimate) -> float:
-    """Distance of two estimates in combined standard deviations."""
-    sigmas = np.abs(apart(key, mine, theirs)) / np.maximum(np.hypot(mine.components[1], theirs.components[1]), 1e-300)
-    if len(sigmas) == 1:
-        return float(sigmas[0])
-    probability = float(chdtrc(len(sigmas), np.sum(sigmas**2)))
-    return float(-ndtri(probability / 2)) if probability > 0 else max(FARTHEST, float(sigmas.max()))
 
 
 def labels_of(effects: Iterable[tuple[str, tuple[str, ...]]]) -> set[str]:
