@@ -21,19 +21,19 @@ def possible_sizes(least: float) -> tuple[float, ...]:
 @dataclass(frozen=True)
 class Member:
     """An effect of a set, or one that may be, at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical
-    ones; size: the most probable; log_mass: log of the average over the hyper-parameter, relative to this value. columns: (k,) their
+    ones (those of the candidate, unless given); size: the most probable; log_mass: log of the average over the hyper-parameter, relative to this value. columns: (k,) their
     numbers among those of a motion; none of an effect of poses.
     """
 
     candidate: Candidate
     hyper: float | None
     log_mass: float = 0.0
-    sizes: tuple[float, ...] = OPTIONS.sizes
+    sizes: tuple[float, ...] = ()
     size: float = 1.0
     columns: np.ndarray = field(default_factory=lambda: NO_COLUMNS, compare=False)
 
     def __post_init__(self) -> None:
-        if self.sizes is OPTIONS.sizes and self.candidate.least_size:
+        if not self.sizes:
             object.__setattr__(self, "sizes", possible_sizes(self.candidate.least_size))
 
     @property
