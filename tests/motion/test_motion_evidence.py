@@ -11,7 +11,7 @@ from mbcacq.diagnosis.evidence.bayes_factor import log_set_bayes_factor
 from mbcacq.diagnosis.motion import diagnose
 from mbcacq.diagnosis.motion.channel_groups import channel_groups
 from mbcacq.diagnosis.motion.diagnose import diagnose_trajectories
-from mbcacq.diagnosis.motion.effect_search import sized
+from mbcacq.diagnosis.motion.effect_search import sized, that_show
 from mbcacq.diagnosis.motion.effect_selection import EffectSelection
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.motion_model import MotionModel
@@ -54,6 +54,16 @@ def test_the_evidence_from_gram_matrices_is_that_of_all_samples():
     true = [multivariate_normal(cov=cov).logpdf(mismatch) for cov in (with_it, without)]
     assert found == pytest.approx(true[0] - true[1], rel=1e-6)
     assert found > 10.0
+
+
+def test_what_changes_no_sample_has_no_size_and_is_not_compared():
+    model = torque_model(recording(1))
+    forms = next(tuple(v) for v in EffectSelection(model).pool.forms if len(v) > 1)
+    information = np.ones(len(model.store.prior))
+    information[forms[0].columns] = 0.0
+    assert that_show(forms, information) == forms[1:]
+    information[:] = 0.0
+    assert that_show(forms, information) == ()
 
 
 def test_an_arm_without_effects_has_an_e_value_below_the_threshold():

@@ -38,6 +38,11 @@ def sized(member: Member, prior: np.ndarray, information: np.ndarray) -> Member:
     return replace(member, candidate=candidate, sizes=SHARES if bounded else RATIOS, size=1.0)
 
 
+def that_show(forms: Forms, information: np.ndarray) -> Forms:
+    """The variants of a candidate that change any sample; of others there is no size to be compared. information: (P,) of all columns."""
+    return tuple(one for one in forms if (information[one.columns] > 0).all())
+
+
 @dataclass(frozen=True)
 class MotionPrior(SetPrior):
     """Prior probabilities of sets. Effects that every arm has (friction, elastic joints, drives that lag) are half as likely to show as

@@ -16,7 +16,7 @@ from mbcacq.diagnosis.evidence.beam_search import LEAST_LOG_E_VALUE, RankedSets,
 from mbcacq.diagnosis.evidence.hypothesis import Hypothesis, estimated
 from mbcacq.diagnosis.evidence.posterior import alternatives_of, reported_hypothesis
 from mbcacq.diagnosis.motion.candidate_pool import CandidatePool
-from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized
+from mbcacq.diagnosis.motion.effect_search import MotionPrior, MotionSearch, log_prior_mass, sized, that_show
 from mbcacq.diagnosis.motion.gram_point import GramPoint, GramProblem
 from mbcacq.diagnosis.motion.hyperparameters import estimate_hyperparameters
 from mbcacq.diagnosis.motion.load_error import follow_load_error
@@ -91,7 +91,8 @@ class EffectSelection:
         offered = [forms for forms in every if forms[0].candidate.form not in self._left_out]
         problem, prior = GramProblem.of(model, colour), np.array(store.prior)
         information = np.diag(problem.weighted(weights * colour, corrected=True))[:-1]
-        candidates = [tuple(sized(one, prior, information) for one in forms) for forms in offered]
+        shown = [that_show(tuple(forms), information) for forms in offered]
+        candidates = [tuple(sized(one, prior, information) for one in forms) for forms in shown if forms]
         members = tuple(sized(e, prior, information) for e in model.selected)
         self._colour = colour
         self._search = search = MotionSearch(

@@ -20,9 +20,11 @@ def possible_sizes(least: float) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class Member:
-    """An effect of a set, or one that may be, at one value of its hyper-parameter. sizes: of its coefficients that are possible, in typical
-    ones (those of the candidate, unless given); size: the most probable; log_mass: log of the average over the hyper-parameter, relative to this value. columns: (k,) their
-    numbers among those of a motion; none of an effect of poses.
+    """An effect of a set, or one that may be, at one value of its hyper-parameter.
+
+    sizes: of its coefficients that are possible, in typical ones (those of the candidate, unless given); size: the most probable; log_mass:
+    log of the average over the hyper-parameter, relative to this value. columns: (k,) their numbers among those of a motion; none of an
+    effect of poses.
     """
 
     candidate: Candidate
