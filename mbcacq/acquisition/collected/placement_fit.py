@@ -68,7 +68,7 @@ class PlacementFit:
         found = least_squares(
             lambda state: misses(state[None])[0],
             np.zeros(6 * (1 + len(names))),
-            jac=lambda state: _derivatives(misses, state),
+            jac=lambda state: _derivatives(misses, state),  # pyright: ignore[reportArgumentType]  # a function is allowed
             loss="soft_l1",
             f_scale=OUTLIER_MM,
             max_nfev=ROUNDS,
